@@ -7,8 +7,8 @@ from pathlib import Path
 from pydantic import Field
 
 import optdock as od
-from optdock.interfaces import GlobalPlanner
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import GlobalPlanner
+from optdock.plugins.parameters import PluginParameters
 
 
 class ViaPointsParameters(PluginParameters):

@@ -17,22 +17,22 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.comparison import PathFigures, comparison_csv, comparison_table, figures_of
 from optdock.config import Scenario
 from optdock.errors import OptdockError
-from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
-from optdock.pipeline import warm_up
-from optdock.plan import PartialPlan
-from optdock.plugins import PluginChoice, create_plugin
-from optdock.report import table
+from optdock.planning.pipeline import warm_up
+from optdock.planning.plan import PartialPlan
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.registry import PluginChoice, create_plugin
+from optdock.reports.comparison import PathFigures, comparison_csv, comparison_table, figures_of
+from optdock.reports.report import table
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
 sys.path.insert(0, str(Path(__file__).parent))
 from real_maps import DRAWN_SCENARIOS, HINT, SCENARIOS, MapScenario, maps_folder, problem_of
 
 if TYPE_CHECKING:
-    from optdock.plan import DockPlan
+    from optdock.planning.plan import DockPlan
     from optdock.simulation import Run
 
 OUT = Path("results") / Path(__file__).stem

@@ -17,19 +17,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.nav2.graceful_law import GracefulLaw, egocentric
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.report import table
-from optdock.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.registry import create_plugin
+from optdock.reports.report import table
 from optdock.simulation import (
     Actuation,
     PoseSensor,

@@ -18,23 +18,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GoalChecker, PluginContext
 from optdock.io.atomic_file import write_text
-from optdock.limits import MotionLimits
-from optdock.path import Direction
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.report import table
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import Controller, GoalChecker, PluginContext
+from optdock.plugins.registry import create_plugin
+from optdock.reports.report import table
 from optdock.simulation import Actuation, SimulationSettings, pose_errors, run_closed_loop
 from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 
 if TYPE_CHECKING:
+    from optdock.model.trajectory import Trajectory
     from optdock.simulation import Run
-    from optdock.trajectory import Trajectory
 
 OUT = Path("results") / Path(__file__).stem
 START = Pose2(0.0, 0.0, 0.3)

@@ -22,28 +22,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
-from optdock.limits import MotionLimits
-from optdock.measurements import Measurements
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.measurements import Measurements
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import Trajectory
 from optdock.nav2.graceful_law import GracefulLaw
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plan import DockPlan
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.plan import DockPlan
 from optdock.plotting import save_mujoco_animation
 from optdock.plotting.canvas import COLOURS, new_figure, save_figure
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.report import table
-from optdock.robot import Robot
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.registry import create_plugin
+from optdock.reports.report import table
 from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath, Sensors, SimulatedRobot
 from optdock.simulation.mujoco import MujocoDrive, VShape, flat_station
-from optdock.trajectory import Trajectory
 
 OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)

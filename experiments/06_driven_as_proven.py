@@ -20,18 +20,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.planning import InlinePlanning, Motion, PlanResult
 from optdock.geometry.arrays import FloatArray
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller
 from optdock.io.atomic_file import write_text
-from optdock.limits import MotionLimits
-from optdock.path import Path as DockPath
-from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path as DockPath
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.plugins.interfaces import Controller
 from optdock.simulation import Actuation, SimulatedRobot, Station, Steering, SteeringAtRest, plant_of
 
 OUT = Path("results") / Path(__file__).stem

@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from optdock.deadline import Deadline
-from optdock.lifecycle import PluginContext
+from optdock.plugins.lifecycle import PluginContext
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map
-from optdock.limits import MotionLimits
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap

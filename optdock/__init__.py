@@ -18,11 +18,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from checkers.axis import AxisGoalChecker
-    from optdock.camera import Camera
     from optdock.config import Scenario, load_scenario
     from optdock.controllers.tracking import TrackingController
     from optdock.costmap.costmap import Costmap
-    from optdock.dock import Dock, DockTolerances
     from optdock.errors import (
         Cancelled,
         CertificationFailed,
@@ -49,43 +47,38 @@ if TYPE_CHECKING:
     )
     from optdock.executor.log import LogWriter
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2, Twist2
-    from optdock.interfaces import DockType
+    from optdock.impossibility import BlockedStraight, ImpossibilityProof, check_impossibility, prove_impossible
     from optdock.io.maps import load_map
     from optdock.io.plan_file import load_plan
-    from optdock.lifecycle import PluginContext
-    from optdock.limits import MotionLimits
-    from optdock.measurements import AtDock, Detection, Measurements, OdometryPose
-    from optdock.obstacles import ObstacleSet
-    from optdock.outcomes import Contact
-    from optdock.parameters import PluginParameters
-    from optdock.path import Path
-    from optdock.pipeline import plan_dock, warm_up
-    from optdock.plan import DockPlan
+    from optdock.model.camera import Camera
+    from optdock.model.dock import Dock, DockTolerances
+    from optdock.model.limits import MotionLimits
+    from optdock.model.measurements import AtDock, Detection, Measurements, OdometryPose
+    from optdock.model.path import Path
+    from optdock.model.problem import ClearanceRule, DockingProblem
+    from optdock.model.robot import Robot, TrackingTube
+    from optdock.model.segments import TurnSegment
+    from optdock.model.trajectory import Trajectory
     from optdock.planners.dock_planner import DockPlanner
     from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
-    from optdock.problem import ClearanceRule, DockingProblem
-    from optdock.replanning import DriveState, replan, still_holds
-    from optdock.robot import Robot, TrackingTube
-    from optdock.segments import TurnSegment
+    from optdock.planning.pipeline import plan_dock, warm_up
+    from optdock.planning.plan import DockPlan
+    from optdock.planning.replanning import DriveState, replan, still_holds
+    from optdock.plugins.interfaces import DockType
+    from optdock.plugins.lifecycle import PluginContext
+    from optdock.plugins.outcomes import Contact
+    from optdock.plugins.parameters import PluginParameters
     from optdock.timing.near_optimal import NearOptimal
-    from optdock.trajectory import Trajectory
-    from optdock.verification import (
-        BlockedStraight,
-        Certificate,
-        ImpossibilityProof,
-        certify_path,
-        certify_trajectory,
-        check_impossibility,
-        prove_impossible,
-    )
+    from optdock.verification import Certificate, certify_path, certify_trajectory
     from smoothers import CasadiSmoother
 
 _MODULES = {
-    "optdock.camera": ("Camera",),
+    "optdock.model.camera": ("Camera",),
     "optdock.config": ("Scenario", "load_scenario"),
     "optdock.costmap.costmap": ("Costmap",),
-    "optdock.dock": ("Dock", "DockTolerances"),
+    "optdock.model.dock": ("Dock", "DockTolerances"),
     "optdock.errors": (
         "Cancelled",
         "CertificationFailed",
@@ -113,31 +106,33 @@ _MODULES = {
     "optdock.executor.log": ("LogWriter",),
     "optdock.geometry.footprint": ("Footprint",),
     "optdock.geometry.pose": ("Pose2", "Twist2"),
-    "optdock.interfaces": ("DockType",),
+    "optdock.plugins.interfaces": ("DockType",),
     "optdock.io.maps": ("load_map",),
     "optdock.io.plan_file": ("load_plan",),
-    "optdock.lifecycle": ("PluginContext",),
-    "optdock.limits": ("MotionLimits",),
-    "optdock.measurements": ("AtDock", "Detection", "Measurements", "OdometryPose"),
-    "optdock.obstacles": ("ObstacleSet",),
-    "optdock.outcomes": ("Contact",),
-    "optdock.parameters": ("PluginParameters",),
-    "optdock.path": ("Path",),
-    "optdock.pipeline": ("plan_dock", "warm_up"),
-    "optdock.plan": ("DockPlan",),
-    "optdock.problem": ("ClearanceRule", "DockingProblem"),
-    "optdock.replanning": ("DriveState", "replan", "still_holds"),
-    "optdock.robot": ("Robot", "TrackingTube"),
-    "optdock.segments": ("TurnSegment",),
-    "optdock.trajectory": ("Trajectory",),
-    "optdock.verification": (
+    "optdock.plugins.lifecycle": ("PluginContext",),
+    "optdock.model.limits": ("MotionLimits",),
+    "optdock.model.measurements": ("AtDock", "Detection", "Measurements", "OdometryPose"),
+    "optdock.geometry.obstacles": ("ObstacleSet",),
+    "optdock.plugins.outcomes": ("Contact",),
+    "optdock.plugins.parameters": ("PluginParameters",),
+    "optdock.model.path": ("Path",),
+    "optdock.planning.pipeline": ("plan_dock", "warm_up"),
+    "optdock.planning.plan": ("DockPlan",),
+    "optdock.model.problem": ("ClearanceRule", "DockingProblem"),
+    "optdock.planning.replanning": ("DriveState", "replan", "still_holds"),
+    "optdock.model.robot": ("Robot", "TrackingTube"),
+    "optdock.model.segments": ("TurnSegment",),
+    "optdock.model.trajectory": ("Trajectory",),
+    "optdock.impossibility": (
         "BlockedStraight",
-        "Certificate",
         "ImpossibilityProof",
-        "certify_path",
-        "certify_trajectory",
         "check_impossibility",
         "prove_impossible",
+    ),
+    "optdock.verification": (
+        "Certificate",
+        "certify_path",
+        "certify_trajectory",
     ),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
@@ -228,7 +223,7 @@ if not TYPE_CHECKING:  # who reads the types must be told that a misspelt name d
         if name in _HOMES:
             found = getattr(import_module(_HOMES[name]), name)
         elif name in _PLUGINS:
-            found = import_module("optdock.plugins").plugin_class(name)
+            found = import_module("optdock.plugins.registry").plugin_class(name)
         else:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         globals()[name] = found

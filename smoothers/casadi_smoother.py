@@ -11,17 +11,17 @@ from pydantic import Field, field_validator
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.deadline import Deadline, garbage_collection_paused
-from optdock.dock import Dock, DockDirection
 from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.parameters import PluginParameters, checked_seconds
-from optdock.path import Path, may_be_one_frame
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path, may_be_one_frame
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
+from optdock.plugins.parameters import PluginParameters, checked_seconds
 from optdock.verification import certify_path, pose_clearances
 from smoothers.scp.cost import Weights
 from smoothers.scp.problem import Formulation
@@ -34,7 +34,7 @@ from smoothers.scp.turns import TurningSolver, with_turns
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.lifecycle import PluginContext
     from smoothers.scp.strategy import Incumbent, Outcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from checkers._measures import is_stopped, longer_than, yaw_error
-from optdock.interfaces import GoalChecker, Tolerances
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import GoalChecker, Tolerances
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

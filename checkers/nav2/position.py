@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from checkers._measures import longer_than
-from optdock.interfaces import GoalChecker, Tolerances
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import GoalChecker, Tolerances
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.pose import Pose2, Twist2
-    from optdock.interfaces import Tolerances
+    from optdock.plugins.interfaces import Tolerances
 
 __all__ = ["StoppedGoalChecker", "StoppedGoalCheckerParameters"]
 

@@ -113,7 +113,7 @@ def _absent(row: KeyReference) -> str:
 
 def _limits(_argument: str) -> str:
     """The bounds on a motion, what each bounds and which certificate proves it."""
-    from optdock.limits import LIMITS, LimitKind
+    from optdock.model.limits import LIMITS, LimitKind
 
     head = "| quantity | bounded is | unit | by | proven of | for |\n|---|---|---|---|---|---|\n"
     rows = (
@@ -131,14 +131,14 @@ def _limits(_argument: str) -> str:
 
 
 def _plugins(kind: str) -> str:
-    from optdock.plugins import available_plugins
+    from optdock.plugins.registry import available_plugins
 
     return "\n\n".join(_plugin(kind, info.name) for info in available_plugins() if info.kind == kind)
 
 
 def _plugin(kind: str, name: str) -> str:
     from optdock.config import plugin_reference
-    from optdock.plugins import INTERFACES, load_plugin
+    from optdock.plugins.registry import INTERFACES, load_plugin
 
     cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
     says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
@@ -237,7 +237,7 @@ def _api(names: str) -> str:
 
 def _described(dotted: str) -> str:
     import optdock
-    from optdock import interfaces
+    from optdock.plugins import interfaces
 
     module, _, name = dotted.rpartition(".")
     home = importlib.import_module(module) if module else optdock if hasattr(optdock, dotted) else interfaces

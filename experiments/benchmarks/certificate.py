@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 from experiments.benchmarks.tables import Table, Timer, percentile, yardstick
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.errors import OptdockError
-from optdock.interfaces import Smoother
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
+from optdock.model.path import Path
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Smoother
+from optdock.plugins.registry import create_plugin
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["main"]
 

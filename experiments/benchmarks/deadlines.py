@@ -22,15 +22,15 @@ from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile, 
 from experiments.cpu_budgets import count_cpu
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import plan_dock, warm_up
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ __all__ = ["main"]
 
 _PROGRAM = """
 import sys, time
-from optdock.interfaces import Smoother
-from optdock.plugins import create_plugin
+from optdock.plugins.interfaces import Smoother
+from optdock.plugins.registry import create_plugin
 from optdock.testing.families import instance
 case, smoother = instance(sys.argv[1], 0), create_plugin(Smoother, "CasadiSmoother")
 times = []

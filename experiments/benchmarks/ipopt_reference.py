@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 
 from optdock.deadline import Deadline
-from optdock.interfaces import SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
+from optdock.plugins.interfaces import SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.basis import basis_for
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis, Shape
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.cost import CostModel

@@ -19,20 +19,20 @@ from experiments.benchmarks.tables import Table, Timer, percentile
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import garbage_collection_paused
 from optdock.errors import OptdockError
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import plan_dock, warm_up
-from optdock.problem import DockingProblem
-from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.robot import Robot
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock, warm_up
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.testing.families import instance
 from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from optdock.plan import DockPlan
-    from optdock.replanning import Replanned
+    from optdock.planning.plan import DockPlan
+    from optdock.planning.replanning import Replanned
 
 __all__ = ["main"]
 

@@ -12,8 +12,8 @@ import time
 from experiments.benchmarks.tables import Table
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Drive, Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive, Robot
 from optdock.simulation import (
     Actuation,
     Bicycle,

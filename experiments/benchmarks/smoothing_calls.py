@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from experiments.benchmarks.tables import Timer
 from optdock.errors import SmootherException, SmootherTimedOut
-from optdock.interfaces import SmoothingReport
+from optdock.plugins.interfaces import SmoothingReport
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
-    from optdock.interfaces import Smoother
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.interfaces import Smoother
     from optdock.testing.dense_check import DenseReport
     from optdock.verification import Certificate
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import casadi as ca
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.interfaces import Smoother
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.interfaces import Smoother
 
 __all__ = ["reference_table"]
 

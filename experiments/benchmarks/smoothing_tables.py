@@ -12,15 +12,15 @@ import numpy as np
 from experiments.benchmarks.smoothing_calls import best_of, called, judged
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile
 from optdock.geometry.pose import Pose2
-from optdock.problem import DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.testing.families import instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from experiments.benchmarks.smoothing_calls import Call, Verdict
-    from optdock.interfaces import Smoother
-    from optdock.path import Path
+    from optdock.model.path import Path
+    from optdock.plugins.interfaces import Smoother
     from optdock.testing.families import Instance
 
 __all__ = ["Run", "baseline_table", "budget_table", "family_table", "reasons_table", "solved", "warm_table"]

@@ -22,7 +22,7 @@ import numpy as np
 
 from experiments.benchmarks.tables import Table, Timer, yardstick
 from experiments.benchmarks.timing_paths import clothoid_case, random_case, suite
-from optdock.interfaces import TimingStatus
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from experiments.benchmarks.timing_paths import Case
     from optdock.geometry.arrays import FloatArray
-    from optdock.interfaces import TimeParameterizer, TimingResult
-    from optdock.trajectory import Trajectory
+    from optdock.model.trajectory import Trajectory
+    from optdock.plugins.interfaces import TimeParameterizer, TimingResult
 
 _REFERENCES = FilePath(__file__).with_name("timing_reference.json")
 _SUITES = ("std", "hard", "clothoid", "smoothed")

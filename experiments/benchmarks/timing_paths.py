@@ -11,8 +11,8 @@ from experiments.benchmarks.timing_smoothed import smoothed_paths
 from optdock.geometry.arrays import FloatArray, frozen_array
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Direction, Path
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Direction, Path
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

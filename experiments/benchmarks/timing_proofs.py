@@ -24,10 +24,10 @@ from experiments.benchmarks.tables import Table, Timer
 from optdock.errors import OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path
-from optdock.pipeline import plan_dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Path
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import TimingStatus
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
@@ -39,8 +39,8 @@ from real_maps import SCENARIOS, maps_folder, problem_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.interfaces import TimeParameterizer
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.interfaces import TimeParameterizer
 
 _SCENES = (0, 1, 4, 9, 17)  # of `SCENARIOS`: three walls, a pallet, a rack
 _TURNING = ("max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_wheel_speed")

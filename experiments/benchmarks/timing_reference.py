@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from experiments.benchmarks.timing_paths import GaussianSegment
-from optdock.path import ClothoidSegment
+from optdock.model.path import ClothoidSegment
 from optdock.timing.path_limits import limits_along
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from experiments.benchmarks.timing_paths import Case
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
-    from optdock.path import Segment
-    from optdock.trajectory import TimeLaw
+    from optdock.model.limits import MotionLimits
+    from optdock.model.path import Segment
+    from optdock.model.trajectory import TimeLaw
 
 __all__ = ["acceleration_bound", "jerk_limited_optimum"]
 

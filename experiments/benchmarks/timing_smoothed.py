@@ -11,13 +11,13 @@ import numpy as np
 from optdock.errors import SmootherException
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother
-from optdock.path import ClothoidSegment, Path
-from optdock.plugins import create_plugin
+from optdock.model.path import ClothoidSegment, Path
+from optdock.plugins.interfaces import Smoother
+from optdock.plugins.registry import create_plugin
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:
-    from optdock.path import Segment
+    from optdock.model.path import Segment
 
 __all__ = ["harvest", "smoothed_paths"]
 

@@ -17,27 +17,27 @@ import numpy as np
 
 from experiments.benchmarks.tables import Table
 from optdock.controllers.mpc import MpcControllerParameters
-from optdock.dock import Dock, DockDirection
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, GoalChecker
-from optdock.lifecycle import PluginContext
-from optdock.limits import MotionLimits
-from optdock.path import Direction
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.lifecycle import PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 from optdock.testing.drives import s_curve_drive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from optdock.path import Path
+    from optdock.model.path import Path
+    from optdock.model.trajectory import Trajectory
     from optdock.simulation import Run
-    from optdock.trajectory import Trajectory
 
 __all__ = ["Case", "World", "cases", "drive", "main", "worlds"]
 

@@ -27,19 +27,19 @@ import numpy as np
 from experiments.benchmarks.tables import Table, percentile
 from experiments.manoeuvres.cases import SEED, free_starts, side_of
 from experiments.real_maps import DRAWN_SCENARIOS, problem_of
-from optdock.camera import Camera
-from optdock.dock import Dock, DockDirection
 from optdock.errors import OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path
-from optdock.pipeline import DEFAULT_TIME_BUDGET, plan_dock, warm_up
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.path import ClothoidSegment, Path
+from optdock.planning.pipeline import DEFAULT_TIME_BUDGET, plan_dock, warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from optdock.plan import DockPlan
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.planning.plan import DockPlan
 
 LONGER = 1.2  # times the plan without the view: what still counts as a way that exists
 PATIENT = 10.0  # [s]

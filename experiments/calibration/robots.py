@@ -15,9 +15,9 @@ from experiments.docking.field.localization import Localization
 from experiments.docking.field.odometry import Odometry
 from experiments.docking.field.world import FieldRobot, FieldWorld
 from experiments.docking.outcome import ACCEPTED
-from optdock.dock import DockTolerances
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import DockTolerances
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout

@@ -15,7 +15,7 @@ from optdock.calibration import calibrate, read_recording, written_values
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter
 from optdock.geometry.pose import Pose2
-from optdock.plugins import PluginChoice
+from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome

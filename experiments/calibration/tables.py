@@ -8,7 +8,7 @@ import numpy as np
 
 from optdock.calibration.tube import conformal_tube
 from optdock.geometry.pose import displacement
-from optdock.report import table
+from optdock.reports.report import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

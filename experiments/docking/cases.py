@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.model.dock import Dock, DockDirection, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot, TrackingTube
 
 __all__ = ["ROBOT", "SPREADS", "STATION", "Layout", "Spread", "layout_of"]
 

@@ -20,11 +20,12 @@ from experiments.docking.worlds import WORLDS, Case, World, case_of
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import LETHAL
 from optdock.executor import DockingExecutor, ExecutorSettings, State
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, transform_points
-from optdock.measurements import Measurements, OdometryPose
-from optdock.obstacles import ObstacleSet
-from optdock.plugins import PluginChoice
-from optdock.report import table
+from optdock.model.measurements import Measurements, OdometryPose
+from optdock.plugins.registry import PluginChoice
+from optdock.reports.report import table
+from optdock.samples.tube import Tube
 from optdock.simulation import (
     DifferentialDrive,
     Sensors,
@@ -35,7 +36,6 @@ from optdock.simulation import (
     Wheels,
     executed_clearance,
 )
-from optdock.tube import Tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from experiments.docking.outcome import Followed, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
-from optdock.dock import DockDirection
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
-from optdock.interfaces import Controller, GoalChecker
-from optdock.lifecycle import PluginContext
+from optdock.model.dock import DockDirection
+from optdock.model.path import Direction
 from optdock.nav2.graceful_law import GracefulLaw
-from optdock.path import Direction
-from optdock.pipeline import plan_dock
-from optdock.plugins import PluginChoice, create_plugin, timed_by
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.lifecycle import PluginContext
+from optdock.plugins.registry import PluginChoice, create_plugin, timed_by
 from optdock.simulation import RemainingPath
 
 if TYPE_CHECKING:
     from experiments.docking.worlds import Case, World
-    from optdock.measurements import Measurements
+    from optdock.model.measurements import Measurements
+    from optdock.model.trajectory import Trajectory
     from optdock.simulation import SimulatedRobot
-    from optdock.trajectory import Trajectory
 
 __all__ = ["METHODS", "executed"]
 

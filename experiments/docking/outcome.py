@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import pose_errors
-from optdock.tube import Tube
+from optdock.samples.tube import Tube
 from optdock.verification import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from experiments.docking.worlds import Case
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
-    from optdock.plan import DockPlan
+    from optdock.model.limits import MotionLimits
+    from optdock.planning.plan import DockPlan
     from optdock.simulation import Record
 
 __all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of", "worst_ratio"]

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.docking.cases import Spread, layout_of
-from optdock.dock import DockDirection
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.obstacles import ObstacleSet
-from optdock.problem import DockingProblem
+from optdock.model.dock import DockDirection
+from optdock.model.problem import DockingProblem
 from optdock.simulation import (
     Actuation,
     DockSensor,

@@ -9,16 +9,16 @@ import numpy as np
 
 from optdock.costmap import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot, TrackingTube
-from optdock.trajectory import TimeLaw
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot, TrackingTube
+from optdock.model.trajectory import TimeLaw
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case

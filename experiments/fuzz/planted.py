@@ -155,7 +155,7 @@ PLANTS: dict[str, Plant] = {
     "dropped_obstacle": Plant(certify, "prove_clearance", _one_obstacle_less),
     "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
     "dropped_new_obstacle": Plant(
-        importlib.import_module("optdock.changed_world"), "prove_clearance", _one_new_obstacle_less
+        importlib.import_module("optdock.planning.changed_world"), "prove_clearance", _one_new_obstacle_less
     ),
     "dropped_measured_pose": Plant(Footprint, "displacement", _nowhere_off),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from experiments.fuzz.case import Case as Spec
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
-    from optdock.plan import DockPlan
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.planning.plan import DockPlan
 
 __all__ = ["Check", "checked"]
 

@@ -46,13 +46,13 @@ from experiments.manoeuvres.cases import (
     walls,
 )
 from experiments.real_maps import ROBOT, SCENARIOS, problem_of
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.problem import ClearanceRule
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule
+from optdock.model.robot import Drive, Robot
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
     from experiments.real_maps import MapScenario
     from optdock.geometry.arrays import BoolArray, FloatArray
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = [
     "CAR",

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from experiments.benchmarks.tables import Timer
 from experiments.manoeuvres.check import checked
 from optdock.errors import GoalOccupied, OptdockError, StartOccupied
-from optdock.pipeline import plan_dock, warm_up
-from optdock.plan import PartialPlan
+from optdock.planning.pipeline import plan_dock, warm_up
+from optdock.planning.plan import PartialPlan
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from experiments.manoeuvres.cases import Case, Truth
-    from optdock.plan import DockPlan
+    from optdock.planning.plan import DockPlan
 
 __all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "ask_all", "csv_text", "versions"]
 
@@ -166,7 +166,7 @@ def _refused(record: Record, case: Case, error: Exception, figure: Path | None) 
 
 def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
     """A proof beside the truth, and judged by the checker that did not make it."""
-    from optdock.verification import check_impossibility
+    from optdock.impossibility import check_impossibility
 
     verdict, found, truth = check_impossibility(proof, case.problem), proof.bottleneck, case.truth
     record = record._replace(faults="" if verdict.proven else f"proof refused: {verdict.reason}")

@@ -9,14 +9,14 @@ import numpy as np
 
 from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2, normalize_angle, unwrap_yaw
-from optdock.interfaces import DockType
-from optdock.plugins import create_plugin
+from optdock.plugins.interfaces import DockType
+from optdock.plugins.registry import create_plugin
 
 if TYPE_CHECKING:
     from optdock.executor.log import DockingLog
     from optdock.geometry.arrays import FloatArray
-    from optdock.measurements import Measurements
-    from optdock.robot import Robot
+    from optdock.model.measurements import Measurements
+    from optdock.model.robot import Robot
 
 __all__ = ["Path2", "Recording", "recording_of_log"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from optdock.report import table
+from optdock.reports.report import table
 
 if TYPE_CHECKING:
     from optdock.calibration.calibrate import Calibration

@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.calibration.statistics import Quantity, unknown
 from optdock.geometry.pose import displacement
-from optdock.robot import TrackingTube
+from optdock.model.robot import TrackingTube
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -65,8 +65,8 @@ def plugins(
 ) -> None:
     """List the installed plugins, one line each."""
     with reported(verbose=verbose):
-        from optdock.plugins import available_plugins
-        from optdock.report import table
+        from optdock.plugins.registry import available_plugins
+        from optdock.reports.report import table
 
         if nav2_params is None:
             typer.echo(table([(plugin.kind, plugin.name, plugin.target) for plugin in available_plugins()]))

@@ -14,7 +14,7 @@ from optdock.errors import InvalidFile, InvalidValue
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
     from optdock.ros.bag import BagMessage
     from optdock.ros.contents import Names
 

@@ -11,8 +11,8 @@ from optdock.cli.common import ScenarioArgument, VerboseOption, reported
 from optdock.cli.exit_status import ExitStatus
 
 if TYPE_CHECKING:
-    from optdock.plan_file_verdict import PlanFileVerdict
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.reports.plan_file_verdict import PlanFileVerdict
 
 __all__ = ["certify"]
 
@@ -32,7 +32,7 @@ def certify(
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.report import table
+        from optdock.reports.report import table
 
         verdict = _verdict(plan, load_scenario(scenario).problem)
         typer.echo(table(verdict.rows))
@@ -53,7 +53,7 @@ def _verdict(source: Path, problem: DockingProblem) -> PlanFileVerdict:
     """
     from optdock.errors import InvalidFile
     from optdock.io.plan_file import load_plan
-    from optdock.plan_file_verdict import judge_plan_file
+    from optdock.reports.plan_file_verdict import judge_plan_file
 
     plan = load_plan(source)
     try:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costs import OccupancyRule
     from optdock.geometry.footprint import Footprint
     from optdock.io.parking_cases import ParkingCase
-    from optdock.problem import ClearanceRule
+    from optdock.model.problem import ClearanceRule
 
 __all__ = ["app"]
 
@@ -113,7 +113,7 @@ def nav2(  # noqa: PLR0913 - one parameter per option
 
         from optdock.config import save_scenario
         from optdock.nav2.scenario import nav2_scenario
-        from optdock.report import table
+        from optdock.reports.report import table
 
         checked_positive("--time-budget", time_budget, "s")
         for read in (nav2_params, map_, docks):
@@ -173,7 +173,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
     failed/drive.json
     """
     with reported(verbose=verbose):
-        from optdock.report import table
+        from optdock.reports.report import table
         from optdock.ros.bag import open_bag
         from optdock.ros.field import FieldOptions, FieldTopics, field_docking
         from optdock.ros.field_scenario import judged_poses, save_field_docking
@@ -206,7 +206,7 @@ def _check_distance(option: str, value: float | None) -> None:
 
 def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
     from optdock.costmap.costs import OccupancyRule
-    from optdock.problem import ClearanceRule
+    from optdock.model.problem import ClearanceRule
 
     _check_distance("--clearance", clearance)
     if not 1 <= occupied_from <= 100:

@@ -28,9 +28,9 @@ from optdock.errors import InvalidFile, InvalidValue, OptdockError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from optdock.comparison import PathFigures
     from optdock.config import Scenario
-    from optdock.plan import DockPlan, PartialPlan
+    from optdock.planning.plan import DockPlan, PartialPlan
+    from optdock.reports.comparison import PathFigures
 
 __all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write"]
 
@@ -115,7 +115,7 @@ class _Nav2Sources(NamedTuple):
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     from optdock.config import load_scenario
     from optdock.nav2.scenario import nav2_scenario
-    from optdock.report import table
+    from optdock.reports.report import table
 
     given = [name for name, value in nav2._asdict().items() if value is not None]
     if scenario is not None and not given:
@@ -128,7 +128,7 @@ def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
 
 
 def _plan_and_tell(scenario: Scenario, time_budget: float | None, outputs: PlanOutputs, profile: Path | None) -> None:
-    from optdock.report import limit_rows, plan_rows, table
+    from optdock.reports.report import limit_rows, plan_rows, table
 
     found = solved(scenario, time_budget, outputs)
     write(scenario, found, outputs)
@@ -155,8 +155,8 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
         OptdockError: There is no certified plan, see `plan_dock`; or the plan file cannot be written.
     """
     from optdock.io.plan_file import save_plan
-    from optdock.plan import PartialPlan
-    from optdock.report import failed_plan_file
+    from optdock.planning.plan import PartialPlan
+    from optdock.reports.report import failed_plan_file
 
     try:
         return scenario.plan(time_budget)
@@ -237,10 +237,10 @@ def compare(
     Exit status: the highest that a scenario would have by itself.
     """
     with reported(verbose=verbose):
-        from optdock.comparison import comparison_csv, comparison_table
         from optdock.config import load_scenario
         from optdock.io.atomic_file import write_text
         from optdock.plotting.canvas import format_of
+        from optdock.reports.comparison import comparison_csv, comparison_table
 
         format_of(out / "plan.png")
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
@@ -289,8 +289,8 @@ def _is_scenario(source: Path) -> bool:
 
 def _compared(scenario: Scenario, picture: Path) -> tuple[list[PathFigures], ExitStatus]:
     """Both rows of one scenario and how it ended, and its picture; a failure becomes a row and a line on stderr."""
-    from optdock.comparison import PathFigures, figures_of
-    from optdock.plan import PartialPlan
+    from optdock.planning.plan import PartialPlan
+    from optdock.reports.comparison import PathFigures, figures_of
 
     name, drawn = scenario.source.stem, PlanOutputs(picture=picture)
     try:

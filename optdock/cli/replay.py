@@ -35,7 +35,7 @@ def replay(
     with reported(verbose=verbose):
         from optdock.executor.log import read_log
         from optdock.executor.replay import replay as driven_again
-        from optdock.report import table
+        from optdock.reports.report import table
 
         check_picture("--plot", plot)
         spare(log, plot)

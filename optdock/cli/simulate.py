@@ -30,9 +30,9 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
-    from optdock.plan import DockPlan
+    from optdock.planning.plan import DockPlan
+    from optdock.samples.tube import Deviations
     from optdock.simulation import Run
-    from optdock.tube import Deviations
 
 __all__ = ["World", "demo", "driven", "simulate"]
 
@@ -82,7 +82,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.report import run_rows, table
+        from optdock.reports.report import run_rows, table
         from optdock.simulation import beyond_proof
 
         world = _checked(World(position_noise, yaw_noise, lag, latency))
@@ -113,7 +113,7 @@ def demo(
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.report import limit_rows, plan_rows, run_rows, table
+        from optdock.reports.report import limit_rows, plan_rows, run_rows, table
         from optdock.simulation import beyond_proof
 
         check_picture("--out", out / "plan.png")
@@ -162,7 +162,7 @@ def _demo_files(folder: Path) -> Path:
 def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[Path | None, Path | None]) -> None:
     """The run as a file, as a picture and as an animation, where they are asked for."""
     from optdock.io.atomic_file import write_text
-    from optdock.report import run_json
+    from optdock.reports.report import run_json
 
     write_text(out, run_json(run, seed))
     picture, animation = pictures
@@ -204,9 +204,9 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
     Raises:
         InvalidValue: A parameter of a plugin or of the world is wrong.
     """
-    from optdock.interfaces import Controller, GoalChecker
-    from optdock.lifecycle import PluginContext
-    from optdock.plugins import create_plugin
+    from optdock.plugins.interfaces import Controller, GoalChecker
+    from optdock.plugins.lifecycle import PluginContext
+    from optdock.plugins.registry import create_plugin
     from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
     problem = scenario.problem
@@ -231,7 +231,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 def _deviations(plan: DockPlan, run: Run) -> Deviations:
     """How far a run is off the path of its plan."""
-    from optdock.tube import Tube
+    from optdock.samples.tube import Tube
 
     return Tube(plan.path, plan.problem, plan.certificate.start_relief).deviations(run.poses)
 

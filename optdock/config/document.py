@@ -28,19 +28,19 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from optdock.camera import Camera
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import MOST_POLYGONS, check_outline, check_speed, check_vertices, check_yaw, is_number
 from optdock.io.quoting import shown
-from optdock.limits import DIMENSIONS, LIMITS, MotionLimits
-from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
-from optdock.problem import ClearanceRule
-from optdock.robot import Drive, Robot, TrackingTube, check_drive, check_price
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import DIMENSIONS, LIMITS, MotionLimits
+from optdock.model.problem import ClearanceRule
+from optdock.model.robot import Drive, Robot, TrackingTube, check_drive, check_price
+from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 

@@ -12,11 +12,11 @@ from optdock.errors import PluginError
 from optdock.io.faults import Fault, faults_of
 from optdock.io.numbers import is_number, unit_fault
 from optdock.io.quoting import shown
-from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING
-from optdock.plugins import INTERFACES, PluginChoice, load_plugin
+from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING
+from optdock.plugins.registry import INTERFACES, PluginChoice, load_plugin
 
 if TYPE_CHECKING:
-    from optdock.lifecycle import Plugin
+    from optdock.plugins.lifecycle import Plugin
 
 __all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 

@@ -13,7 +13,7 @@ from pydantic.json_schema import models_json_schema
 from optdock.config.document import SECTIONS, ScenarioDocument
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plural
 from optdock.errors import PluginError
-from optdock.plugins import INTERFACES, available_plugins, load_plugin
+from optdock.plugins.registry import INTERFACES, available_plugins, load_plugin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -65,7 +65,7 @@ def plugin_reference(kind: str, name: str) -> tuple[KeyReference, ...]:
     """Every parameter of a plugin.
 
     Args:
-        kind: One of `optdock.plugins.INTERFACES`, such as `smoothers`.
+        kind: One of `optdock.plugins.registry.INTERFACES`, such as `smoothers`.
         name: Its name.
 
     Raises:

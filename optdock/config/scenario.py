@@ -14,21 +14,21 @@ from pydantic import ValidationError
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_choice
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
-from optdock.limits import LIMIT_UNITS
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, plan_dock
-from optdock.plugins import PluginChoice
-from optdock.problem import DockingProblem
+from optdock.model.limits import LIMIT_UNITS
+from optdock.model.problem import DockingProblem
+from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, plan_dock
+from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.footprint import Footprint
     from optdock.io.yaml_lines import Document
-    from optdock.plan import DockPlan
+    from optdock.planning.plan import DockPlan
 
 __all__ = ["Scenario", "load_scenario", "problem_of"]
 

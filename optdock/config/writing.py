@@ -16,21 +16,21 @@ from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.errors import InvalidValue
 from optdock.io.atomic_file import write_text
 from optdock.io.maps import load_map, save_map
-from optdock.robot import Robot, TrackingTube
+from optdock.model.robot import Robot, TrackingTube
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
-    from optdock.camera import Camera
     from optdock.config.scenario import Scenario
     from optdock.costmap.costmap import Costmap
-    from optdock.dock import Dock
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
-    from optdock.plugins import PluginChoice
-    from optdock.problem import DockingProblem
+    from optdock.model.camera import Camera
+    from optdock.model.dock import Dock
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.registry import PluginChoice
 
 __all__ = ["problem_document", "save_scenario"]
 

@@ -7,12 +7,12 @@ from numbers import Real
 from typing import TYPE_CHECKING
 
 from optdock.errors import ControllerInvalidPath, InvalidValue
-from optdock.path import Path, may_be_one_frame
-from optdock.trajectory import Trajectory
+from optdock.model.path import Path, may_be_one_frame
+from optdock.model.trajectory import Trajectory
 from optdock.verification import proven_for
 
 if TYPE_CHECKING:
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["checked_speed_limit", "checked_task"]
 

@@ -20,13 +20,13 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2
-from optdock.robot import Drive, admissible
-from optdock.trajectory import braking_phases, constant_jerk
+from optdock.model.robot import Drive, admissible
+from optdock.model.trajectory import braking_phases, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.limits import MotionLimits
+    from optdock.model.limits import MotionLimits
 
 __all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
 

@@ -9,7 +9,7 @@ from optdock.errors import NoValidControl
 from optdock.geometry.checked import finite_number
 
 if TYPE_CHECKING:
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["ControlClock"]
 

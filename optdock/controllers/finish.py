@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.dock import DockTolerances
 from optdock.geometry.pose import Twist2
+from optdock.model.dock import DockTolerances
 
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
-    from optdock.interfaces import GoalChecker
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.interfaces import GoalChecker
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["Accepted", "DeadBandPush", "Patience", "accepted_errors"]
 

@@ -14,12 +14,12 @@ import numpy as np
 from optdock.controllers.command_limits import smooth_slope
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.trajectory import TrajectorySamples
+from optdock.model.trajectory import TrajectorySamples
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
-    from optdock.trajectory import Trajectory
+    from optdock.model.limits import MotionLimits
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["Progress", "Reference", "ReferenceState", "peaks"]
 

@@ -26,15 +26,15 @@ from optdock.controllers.mpc_program import (
 from optdock.controllers.tracking import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.robot import Drive, TrackingTube, admissible
-from optdock.trajectory import braking_time
+from optdock.model.robot import Drive, TrackingTube, admissible
+from optdock.model.trajectory import braking_time
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.interfaces import GoalChecker
-    from optdock.limits import MotionLimits
-    from optdock.path import Path
-    from optdock.trajectory import Trajectory
+    from optdock.model.limits import MotionLimits
+    from optdock.model.path import Path
+    from optdock.model.trajectory import Trajectory
+    from optdock.plugins.interfaces import GoalChecker
 
 __all__ = ["CycleOutcome", "MpcController", "MpcControllerParameters", "MpcStatus"]
 

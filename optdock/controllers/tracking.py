@@ -19,15 +19,15 @@ from optdock.controllers.tracking_law import Gains, delay_bounds, left_after, tr
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller
-from optdock.limits import MotionLimits
-from optdock.parameters import PluginParameters
-from optdock.robot import Drive, admissible
-from optdock.trajectory import Trajectory
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive, admissible
+from optdock.model.trajectory import Trajectory
+from optdock.plugins.interfaces import Controller
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
-    from optdock.interfaces import GoalChecker
-    from optdock.path import Path
+    from optdock.model.path import Path
+    from optdock.plugins.interfaces import GoalChecker
 
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
@@ -329,7 +329,7 @@ class TrackingController(Controller):
         return self.context.problem.robot.drive if self.context.problem else Drive.DIFFERENTIAL
 
     def _timed(self, path: Path) -> Trajectory:
-        from optdock.plugins import timed_by
+        from optdock.plugins.registry import timed_by
 
         problem, timing = self.context.problem, self.parameters.time_parameterizer
         moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)

@@ -11,8 +11,8 @@ import numpy as np
 from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import FARTHEST
-from optdock.obstacles import ObstacleSet
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

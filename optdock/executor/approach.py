@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from optdock.controllers.tracking_law import left_after
 
 if TYPE_CHECKING:
-    from optdock.limits import MotionLimits
-    from optdock.problem import DockingProblem
+    from optdock.model.limits import MotionLimits
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["DECAY", "SHORTEST_DECAY", "can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
 

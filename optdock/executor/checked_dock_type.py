@@ -10,11 +10,11 @@ import numpy as np
 from optdock.errors import PluginError
 from optdock.executor.intake import is_detection, is_finite
 from optdock.geometry.pose import Pose2
-from optdock.outcomes import Contact
+from optdock.plugins.outcomes import Contact
 
 if TYPE_CHECKING:
-    from optdock.interfaces import DockType
-    from optdock.measurements import AtDock, Detection, Measurements
+    from optdock.model.measurements import AtDock, Detection, Measurements
+    from optdock.plugins.interfaces import DockType
 
 __all__ = ["CheckedDockType"]
 

@@ -18,15 +18,15 @@ from optdock.executor.settings import ExecutorSettings
 from optdock.executor.simple_dock import SimpleDock
 from optdock.geometry.checked import instance
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, DockType, GoalChecker
-from optdock.lifecycle import PluginContext
-from optdock.plugins import PluginChoice, plugin_from
-from optdock.problem import DockingProblem
-from optdock.robot import admissible
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import admissible
+from optdock.plugins.interfaces import Controller, DockType, GoalChecker
+from optdock.plugins.lifecycle import PluginContext
+from optdock.plugins.registry import PluginChoice, plugin_from
 
 if TYPE_CHECKING:
     from optdock.executor.planning import Planning
-    from optdock.measurements import Measurements
+    from optdock.model.measurements import Measurements
 
 __all__ = ["DockingExecutor"]
 

@@ -16,9 +16,9 @@ from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
 from optdock.executor.situation import AT_A_STAND, LONGEST_HIDDEN, NO_ROOM
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
-from optdock.lifecycle import LifecycleState, PluginContext
-from optdock.segments import TurnSegment
-from optdock.tube import Tube
+from optdock.model.segments import TurnSegment
+from optdock.plugins.lifecycle import LifecycleState, PluginContext
+from optdock.samples.tube import Tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from optdock.executor.situation import Situation
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
-    from optdock.interfaces import Controller, GoalChecker
-    from optdock.path import Path
+    from optdock.model.path import Path
+    from optdock.plugins.interfaces import Controller, GoalChecker
 
 __all__ = ["Drive"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements, OdometryPose
+from optdock.model.measurements import Detection, Measurements, OdometryPose
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -24,7 +24,6 @@ from optdock.config.document import ScenarioDocument
 from optdock.config.scenario import problem_of
 from optdock.config.writing import problem_document
 from optdock.costmap.costmap import Costmap
-from optdock.dock import DockTolerances
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.executor.outcomes import Ending, EndingKind, Event, State
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
@@ -33,9 +32,10 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
-from optdock.measurements import Detection, Measurements, OdometryPose
-from optdock.plugins import PluginChoice
-from optdock.trajectory import Trajectory
+from optdock.model.dock import DockTolerances
+from optdock.model.measurements import Detection, Measurements, OdometryPose
+from optdock.model.trajectory import Trajectory
+from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from optdock.executor.outcomes import Step
     from optdock.executor.planning import Job, Planning
     from optdock.geometry.arrays import FloatArray
-    from optdock.lifecycle import Plugin
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.lifecycle import Plugin
 
 __all__ = [
     "LOG_FORMAT",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.executor.settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
-    from optdock.measurements import Detection, Measurements
+    from optdock.model.measurements import Detection, Measurements
 
 __all__ = ["Perception", "Sigma"]
 

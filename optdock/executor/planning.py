@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.checked import exactly, finite_number
-from optdock.pipeline import plan_dock
-from optdock.plan import DockPlan
-from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.plan import DockPlan
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
-    from optdock.problem import DockingProblem
-    from optdock.trajectory import Trajectory
+    from optdock.model.problem import DockingProblem
+    from optdock.model.trajectory import Trajectory
 
 __all__ = [
     "InlinePlanning",

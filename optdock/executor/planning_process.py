@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.costmap.costmap import Costmap
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult, planned
-from optdock.pipeline import warm_up
+from optdock.planning.pipeline import warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -30,7 +30,7 @@ from optdock.executor.plan_requests import PlanRequests
 from optdock.executor.planning import Job, Outcome, PlanResult
 from optdock.executor.situation import Situation
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.trajectory import braking_time
+from optdock.model.trajectory import braking_time
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from optdock.executor.planning import Motion, Planning
     from optdock.executor.settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
-    from optdock.interfaces import Controller, GoalChecker
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.interfaces import Controller, GoalChecker
 
 __all__ = ["Procedure", "Wish"]
 

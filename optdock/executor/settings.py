@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from optdock.parameters import PluginParameters, invalid_parameters
+from optdock.plugins.parameters import PluginParameters, invalid_parameters
 
 __all__ = ["ExecutorSettings"]
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field, Strict, model_validator
 
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import DockType
-from optdock.outcomes import Contact
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import DockType
+from optdock.plugins.outcomes import Contact
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.measurements import AtDock, Measurements
+    from optdock.model.measurements import AtDock, Measurements
 
 __all__ = ["SimpleDock", "SimpleDockParameters"]
 

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
-from optdock.costmap.contact_zone import with_contact_zone
-from optdock.dock import Dock, DockDirection
 from optdock.executor.approach import can_be_planned_away, staging_distance
+from optdock.executor.contact_zone import with_contact_zone
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
-from optdock.measurements import AtDock
-from optdock.obstacles import ObstacleSet
-from optdock.outcomes import Contact
-from optdock.problem import ClearanceRule
-from optdock.robot import Drive
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.measurements import AtDock
+from optdock.model.problem import ClearanceRule
+from optdock.model.robot import Drive
+from optdock.plugins.outcomes import Contact
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.executor.perception import Perception
     from optdock.executor.settings import ExecutorSettings
     from optdock.geometry.footprint import Footprint
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["AT_A_STAND", "LONGEST_HIDDEN", "NO_ROOM", "Situation"]
 

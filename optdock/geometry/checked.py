@@ -74,7 +74,7 @@ def member(kind: type[_Member], value: object, name: str) -> _Member:
     Raises:
         InvalidValue: No such member; the message lists them.
 
-    >>> from optdock.dock import DockDirection
+    >>> from optdock.model.dock import DockDirection
     >>> member(DockDirection, "forward", "dock.direction").name
     'FORWARD'
     """

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
 from optdock.io.quoting import shown
-from optdock.parameters import closest
+from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -19,7 +19,6 @@ from typing import Annotated, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from optdock.dock import Dock
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
@@ -29,10 +28,11 @@ from optdock.io.guarded_file import MostBytes, read_text
 from optdock.io.numbers import MOST_POLYGONS, check_vertices, check_yaw
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
-from optdock.limits import MotionLimits
-from optdock.parameters import closest
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.plugins.parameters import closest
 
 __all__ = ["OBCA_SCENES", "ParkingCase", "load_obca", "load_tpcap", "obca_cases"]
 

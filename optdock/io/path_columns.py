@@ -17,8 +17,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment, TurnSegment
-from optdock.verification.sampled_motion import half_unit
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment, TurnSegment
+from optdock.samples.sampled_motion import half_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -16,20 +16,21 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.geometry.checked import number
+from optdock.impossibility import NoMotionProof, impossibility_from_dict
 from optdock.io.atomic_file import write_text
 from optdock.io.faults import listed
 from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
 from optdock.io.quoting import shortened, shown
-from optdock.trajectory import TimeLaw
-from optdock.verification import NoMotionProof, SampledMotion, impossibility_from_dict
+from optdock.model.trajectory import TimeLaw
+from optdock.samples import SampledMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.errors import OptdockError
-    from optdock.path import Path
-    from optdock.trajectory import Trajectory
+    from optdock.model.path import Path
+    from optdock.model.trajectory import Trajectory
 
 __all__ = [
     "CERTIFIED",

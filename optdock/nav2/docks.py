@@ -11,15 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from optdock.dock import DockDirection
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.faults import listed
 from optdock.io.numbers import check_yaw, is_number
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
+from optdock.model.dock import DockDirection
 from optdock.nav2.numbers import NumberReader
-from optdock.parameters import closest
+from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

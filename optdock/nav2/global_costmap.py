@@ -8,21 +8,21 @@ import numpy as np
 
 from optdock.costmap.costs import NO_INFORMATION
 from optdock.errors import InvalidFile
-from optdock.interfaces import Layer
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
 from optdock.nav2.layers.inflation import InflationLayer
 from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.provided_plugins import Nav2Plugin, provided
+from optdock.plugins.interfaces import Layer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from optdock.costmap.costmap import Costmap
     from optdock.costmap.occupancy import OccupancyGrid
-    from optdock.dock import Dock
     from optdock.geometry.pose import Pose2
+    from optdock.model.dock import Dock
     from optdock.nav2.costmap_params import CostmapParams
     from optdock.nav2.params import Nav2Params
     from optdock.nav2.plugin_lists import PluginInstance

@@ -14,18 +14,18 @@ from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
-from optdock.interfaces import Controller
+from optdock.model.path import Direction, Path
+from optdock.model.trajectory import Trajectory
 from optdock.nav2.graceful_law import GracefulLaw
-from optdock.parameters import PluginParameters
-from optdock.path import Direction, Path
-from optdock.trajectory import Trajectory
+from optdock.plugins.interfaces import Controller
+from optdock.plugins.parameters import PluginParameters
 from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from optdock.interfaces import GoalChecker
-    from optdock.obstacles import ObstacleSet
+    from optdock.geometry.obstacles import ObstacleSet
+    from optdock.plugins.interfaces import GoalChecker
 
 __all__ = ["GracefulController", "GracefulControllerParameters"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2, normalize_angle
-from optdock.path import Direction
+from optdock.model.path import Direction
 
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2

@@ -13,10 +13,10 @@ from pydantic import Field
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import FREE_SPACE, NO_INFORMATION
 from optdock.errors import InvalidValue, PluginError
-from optdock.interfaces import Layer
-from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, joined, moved_grid, window_of
-from optdock.parameters import PluginParameters, parse_parameters
+from optdock.plugins.interfaces import Layer
+from optdock.plugins.lifecycle import LifecycleState, PluginContext
+from optdock.plugins.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
-    from optdock.interfaces import Bounds
+    from optdock.plugins.interfaces import Bounds
 
 __all__ = ["LayeredCostmap", "LayeredCostmapParameters"]
 

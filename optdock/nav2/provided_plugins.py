@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from optdock.errors import InvalidValue, PluginError
 from optdock.nav2.layers.base import LayerParameters
 from optdock.nav2.plugin_lists import UNLISTED
-from optdock.parameters import closest, parse_parameters
-from optdock.plugins import INTERFACES, create_plugin, load_plugin
+from optdock.plugins.parameters import closest, parse_parameters
+from optdock.plugins.registry import INTERFACES, create_plugin, load_plugin
 
 if TYPE_CHECKING:
-    from optdock.lifecycle import Plugin
     from optdock.nav2.costmap_params import CostmapParams
     from optdock.nav2.params import Nav2Params, PluginInstance
+    from optdock.plugins.lifecycle import Plugin
 
 __all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins", "provided"]
 

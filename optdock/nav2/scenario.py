@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from optdock.config.scenario import Scenario
-from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
-from optdock.limits import LIMIT_UNITS, MotionLimits, SpeedZone
+from optdock.model.dock import Dock
+from optdock.model.limits import LIMIT_UNITS, MotionLimits, SpeedZone
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.nav2.docks import DockEntry, DockType, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
-from optdock.parameters import closest
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
     from optdock.nav2.costmap_params import CostmapParams

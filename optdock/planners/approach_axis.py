@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.errors import NoValidPathCouldBeFound
 from optdock.geometry.arrays import FrozenArrays
-from optdock.path import Direction
+from optdock.model.dock import DockDirection
+from optdock.model.path import Direction
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

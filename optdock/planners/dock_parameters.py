@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, field_validator
 
-from optdock.dock import DockDirection
 from optdock.geometry.footprint import Footprint
-from optdock.parameters import PluginParameters
+from optdock.model.dock import DockDirection
+from optdock.plugins.parameters import PluginParameters
 
 __all__ = ["DockPlannerParameters"]
 

@@ -7,22 +7,22 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
-from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
-from optdock.obstacles import in_words
+from optdock.geometry.obstacles import in_words
+from optdock.model.dock import DockDirection
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters
 from optdock.planners.two_segment import TwoSegmentPlan, plan_two_segment
+from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
-    from optdock.obstacles import ObstacleSet
-    from optdock.parameters import PluginParameters
-    from optdock.path import Path
+    from optdock.model.path import Path
+    from optdock.plugins.parameters import PluginParameters
 
 __all__ = ["DockPlanner", "DockPlannerParameters"]
 

@@ -30,9 +30,9 @@ from optdock.errors import (
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import unwrap_yaw
-from optdock.interfaces import never_cancelled
-from optdock.path import Direction, Path, PolylineSegment
+from optdock.model.path import Direction, Path, PolylineSegment
 from optdock.planners.approach_axis import ApproachAxis, DockGeometry, approach_axis
+from optdock.plugins.interfaces import never_cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["save_docking_picture"]
 

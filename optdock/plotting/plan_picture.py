@@ -15,8 +15,9 @@ from optdock.errors import (
     StartOccupied,
     StartOutsideMapBounds,
 )
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2
-from optdock.obstacles import in_words
+from optdock.impossibility import BlockedStraight, NoMotionProof
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.scene import (
     DRAWN_BY_THE_MAP,
@@ -29,7 +30,6 @@ from optdock.plotting.scene import (
     view_of,
 )
 from optdock.plotting.view_drawing import draw_cone, draw_view
-from optdock.verification import BlockedStraight, NoMotionProof
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
 
 __all__ = ["save_plan_picture"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.limits import LIMITS, finite_limits
+from optdock.model.limits import LIMITS, finite_limits
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from optdock.geometry.arrays import BoolArray, FloatArray
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.trajectory import Trajectory
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["save_profile_picture"]
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from optdock.model.problem import DockingProblem
     from optdock.plotting.scene import View
-    from optdock.problem import DockingProblem
     from optdock.simulation import Run
 
 __all__ = ["save_run_picture"]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = [
     "DRAWN_BY_THE_MAP",

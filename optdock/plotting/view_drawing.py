@@ -14,9 +14,9 @@ from optdock.plotting.scene import OutlineStyle, draw_shapes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from optdock.camera import Camera, RequiredView
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
+    from optdock.model.camera import Camera, RequiredView
+    from optdock.model.path import Path
 
 __all__ = ["draw_cone", "draw_view"]
 

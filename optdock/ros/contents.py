@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import InvalidFile, InvalidValue
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.obstacles import in_words
-from optdock.path import Path, may_be_one_frame
+from optdock.model.path import Path, may_be_one_frame
 from optdock.ros.bag import BagMessage, bag_types
 from optdock.ros.grids import occupancy_message
 from optdock.ros.markers import delete_markers, path_markers
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.io.plan_file import PlanFile
     from optdock.io.run_file import RunColumns
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["LATCHED", "Names", "log_messages", "plan_messages", "run_messages"]
 

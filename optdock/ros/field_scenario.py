@@ -12,16 +12,16 @@ import shapely
 from optdock.config.scenario import Scenario
 from optdock.config.writing import save_scenario
 from optdock.costmap.costs import FREE_SPACE, LETHAL
-from optdock.dock import Dock
 from optdock.errors import InvalidPath, InvalidValue
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.io.maps import save_map
 from optdock.io.plan_file import PlanFile, save_plan
-from optdock.limits import LIMIT_UNITS, MotionLimits
-from optdock.obstacles import in_words
-from optdock.path import Path as DockPath
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import LIMIT_UNITS, MotionLimits
+from optdock.model.path import Path as DockPath
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification.proximity import pose_clearances
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import shapely
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
 from optdock.geometry.checked import sampling_step
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.obstacles import in_words
-from optdock.path import may_be_one_frame
+from optdock.model.path import may_be_one_frame
 from optdock.ros.messages import column, header, made
 from optdock.ros.motion import plain_pose_message
 from optdock.verification.proximity import pose_clearances
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.footprint import Footprint
-    from optdock.obstacles import ObstacleSet
-    from optdock.path import Path
-    from optdock.plan import DockPlan
+    from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.path import Path
+    from optdock.planning.plan import DockPlan
     from optdock.ros.messages import Message, MessageTypes
     from optdock.verification import Certificate
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import finite_number, member
 from optdock.geometry.pose import Pose2, Twist2, arc_end
-from optdock.robot import Drive, admissible
+from optdock.model.robot import Drive, admissible
 from optdock.simulation.plant import (
     Actuation,
     DifferentialDrive,
@@ -36,7 +36,7 @@ from optdock.simulation.plant import (
 )
 
 if TYPE_CHECKING:
-    from optdock.robot import Robot
+    from optdock.model.robot import Robot
     from optdock.simulation.plant import Plant
 
 __all__ = ["Bicycle", "Steering", "SteeringAtRest", "plant_of"]

@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.dock import Dock
 from optdock.errors import ControllerException, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.lifecycle import LifecycleState, PluginContext
-from optdock.path import PathSamples
-from optdock.problem import DockingProblem
-from optdock.robot import Drive
+from optdock.model.dock import Dock
+from optdock.model.path import PathSamples
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive
+from optdock.model.trajectory import Trajectory
+from optdock.plugins.lifecycle import LifecycleState, PluginContext
 from optdock.simulation.bicycle import plant_of
 from optdock.simulation.plant import Actuation
 from optdock.simulation.run import Run
 from optdock.simulation.sensors import PoseSensor
 from optdock.simulation.world import Sensors, SimulatedRobot
-from optdock.trajectory import Trajectory
 from optdock.verification import proven_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.interfaces import Controller, GoalChecker
-    from optdock.measurements import Measurements
-    from optdock.obstacles import ObstacleSet
-    from optdock.path import Path
-    from optdock.robot import Robot
+    from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.measurements import Measurements
+    from optdock.model.path import Path
+    from optdock.model.robot import Robot
+    from optdock.plugins.interfaces import Controller, GoalChecker
     from optdock.simulation.bicycle import Steering
 
 __all__ = ["RemainingPath", "SimulationSettings", "run_closed_loop"]

@@ -18,12 +18,12 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import finite_number, member, number
 from optdock.geometry.pose import Pose2, Twist2, arc_end
-from optdock.robot import admissible
+from optdock.model.robot import admissible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from optdock.robot import Robot
+    from optdock.model.robot import Robot
 
 __all__ = ["Actuation", "DifferentialDrive", "Plant", "PlantState", "Slip", "StuckWheel", "Wheel", "Wheels"]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
-from optdock.obstacles import in_words
-from optdock.tube import Tube
+from optdock.samples.tube import Tube
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import IntArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
-    from optdock.obstacles import ObstacleSet
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
 
 __all__ = ["Run", "beyond_proof", "executed_clearance"]

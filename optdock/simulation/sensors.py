@@ -16,7 +16,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.pose import Pose2, Twist2, arc_end, normalize_angle
-from optdock.measurements import Detection
+from optdock.model.measurements import Detection
 from optdock.simulation.plant import check_not_negative
 
 if TYPE_CHECKING:

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, FrozenArrays
 from optdock.geometry.checked import member
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Measurements
+from optdock.model.dock import DockDirection
+from optdock.model.measurements import Measurements
 from optdock.simulation.plant import check_not_negative, check_seed
 from optdock.simulation.run import executed_clearance
 from optdock.simulation.sensors import DockSensor, Odometry, PoseSensor
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
-    from optdock.measurements import Detection
-    from optdock.obstacles import ObstacleSet
+    from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.measurements import Detection
     from optdock.simulation.plant import Plant
 
 __all__ = ["Record", "Sensors", "SimulatedRobot", "Station"]

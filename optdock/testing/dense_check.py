@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from shapely import STRtree
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
-    from optdock.obstacles import ObstacleSet
-    from optdock.path import Path, Segment
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path, Segment
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["DenseReport", "Fault", "clearance_at", "dense_check"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Direction, Path
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.path import ClothoidSegment, Direction, Path
+from optdock.model.trajectory import TimeLaw, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.interfaces import TimingStatus
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.motion import Motion, Phases, State
 from optdock.timing.path_limits import KEPT, Worst, motion_ratios, worst_ratio
 from optdock.timing.settings import SAMPLING

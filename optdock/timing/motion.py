@@ -1,4 +1,4 @@
-"""Motions: phases of constant jerk, light enough for inner loops. `optdock.trajectory` has the formula."""
+"""Motions: phases of constant jerk, light enough for inner loops. `optdock.model.trajectory` has the formula."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from optdock.model.trajectory import border_states, constant_jerk
 from optdock.timing.settings import SAMPLING
-from optdock.trajectory import border_states, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from pydantic import Field
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
-from optdock.interfaces import TimeParameterizer, TimingStatus, never_cancelled
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
+from optdock.plugins.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
 from optdock.timing.interior_point import load_lapack
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, duration_of, stretched
@@ -36,9 +36,9 @@ from optdock.timing.windowed import windowed_plans
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.interfaces import TimingResult
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.path import Path
+    from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.strategy import Deadlines
 

@@ -25,16 +25,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.limits import LIMITS
-from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
+from optdock.model.limits import LIMITS
+from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.timing.motion import DriveBounds, Motion
 from optdock.timing.settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
 from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path, Segment
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.path import Path, Segment
 
 __all__ = [
     "KEPT",

@@ -20,9 +20,9 @@ import numpy as np
 
 from optdock.deadline import ENDLESS
 from optdock.errors import PluginError
+from optdock.model.trajectory import constant_jerk
 from optdock.timing.motion import DriveBounds, Phases, State, duration_of
 from optdock.timing.reference_program import spline_phases
-from optdock.trajectory import constant_jerk
 
 if TYPE_CHECKING:
     from types import ModuleType

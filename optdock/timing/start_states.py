@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.interfaces import TimingStatus
-from optdock.limits import LIMITS
+from optdock.model.limits import LIMITS
+from optdock.model.trajectory import braking_phases
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.checks import SegmentPlan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, braking_slack
 from optdock.timing.path_limits import KEPT, worst_ratio
 from optdock.timing.settings import SAMPLING
 from optdock.timing.turning_limits import turning_ratio
-from optdock.trajectory import braking_phases
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
+    from optdock.model.limits import MotionLimits
     from optdock.timing.path_limits import PathLimits
 
 __all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]

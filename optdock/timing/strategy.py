@@ -29,24 +29,24 @@ import numpy as np
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
-from optdock.interfaces import TimingReport, TimingResult, TimingStatus
-from optdock.limits import LIMITS
-from optdock.path import Path, PolylineSegment, TurnSegment
-from optdock.segments import TURN_RADIUS
+from optdock.model.limits import LIMITS
+from optdock.model.path import Path, PolylineSegment, TurnSegment
+from optdock.model.segments import TURN_RADIUS
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.plugins.interfaces import TimingReport, TimingResult, TimingStatus
 from optdock.timing.checks import SegmentPlan, end_slack
 from optdock.timing.motion import DriveBounds, Motion, Phases, State
 from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.timing.settings import CLOCK, SAMPLING
 from optdock.timing.start_states import NO_DISTANCE, judge_start
-from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import TOLERANCE, certify_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Segment
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.path import Segment
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.start_states import StartVerdict
     from optdock.verification import Violation

@@ -18,7 +18,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
+    from optdock.model.limits import MotionLimits
 
 __all__ = ["TurningLimit", "turning_limits", "turning_ratio"]
 

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from optdock.deadline import Deadline
-from optdock.interfaces import TimeParameterizer, TimingStatus, never_cancelled
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
+from optdock.plugins.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
 from optdock.timing.ruckig_moves import load_ruckig, move
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.interfaces import TimingResult
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.path import Path
+    from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.strategy import Deadlines
 

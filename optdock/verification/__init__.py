@@ -17,7 +17,8 @@ acceleration, deceleration, jerk, yaw rate, yaw acceleration, lateral accelerati
 their limits up to `TOLERANCE`, relative, and in turns in place yaw rate, acceleration and jerk keep theirs; the motion
 covers its path once, never backwards, and rests at every cusp, for as long as its wheels take to turn, and at the end.
 
-A motion that is known by samples only is never certified; `check_sampled_motion` refutes it, or does not.
+A motion that is known by samples only is never certified: see `optdock.samples`. That no motion exists at all is proven
+in `optdock.impossibility`.
 
 It reads the finished path and the problem, and nothing else. Lengths are metres, angles radians, times seconds. The
 chapters, in the order in which a proof uses them:
@@ -33,15 +34,9 @@ chapters, in the order in which a proof uses them:
     certify                 the two verdicts, each made once
     proven_motion           path, time law, problem and pose in one value that only proofs make
     memo                    what was proven of a frozen value is kept while it lives
-    sampled_motion          motions that others hand over as samples: rounding, and the place of each on its path
-    refutation              the inequalities that every lawful motion keeps between any two of its samples
-    impossibility           why blocked cells that separate start from goal prove that no motion exists, and their check
-    cell_decomposition      the search for such a proof
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
-from optdock.verification.blocked_straight import BlockedPose, BlockedStraight, prove_straight_blocked
-from optdock.verification.cell_decomposition import ImpossibilitySearch, prepare_footprint, prove_impossible
 from optdock.verification.certificate import (
     SHARPNESS,
     TOLERANCE,
@@ -51,12 +46,6 @@ from optdock.verification.certificate import (
     where_broken,
 )
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
-from optdock.verification.impossibility import (
-    Bottleneck,
-    ImpossibilityProof,
-    ImpossibilityVerdict,
-)
-from optdock.verification.no_motion import NoMotionProof, check_impossibility, impossibility_from_dict
 from optdock.verification.proven_motion import (
     ProvenMotion,
     ProvenWay,
@@ -68,48 +57,24 @@ from optdock.verification.proven_motion import (
     unchanged_way,
 )
 from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
-from optdock.verification.refutation import (
-    SampledMotionVerdict,
-    are_rounded_phases,
-    check_sampled_motion,
-    check_samples_of,
-)
-from optdock.verification.sampled_motion import SampledMotion
 
 __all__ = [
     "SHARPNESS",
     "TOLERANCE",
-    "BlockedPose",
-    "BlockedStraight",
-    "Bottleneck",
     "Certificate",
     "EndClearances",
-    "ImpossibilityProof",
-    "ImpossibilitySearch",
-    "ImpossibilityVerdict",
-    "NoMotionProof",
     "ProvenMotion",
     "ProvenWay",
-    "SampledMotion",
-    "SampledMotionVerdict",
     "TrajectoryCertificate",
     "Violation",
     "WayVerdict",
-    "are_rounded_phases",
     "certify_motion",
     "certify_path",
     "certify_trajectory",
-    "check_impossibility",
-    "check_sampled_motion",
-    "check_samples_of",
     "end_clearances",
-    "impossibility_from_dict",
     "pose_clearance",
     "pose_clearances",
-    "prepare_footprint",
-    "prove_impossible",
     "prove_motion",
-    "prove_straight_blocked",
     "prove_way",
     "proven_for",
     "proven_way",

@@ -10,8 +10,8 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.geometry.checked import exactly
-from optdock.limits import MotionLimits
-from optdock.obstacles import in_words
+from optdock.geometry.obstacles import in_words
+from optdock.model.limits import MotionLimits
 from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.memo import Memo
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import SpeedZone
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
-    from optdock.trajectory import TimeLaw, Trajectory
+    from optdock.model.limits import SpeedZone
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.model.trajectory import TimeLaw, Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
 __all__ = ["certify_motion", "certify_path", "certify_trajectory"]

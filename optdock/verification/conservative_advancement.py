@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
     from optdock.geometry.separation import ConvexBody
-    from optdock.obstacles import ObstacleSet
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
     from optdock.verification.proximity import BoundedBody
 

@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.footprint import CORE_DEPTH
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.polygon import convex_cover
 from optdock.geometry.separation import separation
-from optdock.obstacles import ObstacleSet
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import ClothoidSegment, PolylineSegment, TurnSegment
+from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.path import Path, Segment
+    from optdock.model.path import Path, Segment
 
 __all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion"]
 

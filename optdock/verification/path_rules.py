@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.limits import LIMITS, LimitKind, finite_limits
-from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
-from optdock.segments import SAME_YAW
+from optdock.model.dock import DockDirection
+from optdock.model.limits import LIMITS, LimitKind, finite_limits
+from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
+from optdock.model.segments import SAME_YAW
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path, Segment
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path, Segment
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["max_curvature", "max_curvature_rate", "path_violations"]
 

@@ -15,11 +15,11 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.errors import CertificationFailed, InvalidValue
 from optdock.geometry.checked import exactly
-from optdock.obstacles import ObstacleSet, in_words
-from optdock.path import Path
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import TrackingTube
-from optdock.trajectory import Trajectory
+from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import TrackingTube
+from optdock.model.trajectory import Trajectory
 from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, where_broken
 from optdock.verification.certify import certify_motion, certify_path
 from optdock.verification.conservative_advancement import Begun, prove_clearance

@@ -22,10 +22,10 @@ from optdock.verification.memo import Memo
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2
     from optdock.geometry.separation import ConvexBody
-    from optdock.obstacles import ObstacleSet
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = [
     "BoundedBody",

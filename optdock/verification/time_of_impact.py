@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.geometry.separation import ConvexBody
-    from optdock.obstacles import ObstacleSet
 
 __all__ = ["Sweep", "free_motion"]
 

@@ -48,19 +48,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.limits import LIMITS, LimitKind, finite_limits
-from optdock.path import Direction, PolylineSegment, TurnSegment
-from optdock.segments import TURN_RADIUS
-from optdock.trajectory import constant_jerk
+from optdock.model.limits import LIMITS, LimitKind, finite_limits
+from optdock.model.path import Direction, PolylineSegment, TurnSegment
+from optdock.model.segments import TURN_RADIUS
+from optdock.model.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path, Segment
-    from optdock.trajectory import TimeLaw, Trajectory
+    from optdock.model.limits import MotionLimits, SpeedZone
+    from optdock.model.path import Path, Segment
+    from optdock.model.trajectory import TimeLaw, Trajectory
 
 __all__ = ["STEP_RTOL", "trajectory_violations"]
 

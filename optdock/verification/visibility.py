@@ -27,17 +27,17 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.path import PolylineSegment
+from optdock.model.path import PolylineSegment
 from optdock.verification.certificate import TOLERANCE, Violation
 from optdock.verification.motion_bounds import Cells, PathMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.camera import Camera, RequiredView
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.camera import Camera, RequiredView
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
 
 __all__ = ["ViewProof", "prove_view"]

@@ -38,8 +38,8 @@ from std_srvs.srv import Trigger
 from experiments.docking.cases import SPREADS, STATION
 from experiments.docking.worlds import DETECTED, case_of
 from optdock.config import Scenario, save_scenario
-from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import DockDirection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,9 +14,9 @@ from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock.executor import Ending, EndingKind, Feedback, FeedbackState, State, Step
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2
-from optdock.limits import MotionLimits
-from optdock.measurements import Measurements
-from optdock.robot import Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.measurements import Measurements
+from optdock.model.robot import Robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,10 +12,10 @@ from optdock_ros.docks import Docks, docks_of_parameters
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
 
-from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
 from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import DockDirection
 from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:

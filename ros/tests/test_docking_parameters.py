@@ -7,15 +7,15 @@ import math
 import pytest
 from optdock_ros.docking_parameters import DockingParameters, DockingSettings, docking_settings
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import DockType
-from optdock.limits import MotionLimits
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import DockType
 
 CHARGER = {"plugin": "opennav_docking::SimpleChargingDock"}
 

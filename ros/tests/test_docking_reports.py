@@ -10,14 +10,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from optdock_ros.docking_reports import Reports
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.executor.planning import Motion
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
 
 
 class Ears:

@@ -15,7 +15,7 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 
 from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection
+from optdock.model.measurements import Detection
 from optdock.ros.transforms import Transform, TransformError
 
 RULES = MeasurementRules("odom", "base_link", 0.1, 0.3, 1.0, 1.0)

@@ -29,7 +29,7 @@ from std_msgs.msg import Empty
 
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
-from optdock.robot import Drive
+from optdock.model.robot import Drive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

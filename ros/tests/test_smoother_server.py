@@ -29,8 +29,8 @@ from optdock.costmap import Costmap as Grid
 from optdock.costmap.costs import LETHAL
 from optdock.errors import SmootherException
 from optdock.geometry.pose import Pose2
-from optdock.outcomes import SmoothingResult
-from optdock.path import Path
+from optdock.model.path import Path
+from optdock.plugins.outcomes import SmoothingResult
 from smoothers import SimpleSmoother
 
 if TYPE_CHECKING:

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.pose import normalize_angle
-from optdock.path import Path, PolylineSegment
+from optdock.model.path import Path, PolylineSegment
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
-    from optdock.lifecycle import PluginContext
-    from optdock.obstacles import ObstacleSet
-    from optdock.problem import DockingProblem
+    from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["Surroundings", "directional_pieces", "path_of", "poses_of", "task_of", "with_travel_yaw"]
 

@@ -17,8 +17,8 @@ from pydantic import Field, model_validator
 from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
-from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
-from optdock.parameters import PluginParameters, checked_seconds
+from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
+from optdock.plugins.parameters import PluginParameters, checked_seconds
 from smoothers.nav2.pieces import directional_pieces, path_of, poses_of, task_of, with_travel_yaw
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["SimpleParameters", "SimpleSmoother"]
 

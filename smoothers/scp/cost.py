@@ -22,7 +22,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
+    from optdock.model.path import Path
     from smoothers.scp.basis import Basis
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path
+from optdock.model.path import ClothoidSegment, Path
 from smoothers.scp.rollout import Variables, roll_out
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.path import ClothoidSegment
+from optdock.model.path import ClothoidSegment
 from smoothers.scp.goal_projection import clipped
 from smoothers.scp.loop import evaluated
 from smoothers.scp.qp_step import Penalties, pool_of_this_thread
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
     from smoothers.scp.problem import Bounds, Ends, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool

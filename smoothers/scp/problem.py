@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import unwrap_yaw
-from optdock.trajectory import border_states, braking_phases
+from optdock.model.trajectory import border_states, braking_phases
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, Reference
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.limits import MotionLimits
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis, Shape
     from smoothers.scp.collision.scene import Scene
     from smoothers.scp.cost import Weights

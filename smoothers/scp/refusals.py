@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2
-from optdock.obstacles import in_words
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.plan import PartialPlan
+from optdock.model.dock import DockDirection
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.planning.plan import PartialPlan
 from optdock.verification import end_clearances, pose_clearances
 from optdock.verification.visibility import prove_view
 from smoothers.scp.goal_projection import driven_path, exact_path
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate, Violation
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import NonlinearProgram

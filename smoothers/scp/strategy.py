@@ -14,9 +14,9 @@ import numpy as np
 
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.interfaces import SmoothingStatus
-from optdock.path import ClothoidSegment, Path
-from optdock.plan import PartialPlan
+from optdock.model.path import ClothoidSegment, Path
+from optdock.planning.plan import PartialPlan
+from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path, end_clearances
 from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.collision.scene import scene_around
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from optdock.deadline import Deadline
     from optdock.errors import SmootherException
     from optdock.geometry.pose import Pose2
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.collision.scene import Scene
     from smoothers.scp.initial_guess import Guess

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import FailedToSmoothPath, SmootherTimedOut
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import SmoothingStatus
-from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
-from optdock.plan import PartialPlan
-from optdock.problem import DockingProblem
-from optdock.segments import SAME_YAW
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.segments import SAME_YAW
+from optdock.planning.plan import PartialPlan
+from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path
 from smoothers.scp.refusals import refuse_certificate, refuse_turns
 from smoothers.scp.strategy import Call, Incumbent, Outcome, Solver, straight_line
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from optdock.deadline import Deadline
-    from optdock.path import Segment
+    from optdock.model.path import Segment
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.settings import AnytimeSettings, Settings
 

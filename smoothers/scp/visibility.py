@@ -20,9 +20,9 @@ import numpy as np
 from smoothers.scp.collision.linearization import ClearanceRows
 
 if TYPE_CHECKING:
-    from optdock.camera import RequiredView
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.problem import DockingProblem
+    from optdock.model.camera import RequiredView
+    from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
 

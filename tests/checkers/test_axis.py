@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from checkers.axis import AxisGoalChecker
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import GoalChecker
-from optdock.plugins import create_plugin
+from optdock.plugins.interfaces import GoalChecker
+from optdock.plugins.registry import create_plugin
 
 REST = Twist2()
 ORIGIN = Pose2(0.0, 0.0, 0.0)

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checkers.dock import DockGoalChecker
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import PluginContext
-from optdock.limits import MotionLimits
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext
 
 REST = Twist2()
 GOAL = Pose2(3.0, 1.0, 0.4)

@@ -15,7 +15,7 @@ from optdock import errors
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Outcome as PlanOutcome
 from optdock.executor.settings import ExecutorSettings
-from optdock.outcomes import TimingStatus
+from optdock.plugins.outcomes import TimingStatus
 from optdock.testing.families import FAMILIES, instance
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -294,7 +294,7 @@ def test_everything_at_the_front_door_is_on_the_page_of_the_library():
     "kind", ["planners", "smoothers", "timing", "controllers", "goal_checkers", "behaviors", "layers", "docks"]
 )
 def test_every_installed_plugin_is_on_the_page_of_plugins(kind):
-    from optdock.plugins import available_plugins
+    from optdock.plugins.registry import available_plugins
 
     made = generated.on_page_markdown(f"<!-- made: plugins {kind} -->")
     own = [info for info in available_plugins() if info.kind == kind and info.target.split(".")[0] in PACKAGES]

@@ -10,8 +10,8 @@ import pytest
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment
-from optdock.path import Path as DrivenPath
+from optdock.model.path import ClothoidSegment
+from optdock.model.path import Path as DrivenPath
 from optdock.verification.visibility import prove_view
 
 ROOT = Path(__file__).resolve().parents[2]

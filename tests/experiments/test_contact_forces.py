@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 from optdock.geometry.pose import Pose2
-from optdock.problem import DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.simulation.mujoco import MujocoDrive
 from tests.docs.snippets import ROOT, measured
 

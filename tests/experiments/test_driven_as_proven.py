@@ -13,13 +13,13 @@ from checkers.dock import DockGoalChecker
 from optdock.controllers import tracking
 from optdock.controllers.mpc import MpcController
 from optdock.controllers.tracking import TrackingController
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.pose import Pose2
-from optdock.lifecycle import PluginContext
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.problem import DockingProblem
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.lifecycle import PluginContext
 from optdock.simulation import Actuation, SimulationSettings, Steering, run_closed_loop
-from optdock.trajectory import TimeLaw, Trajectory
 
 experiment = importlib.import_module("experiments.06_driven_as_proven")
 START = Pose2(-1.6, 0.4, 0.3)

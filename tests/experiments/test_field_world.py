@@ -37,9 +37,9 @@ from experiments.docking.field.undocking import (
 from experiments.docking.field.world import FieldRobot, FieldWorld
 from experiments.docking.field.worlds import FIELD_WORLDS
 from optdock.costmap.costmap import LETHAL
-from optdock.dock import DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.dock import DockDirection
 
 IDEAL = Drive(
     radius_spread=0.0, track_spread=0.0, lag=0.0, latency=(0.0, 0.0), command_loss=0.0, slip_rate=0.0, watchdog=math.inf

@@ -12,11 +12,11 @@ from experiments.manoeuvres.__main__ import FAMILIES, families, main
 from experiments.manoeuvres.check import checked
 from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text
 from experiments.manoeuvres.tables import budget_table, grid_table, proof_table, summary
-from optdock.dock import Dock
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
 from optdock.verification import end_clearances
 
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.camera import Camera
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.problem import DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot, TrackingTube
 
 AHEAD = Pose2(0.3, 0.0, 0.0)
 ANGLES = st.floats(0.05, 2.0 * math.pi - 0.01)

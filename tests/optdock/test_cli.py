@@ -18,12 +18,12 @@ from optdock.config import load_scenario
 from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.impossibility import prove_impossible
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
-from optdock.path import ClothoidSegment, Path
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plotting import save_plan_picture
-from optdock.report import failed_plan_file
-from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import prove_impossible
+from optdock.reports.report import failed_plan_file
 
 SCENARIO = """\
 format: optdock-scenario/1

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.comparison import PathFigures, comparison_csv, comparison_table, worst_joint_angle
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path
+from optdock.model.path import ClothoidSegment, Path
+from optdock.reports.comparison import PathFigures, comparison_csv, comparison_table, worst_joint_angle
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.1, 2.0))

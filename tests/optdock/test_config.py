@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from optdock.config import load_scenario
-from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.plugins import PluginChoice
-from optdock.robot import Drive
+from optdock.model.dock import DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive
+from optdock.plugins.registry import PluginChoice
 
 COMPLETE = """\
 format: optdock-scenario/1

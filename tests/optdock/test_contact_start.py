@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import optdock as od
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.refinement import begun_straight, straight_along_contact
-from optdock.robot import Robot
-from optdock.segments import ClothoidSegment
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.segments import ClothoidSegment
+from optdock.planning.refinement import begun_straight, straight_along_contact
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
 FRAME = Pose2(3.0, -2.0, 0.7)

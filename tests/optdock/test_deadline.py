@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from optdock.deadline import Deadline, OutOfTime, garbage_collection_paused
-from optdock.dock import Dock
 from optdock.errors import PlannerTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner
-from optdock.lifecycle import PluginContext
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import GlobalPlanner
+from optdock.plugins.lifecycle import PluginContext
 
 PROBLEM = DockingProblem(
     Pose2(0.0, 0.0, 0.3),

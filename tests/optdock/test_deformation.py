@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.deformation import Push, deformed
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.geometry.separation import separation
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.planning.deformation import Push, deformed
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 STRAIGHT = 0.3

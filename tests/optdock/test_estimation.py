@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock import estimation
 from optdock.errors import InvalidValue
-from optdock.estimation import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor import estimation
+from optdock.executor.estimation import DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import OdometryPose
+from optdock.model.measurements import OdometryPose
 
 SIGMA = 0.002, math.radians(0.1)
 NOISE = np.diag([SIGMA[0] ** 2, SIGMA[0] ** 2, SIGMA[1] ** 2])

@@ -4,16 +4,16 @@ import dataclasses
 
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
 from optdock.io.plan_file import PlanFile, load_plan
+from optdock.model.dock import Dock
+from optdock.model.path import Path, may_be_one_frame
 from optdock.nav2.behaviors.undock_plan import reversed_path
-from optdock.path import Path, may_be_one_frame
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
+from optdock.plugins.registry import create_plugin
 from optdock.testing.contracts.scene import GOAL, ORIGIN, raw_path, scene_problem
 from optdock.verification import certify_path
 

@@ -19,25 +19,26 @@ import smoothers
 from optdock.costmap import Costmap
 from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.costmap.occupancy import OccupancyGrid
-from optdock.dock import Dock
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.nurbs import Nurbs
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
+from optdock.impossibility import cell_decomposition, prove_impossible
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.nav2.layers.scan import LaserScan
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.planners.dock_parameters import DockPlannerParameters
 from optdock.planners.two_segment import DockGeometry, plan_two_segment
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.samples.tube import Tube
 from optdock.simulation.run import Run
 from optdock.simulation.world import Record
-from optdock.trajectory import TimeLaw, Trajectory
-from optdock.tube import Tube
-from optdock.verification import cell_decomposition, prove_impossible, proximity
+from optdock.verification import proximity
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import narrow_phase, scene
 

@@ -11,21 +11,21 @@ from hypothesis import strategies as st
 from PIL import Image
 from typer.testing import CliRunner
 
-from optdock.camera import Camera
 from optdock.cli import app
 from optdock.config import Scenario, load_scenario, save_scenario
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map, save_map
-from optdock.limits import MotionLimits
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
 from optdock.nav2.scenario import nav2_scenario
-from optdock.pipeline import plan_dock
-from optdock.plugins import PluginChoice
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.registry import PluginChoice
 
 # An L-shaped robot, an L-shaped obstacle: nothing here is convex.
 ELL = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.1, -0.3], [0.1, 0.1], [0.4, 0.1]]

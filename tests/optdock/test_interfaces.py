@@ -9,9 +9,11 @@ from enum import IntEnum
 
 import pytest
 
-from optdock import errors, interfaces
+from optdock import errors
 from optdock.errors import OptdockError
-from optdock.interfaces import (
+from optdock.nav2.behaviors import results as codes
+from optdock.plugins import interfaces
+from optdock.plugins.interfaces import (
     Behavior,
     BehaviorResult,
     BehaviorStatus,
@@ -31,8 +33,7 @@ from optdock.interfaces import (
     Tolerances,
     never_cancelled,
 )
-from optdock.nav2.behaviors import results as codes
-from optdock.plugins import INTERFACES
+from optdock.plugins.registry import INTERFACES
 
 # Interface, Nav2's method, ours, whether an author must write it, its parameters after self.
 METHODS = [

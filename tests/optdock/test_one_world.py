@@ -7,18 +7,18 @@ import pytest
 
 from optdock.costmap import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.errors import ControllerInvalidPath, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Behavior, BehaviorStatus, Controller, CostmapInfoType, PluginContext, Smoother
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock, DockDirection, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Behavior, BehaviorStatus, Controller, CostmapInfoType, PluginContext, Smoother
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
 from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
 
 
 def arc_poses(radius=2.0, angle=1.0, n=21):

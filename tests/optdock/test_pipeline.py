@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -32,8 +31,18 @@ from optdock.errors import (
     TimingCancelled,
 )
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import (
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planners.dock_planner import DockPlanner
+from optdock.planning.pipeline import _warm_once, plan_dock, warm_up
+from optdock.planning.plan import PartialPlan
+from optdock.plugins.interfaces import (
     GlobalPlanner,
     LifecycleState,
     PluginContext,
@@ -44,18 +53,9 @@ from optdock.interfaces import (
     TimingStatus,
     never_cancelled,
 )
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.pipeline import _warm_once, plan_dock, warm_up
-from optdock.plan import PartialPlan
-from optdock.planners.dock_planner import DockPlanner
-from optdock.plugins import PluginChoice, create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.registry import PluginChoice, create_plugin
 from optdock.testing.dense_check import dense_check
 from optdock.timing.windowed import Windowed
-from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_motion, certify_path, certify_trajectory, proven_for
 from smoothers import CasadiSmoother
 

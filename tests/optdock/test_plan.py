@@ -7,17 +7,17 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import CertificationFailed, InvalidFile, InvalidPath, InvalidValue, MissingExtra, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock
-from optdock.plan import DockPlan, PartialPlan
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
-from optdock.trajectory import TimeLaw
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.verification import proven_for
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)

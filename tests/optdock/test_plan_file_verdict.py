@@ -12,7 +12,7 @@ from experiments.fuzz.kinds.damaged_files import judge
 from optdock.config import load_scenario
 from optdock.errors import InvalidFile, NoMotionExists
 from optdock.io.plan_file import parse_plan
-from optdock.plan_file_verdict import judge_plan_file
+from optdock.reports.plan_file_verdict import judge_plan_file
 from optdock.verification import Certificate
 
 

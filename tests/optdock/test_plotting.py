@@ -6,10 +6,8 @@ import pytest
 from PIL import Image
 
 from optdock.builtin import demo_scenario
-from optdock.camera import Camera
 from optdock.config import load_scenario
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import (
     FailedToSmoothPath,
     GoalOccupied,
@@ -23,20 +21,22 @@ from optdock.errors import (
 )
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plotting import plan_picture, save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
 from optdock.plotting.scene import draw_scene, view_of
 from optdock.plotting.view_drawing import _cone
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
 from optdock.simulation import Run
-from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_path
 
 

@@ -12,10 +12,10 @@ from pydantic import ConfigDict, Field, PrivateAttr
 
 import checkers
 from optdock.errors import InvalidValue, LifecycleError, PluginError
-from optdock.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
-from optdock.lifecycle import Plugin, PluginContext
-from optdock.parameters import PluginParameters, parse_parameters
-from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
+from optdock.plugins.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
+from optdock.plugins.lifecycle import Plugin, PluginContext
+from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.plugins.registry import INTERFACES, available_plugins, create_plugin, load_plugin
 
 
 class NearParameters(PluginParameters):
@@ -272,7 +272,7 @@ def foreign_distribution(folder):
     (folder / "foreign.py").write_text(
         textwrap.dedent(
             """
-            from optdock.interfaces import GoalChecker, Tolerances
+            from optdock.plugins.interfaces import GoalChecker, Tolerances
 
             class Always(GoalChecker):
                 tolerances = Tolerances()
@@ -314,8 +314,8 @@ def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tm
         """
         from optdock.errors import PluginError
         from optdock.geometry.pose import Pose2, Twist2
-        from optdock.interfaces import GoalChecker
-        from optdock.plugins import available_plugins, create_plugin
+        from optdock.plugins.interfaces import GoalChecker
+        from optdock.plugins.registry import available_plugins, create_plugin
         print([info.target for info in available_plugins() if info.name == "Always"])
         checker = create_plugin(GoalChecker, "Always")
         print(checker.is_goal_reached(Pose2(0, 0, 0), Pose2(1, 0, 0), Twist2(), []))
@@ -348,7 +348,9 @@ def test_a_folder_beside_the_script_that_hides_the_plugins_is_named(tmp_path, na
         hiding.mkdir()
         (hiding / "__init__.py").touch()
     (tmp_path / name).write_text(content)
-    done = run(tmp_path, "import optdock; from optdock.plugins import plugin_class; plugin_class('AxisGoalChecker')")
+    done = run(
+        tmp_path, "import optdock; from optdock.plugins.registry import plugin_class; plugin_class('AxisGoalChecker')"
+    )
     what = "file" if hiding.suffix else "folder"
     place = pathlib.Path(checkers.__file__).parent
     said = f"; the {what} {hiding} hides the package {place}: rename that {what}, or start Python elsewhere"
@@ -359,9 +361,11 @@ def test_a_folder_beside_the_script_that_hides_the_plugins_is_named(tmp_path, na
 def test_a_folder_that_hides_nothing_is_not_blamed(tmp_path):
     foreign_distribution(tmp_path)
     (tmp_path / "checkers").mkdir()  # no package: Python goes on to the installed one
-    done = run(tmp_path, "from optdock.plugins import plugin_class; print(plugin_class('AxisGoalChecker').__module__)")
+    done = run(
+        tmp_path, "from optdock.plugins.registry import plugin_class; print(plugin_class('AxisGoalChecker').__module__)"
+    )
     assert done.stdout == "checkers.axis\n"
-    done = run(tmp_path, "from optdock.plugins import plugin_class; plugin_class('Broken')")
+    done = run(tmp_path, "from optdock.plugins.registry import plugin_class; plugin_class('Broken')")
     assert "hides the package" not in done.stderr
 
 
@@ -374,8 +378,8 @@ def test_two_plugins_of_one_name_are_refused(tmp_path):
     done = run(
         tmp_path,
         """
-        from optdock.interfaces import GoalChecker
-        from optdock.plugins import load_plugin
+        from optdock.plugins.interfaces import GoalChecker
+        from optdock.plugins.registry import load_plugin
         load_plugin(GoalChecker, "AxisGoalChecker")
         """,
     )

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from optdock.deadline import Deadline
-from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -27,18 +26,20 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, never_cancelled
-from optdock.limits import MotionLimits
-from optdock.outcomes import Guess
-from optdock.path import Path
-from optdock.pipeline import plan_dock, warm_up
-from optdock.plan import DockPlan, PartialPlan
+from optdock.impossibility import check_impossibility
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.dock_planner import DockPlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.planning.pipeline import plan_dock, warm_up
+from optdock.planning.plan import DockPlan, PartialPlan
+from optdock.plugins.interfaces import GlobalPlanner, Smoother, SmoothingResult, never_cancelled
+from optdock.plugins.outcomes import Guess
 from optdock.testing.dense_check import dense_check
-from optdock.verification import certify_motion, certify_path, check_impossibility
+from optdock.verification import certify_motion, certify_path
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
 LONG = 1000.0  # [s]: where shares of a clock that stands still bound what a proof really takes
@@ -280,8 +281,8 @@ def clock(monkeypatch):
     """The clock of the deadlines of `plan_dock`."""
     warm_up(planner="DockPlanner")
     found = Clock()
-    monkeypatch.setattr("optdock.pipeline.Deadline", lambda seconds: Deadline(seconds, found))
-    monkeypatch.setattr("optdock.pipeline._WAITS", collections.deque(maxlen=9))
+    monkeypatch.setattr("optdock.planning.pipeline.Deadline", lambda seconds: Deadline(seconds, found))
+    monkeypatch.setattr("optdock.planning.pipeline._WAITS", collections.deque(maxlen=9))
     return found
 
 
@@ -436,7 +437,7 @@ def late(path):
 
 def test_a_guess_that_was_cut_short_goes_on_where_it_was(clock, monkeypatch):
     """After the others; and those that lie in no obstacle come first."""
-    monkeypatch.setattr("optdock.pipeline._PUT_OFF", 1.0)
+    monkeypatch.setattr("optdock.planning.pipeline._PUT_OFF", 1.0)
     block = [[[0.9, 0.9], [1.1, 0.9], [1.1, 2.5], [0.9, 2.5]]]
     task = problem((0.2, 0.3, 0.3), obstacles=block)
     grazing, free = (Path.from_poses([task.start, Pose2(1.0, y, 0.2), Pose2(2.0, 0.6, 0.2), GOAL]) for y in (0.7, 0.0))
@@ -480,7 +481,7 @@ def test_a_call_stops_earlier_where_the_machine_has_kept_two_of_the_last_calls_w
     clock, monkeypatch, waits, margin
 ):
     """By the second longest of these waits, 6 ms at most."""
-    monkeypatch.setattr("optdock.pipeline._WAITS", collections.deque(waits, maxlen=9))
+    monkeypatch.setattr("optdock.planning.pipeline._WAITS", collections.deque(waits, maxlen=9))
     budget, step = 0.1, 1e-4
     planner = Insatiable(clock, step)
     with pytest.raises(TimedOut):

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
 from optdock.fingerprint import digest
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import plan_dock
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
 
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))
 DOCK = Dock(Pose2(3.0, 1.0, 0.0))

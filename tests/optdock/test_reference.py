@@ -9,7 +9,7 @@ import yaml
 from optdock.config import load_scenario, plugin_reference, scenario_reference, scenario_schema
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
 from optdock.errors import InvalidFile, PluginError
-from optdock.plugins import available_plugins
+from optdock.plugins.registry import available_plugins
 
 MINIMAL = {
     "format": "optdock-scenario/1",

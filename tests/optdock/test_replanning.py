@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.camera import Camera
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path, TurnSegment
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.replanning import DriveState, ReplanOutcome, replan
-from optdock.robot import Drive, Robot
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Path, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_motion, certify_path, certify_trajectory
 

@@ -7,22 +7,22 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction, Path, TurnSegment
-from optdock.pipeline import plan_dock
-from optdock.plan import DockPlan
-from optdock.plugins import timed_by
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.robot import Drive, Robot, TrackingTube
-from optdock.segments import ClothoidSegment
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot, TrackingTube
+from optdock.model.segments import ClothoidSegment
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.plan import DockPlan
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
+from optdock.plugins.registry import timed_by
 from optdock.verification import ProvenWay, TrajectoryCertificate, certify_path, prove_motion
 
 NO_TIME, LEAD = 1e-9, 0.02  # [s]: nothing new is found in it

@@ -6,10 +6,10 @@ import numpy as np
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
 from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.plan import PartialPlan
-from optdock.report import certificate_rows, failed_plan_file, limit_rows, run_json, run_rows, table
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.planning.plan import PartialPlan
+from optdock.reports.report import certificate_rows, failed_plan_file, limit_rows, run_json, run_rows, table
 from optdock.simulation import Run
 from optdock.verification import Certificate
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.geometry.pose import Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Drive, admissible
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive, admissible
 
 LIMITS = MotionLimits(
     max_speed=0.5,

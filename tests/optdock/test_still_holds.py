@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.replanning import still_holds
-from optdock.robot import Robot, TrackingTube
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot, TrackingTube
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.replanning import still_holds
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 

@@ -8,20 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import optdock as od
-from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath, OptdockError, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, Smoother, never_cancelled
-from optdock.limits import MotionLimits
-from optdock.outcomes import Guess
-from optdock.path import Path
-from optdock.pipeline import plan_dock
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import Arcs
-from optdock.problem import DockingProblem
-from optdock.refinement import stopping_at_bends
-from optdock.robot import Robot
-from optdock.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.refinement import stopping_at_bends
+from optdock.plugins.interfaces import GlobalPlanner, Smoother, never_cancelled
+from optdock.plugins.outcomes import Guess
 from optdock.verification import certify_motion
 
 CAR = Robot(

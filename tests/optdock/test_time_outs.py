@@ -8,8 +8,6 @@ import math
 
 import pytest
 
-from optdock import pipeline
-from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     FailedToSmoothPath,
     FailedToTimePath,
@@ -22,13 +20,15 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
-from optdock.limits import MotionLimits
-from optdock.outcomes import Guess, TimingResult, TimingStatus
-from optdock.path import Direction, Path, PolylineSegment
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path, PolylineSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning import pipeline
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
+from optdock.plugins.outcomes import Guess, TimingResult, TimingStatus
 
 START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(2.0, 0.0, 0.0)
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))

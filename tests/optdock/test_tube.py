@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot, TrackingTube
+from optdock.planning.pipeline import plan_dock
+from optdock.samples.tube import Tube
 from optdock.testing.dense_check import dense_check
-from optdock.tube import Tube
 from optdock.verification import certify_path, pose_clearances
 
 FOOTPRINT = Footprint.rectangle(0.45, 0.45, 0.6)

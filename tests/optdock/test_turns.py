@@ -13,34 +13,28 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GoalChecker, TimingStatus
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.nav2.behaviors.undock_plan import reversed_path
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.plan import DockPlan
+from optdock.planning.plan import DockPlan
 from optdock.plotting import save_profile_picture
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.plugins.interfaces import Controller, GoalChecker, TimingStatus
+from optdock.plugins.registry import create_plugin
+from optdock.samples import check_sampled_motion, check_samples_of
 from optdock.simulation import run_closed_loop
 from optdock.testing.dense_check import dense_check
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
-from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import (
-    certify_motion,
-    certify_path,
-    certify_trajectory,
-    check_sampled_motion,
-    check_samples_of,
-    prove_motion,
-)
+from optdock.verification import certify_motion, certify_path, certify_trajectory, prove_motion
 
 LIMITS = MotionLimits(0.5, 0.3, 0.4, 0.6, 2.0, max_yaw_rate=0.8, max_yaw_acceleration=1.5, max_curvature=2.0)
 BOX = Footprint.rectangle(0.5, 0.3, 0.4)

@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.costmap import Costmap
-from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.dock import Dock, DockDirection, DockTolerances
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 
 
 @pytest.mark.parametrize(

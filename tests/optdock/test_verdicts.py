@@ -13,39 +13,31 @@ import pytest
 import checkers
 import optdock
 import smoothers
-from optdock.changed_world import StillHolds
-from optdock.dock import Dock
 from optdock.executor.log import Cycle
 from optdock.executor.outcomes import Ending, EndingKind
 from optdock.executor.planning import Outcome, PlanResult, Verdict
 from optdock.executor.replay import Replay
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.impossibility import ImpossibilityVerdict, check_impossibility, prove_impossible
 from optdock.io.run_file import RunColumns
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plan_file_verdict import PlanFileVerdict
-from optdock.problem import DockingProblem
-from optdock.replanning import Replanned, ReplanOutcome
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.changed_world import StillHolds
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.replanning import Replanned, ReplanOutcome
+from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
+from optdock.reports.plan_file_verdict import PlanFileVerdict
+from optdock.samples import SampledMotionVerdict
 from optdock.simulation.run import Run
 from optdock.testing.dense_check import DenseReport, Fault, dense_check
 from optdock.timing.checks import SegmentPlan
 from optdock.timing.start_states import StartVerdict
-from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import (
-    Certificate,
-    ImpossibilityVerdict,
-    SampledMotionVerdict,
-    TrajectoryCertificate,
-    Violation,
-    certify_path,
-    certify_trajectory,
-    check_impossibility,
-    prove_impossible,
-)
+from optdock.verification import Certificate, TrajectoryCertificate, Violation, certify_path, certify_trajectory
 from optdock.verification.conservative_advancement import ClearanceProof
 from optdock.verification.proven_motion import WayVerdict, prove_way
 

@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.pipeline import plan_dock
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.replanning import DriveState, ReplanOutcome, replan
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan
 
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0))
 NOT_CLEAR = "the way until a new plan could take over is not clear"

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.pipeline import plan_dock
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.segments import PolylineSegment
+from optdock.model.trajectory import TimeLaw, braking_phases
 from optdock.planners.manoeuvres.arcs import advance
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
-from optdock.segments import PolylineSegment
-from optdock.trajectory import TimeLaw, braking_phases
+from optdock.planning.pipeline import plan_dock
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.problem import _braking_distance
 

@@ -10,17 +10,17 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import Deadline
-from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherException
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, Smoother, SmoothingStatus, never_cancelled
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path
-from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Direction, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext, Smoother, SmoothingStatus, never_cancelled
+from optdock.plugins.registry import create_plugin
 from optdock.testing.dense_check import dense_check
 from optdock.testing.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
@@ -354,7 +354,7 @@ def test_a_warm_start_with_other_gears_is_ignored(smoother):
 
 
 def test_the_wrong_gear_for_the_dock_is_refused(smoother, cases):
-    from optdock.dock import DockDirection
+    from optdock.model.dock import DockDirection
 
     problem = cases.open_problem(GOAL)
     problem = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, direction=DockDirection.BACKWARD))

@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.interfaces import PluginContext
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext
 from smoothers import casadi_smoother
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.qp_step import pool_of_this_thread

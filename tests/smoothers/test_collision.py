@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import shapely
 
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision.broad_phase import broad_phase
 from smoothers.scp.collision.linearization import covering_disc_rows, covering_discs, separating_plane_rows

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from optdock import ClearanceRule, Dock, DockingProblem, Footprint, MotionLimits, Path, Pose2, Robot
-from optdock.robot import Drive
-from optdock.segments import Direction, PolylineSegment
+from optdock.model.robot import Drive
+from optdock.model.segments import Direction, PolylineSegment
 from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.problem import Formulation, formulate

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.basis import basis_for

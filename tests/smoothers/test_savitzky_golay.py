@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidPath, InvalidValue, SmootherCancelled, SmootherTimedOut
-from optdock.interfaces import PluginContext, Smoother
-from optdock.path import Direction, Path, PolylineSegment
-from optdock.plugins import create_plugin
+from optdock.model.path import Direction, Path, PolylineSegment
+from optdock.plugins.interfaces import PluginContext, Smoother
+from optdock.plugins.registry import create_plugin
 from smoothers.nav2.pieces import poses_of
 from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother, savitzky_golay_weights
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from optdock.costmap.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, Smoother
-from optdock.path import Direction, Path, PolylineSegment
-from optdock.plugins import create_plugin
+from optdock.model.path import Direction, Path, PolylineSegment
+from optdock.plugins.interfaces import PluginContext, Smoother
+from optdock.plugins.registry import create_plugin
 from smoothers.nav2.pieces import poses_of
 from smoothers.nav2.simple import SimpleSmoother, _Sweep
 

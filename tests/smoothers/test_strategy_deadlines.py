@@ -6,7 +6,7 @@ import math
 import pytest
 
 from optdock.errors import SmootherTimedOut
-from optdock.interfaces import PluginContext
+from optdock.plugins.interfaces import PluginContext
 from optdock.testing.families import instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother

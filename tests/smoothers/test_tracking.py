@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification import pose_clearances
 from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.cost import Weights

@@ -6,15 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, SmoothingStatus
-from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext, SmoothingStatus
 from optdock.verification import certify_path
 from smoothers import CasadiSmoother
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from optdock.camera import Camera
-from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.camera import Camera
+from optdock.model.dock import DockDirection
+from optdock.model.path import ClothoidSegment, Path, TurnSegment
 from optdock.verification import certify_path
 from optdock.verification.visibility import prove_view
 from smoothers import CasadiSmoother

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from optdock.geometry.pose import Pose2
-from optdock.measurements import Detection
+from optdock.model.measurements import Detection
 
 if TYPE_CHECKING:
     import numpy as np

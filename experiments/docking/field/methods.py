@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.outcome import Followed
     from optdock.executor.log import LogWriter
-    from optdock.plugins import PluginChoice
+    from optdock.plugins.registry import PluginChoice
 
 __all__ = ["FIELD_METHODS", "by_executor"]
 

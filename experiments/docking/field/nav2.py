@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.docking.field.outcome import Steered
-from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.model.dock import DockDirection
+from optdock.model.path import Direction
 from optdock.nav2.graceful_law import GracefulLaw
-from optdock.path import Direction
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
     from experiments.docking.field.world import FieldRobot
-    from optdock.measurements import Detection, Measurements
+    from optdock.model.measurements import Detection, Measurements
 
 __all__ = ["VelocitySmoother", "by_nav2"]
 

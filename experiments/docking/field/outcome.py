@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from experiments.docking.outcome import ACCEPTED, worst_ratio
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, pose_errors
-from optdock.obstacles import ObstacleSet
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:

@@ -38,8 +38,8 @@ def set_up(task: FieldTask) -> tuple[Layout, FieldRobot]:
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.field.worlds import FIELD_WORLDS
     from experiments.docking.outcome import ACCEPTED
-    from optdock.dock import DockTolerances
     from optdock.geometry.footprint import Footprint
+    from optdock.model.dock import DockTolerances
 
     world = FIELD_WORLDS[task.world]
     robot = dataclasses.replace(ROBOT, footprint=Footprint.rectangle(0.3, 0.3, 0.45))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.report import table
+from optdock.reports.report import table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -15,7 +15,7 @@ from experiments.docking.field.run import FieldTask, set_up
 from experiments.docking.field.world import FieldRobot
 from experiments.docking.outcome import worst_ratio
 from optdock.geometry.pose import Pose2
-from optdock.report import table
+from optdock.reports.report import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

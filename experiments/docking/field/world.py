@@ -13,9 +13,9 @@ from experiments.docking.field.drive import SUBSTEP, Drive, DriveState
 from experiments.docking.field.localization import Localization, LocalizationState
 from experiments.docking.field.odometry import Odometry, OdometryMessage, OdometryState
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
-from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Measurements, OdometryPose
+from optdock.model.dock import DockDirection
+from optdock.model.measurements import Measurements, OdometryPose
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from experiments.docking.cases import Layout
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
-    from optdock.measurements import Detection
+    from optdock.model.measurements import Detection
 
 __all__ = ["FieldRobot", "FieldWorld"]
 

@@ -11,8 +11,8 @@ from experiments.docking.field.localization import Localization
 from experiments.docking.field.odometry import Odometry
 from experiments.docking.field.station import Station
 from experiments.docking.field.world import FieldWorld
-from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import DockDirection
 
 __all__ = ["FIELD", "FIELD_WORLDS"]
 

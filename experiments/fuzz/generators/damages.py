@@ -13,7 +13,7 @@ import yaml
 
 from optdock.config import load_scenario
 from optdock.errors import OptdockError
-from optdock.report import failed_plan_file
+from optdock.reports.report import failed_plan_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

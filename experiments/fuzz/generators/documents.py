@@ -16,7 +16,7 @@ from experiments.fuzz.generators.motions import _double_s
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.oracle.motion import motion_of
 from optdock.io.plan_file import PlanFile, TrajectoryColumns
-from optdock.trajectory import Trajectory
+from optdock.model.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

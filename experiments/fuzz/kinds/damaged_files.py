@@ -33,7 +33,7 @@ from optdock.io.maps import load_map
 from optdock.io.parking_cases import load_tpcap
 from optdock.io.plan_file import load_plan, parse_plan
 from optdock.nav2.docks import load_dock_database
-from optdock.plan_file_verdict import judge_plan_file
+from optdock.reports.plan_file_verdict import judge_plan_file
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from experiments.fuzz.case import Case
     from optdock.io.plan_file import PlanFile
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["draw", "judge"]
 

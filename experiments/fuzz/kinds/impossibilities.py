@@ -8,14 +8,14 @@ import numpy as np
 
 from experiments.fuzz.case import Verdict
 from experiments.fuzz.generators.carved import carved_scene
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
-from optdock.verification import check_impossibility, prove_impossible
+from optdock.impossibility import check_impossibility, prove_impossible
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case

@@ -20,17 +20,17 @@ from experiments.fuzz.kinds import trajectories
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.timing import LIMITED, judged
 from optdock.errors import OptdockError
-from optdock.interfaces import TimeParameterizer, TimingStatus
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock, warm_up
-from optdock.plugins import create_plugin
+from optdock.model.limits import MotionLimits
+from optdock.planning.pipeline import plan_dock, warm_up
+from optdock.plugins.interfaces import TimeParameterizer, TimingStatus
+from optdock.plugins.registry import create_plugin
 from optdock.verification import certify_trajectory
 
 if TYPE_CHECKING:
     import numpy as np
 
     from experiments.fuzz.case import Case
-    from optdock.trajectory import Trajectory
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["draw", "judge"]
 

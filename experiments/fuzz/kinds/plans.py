@@ -16,11 +16,11 @@ from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
-from optdock.pipeline import plan_dock, warm_up
+from optdock.planning.pipeline import plan_dock, warm_up
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
-    from optdock.plan import DockPlan
+    from optdock.planning.plan import DockPlan
 
 __all__ = ["draw", "judge"]
 

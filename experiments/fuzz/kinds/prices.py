@@ -13,7 +13,7 @@ from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import problem_of
 from experiments.fuzz.generators.docking import docking_problem
 from optdock.errors import OptdockError
-from optdock.pipeline import plan_dock
+from optdock.planning.pipeline import plan_dock
 
 if TYPE_CHECKING:
     import numpy as np

@@ -26,10 +26,10 @@ from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
 from optdock.executor.planning import Job, Motion, planned
 from optdock.geometry.pose import Pose2
-from optdock.pipeline import plan_dock, warm_up
-from optdock.plan import DockPlan
-from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.trajectory import Trajectory
+from optdock.model.trajectory import Trajectory
+from optdock.planning.pipeline import plan_dock, warm_up
+from optdock.planning.plan import DockPlan
+from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Motion as OracleMotion
     from experiments.fuzz.oracle.sweep import Sweep
     from optdock.executor.planning import PlanResult
-    from optdock.problem import DockingProblem
-    from optdock.replanning import Replanned, StillHolds
+    from optdock.model.problem import DockingProblem
+    from optdock.planning.replanning import Replanned, StillHolds
     from optdock.verification import TrajectoryCertificate
 
 __all__ = ["draw", "draw_decision", "draw_measured", "judge"]

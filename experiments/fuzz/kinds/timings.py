@@ -13,16 +13,16 @@ from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.kinds import trajectories
 from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
-from optdock.interfaces import TimeParameterizer
-from optdock.limits import MotionLimits
-from optdock.plugins import create_plugin
+from optdock.model.limits import MotionLimits
+from optdock.plugins.interfaces import TimeParameterizer
+from optdock.plugins.registry import create_plugin
 from optdock.verification import certify_trajectory
 
 if TYPE_CHECKING:
     import numpy as np
 
     from experiments.fuzz.case import Case
-    from optdock.trajectory import Trajectory
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["draw", "judge"]
 

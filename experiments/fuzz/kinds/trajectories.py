@@ -11,8 +11,8 @@ from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.timing import judged
 from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
-from optdock.limits import MotionLimits
-from optdock.trajectory import Trajectory
+from optdock.model.limits import MotionLimits
+from optdock.model.trajectory import Trajectory
 from optdock.verification import certify_trajectory
 
 if TYPE_CHECKING:

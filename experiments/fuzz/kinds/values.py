@@ -13,19 +13,19 @@ import numpy as np
 from experiments.fuzz.case import Verdict
 from optdock.costmap import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.errors import OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
-from optdock.pipeline import plan_dock
-from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.dock import Dock, DockDirection, DockTolerances
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.registry import INTERFACES, available_plugins, create_plugin, load_plugin
 from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:

@@ -18,14 +18,14 @@ from experiments.fuzz.generators.views import view_problem
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.views import views
 from experiments.fuzz.truth import says_yes
-from optdock.camera import Camera
 from optdock.errors import OptdockError
 from optdock.geometry.pose import Pose2
+from optdock.model.camera import Camera
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
 
 __all__ = ["draw", "judge"]

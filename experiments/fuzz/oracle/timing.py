@@ -2,7 +2,7 @@
 
 Times count from the start of each phase, so that a phase after a wait of 1e17 s is as sharp as any other. Every piece
 of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature. Motion under
-constant jerk is written out here once more, so that no error of `optdock.trajectory` hides from its own judge.
+constant jerk is written out here once more, so that no error of `optdock.model.trajectory` hides from its own judge.
 """
 
 from __future__ import annotations

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import BehaviorException
-from optdock.interfaces import CostmapInfoType
-from optdock.obstacles import in_words
+from optdock.geometry.obstacles import in_words
+from optdock.plugins.interfaces import CostmapInfoType
 from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["CollisionChecker"]
 

@@ -11,10 +11,10 @@ from pydantic import Field
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.geometry.pose import Twist2
-from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
 from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import BACK_UP, DRIVE_ON_HEADING, RUNNING, SUCCEEDED, Codes, failed, stopped
-from optdock.parameters import PluginParameters, parse_parameters
+from optdock.plugins.interfaces import Behavior, BehaviorResult, CostmapInfoType
+from optdock.plugins.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from optdock.geometry.pose import Twist2
-from optdock.interfaces import BehaviorResult, BehaviorStatus
+from optdock.plugins.interfaces import BehaviorResult, BehaviorStatus
 
 __all__ = [
     "BACK_UP",

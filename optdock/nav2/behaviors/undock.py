@@ -9,17 +9,17 @@ from pydantic import Field
 
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, ControllerException, InvalidValue, OptdockError
-from optdock.interfaces import Behavior, BehaviorResult, Controller, CostmapInfoType
+from optdock.model.path import Path
 from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import RUNNING, SUCCEEDED, UNDOCK, failed, stopped
-from optdock.parameters import PluginParameters, parse_parameters
-from optdock.path import Path
-from optdock.plugins import create_plugin
+from optdock.plugins.interfaces import Behavior, BehaviorResult, Controller, CostmapInfoType
+from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.plugins.registry import create_plugin
 
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2, Twist2
+    from optdock.model.problem import DockingProblem
     from optdock.nav2.behaviors.undock_plan import UndockPlan
-    from optdock.problem import DockingProblem
 
 __all__ = ["Undock", "UndockCommand", "UndockParameters"]
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.dock import DockDirection
 from optdock.errors import CertificationFailed, FailedToTimePath, OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.limits import SpeedZone
-from optdock.path import Path
-from optdock.pipeline import DEFAULT_TIMING, TimingLike, plan_dock
-from optdock.plugins import timed_by
-from optdock.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
+from optdock.model.dock import DockDirection
+from optdock.model.limits import SpeedZone
+from optdock.model.path import Path
+from optdock.model.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
+from optdock.planning.pipeline import DEFAULT_TIMING, TimingLike, plan_dock
+from optdock.plugins.registry import timed_by
 from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:
-    from optdock.problem import DockingProblem
-    from optdock.segments import Segment
-    from optdock.trajectory import Trajectory
+    from optdock.model.problem import DockingProblem
+    from optdock.model.segments import Segment
+    from optdock.model.trajectory import Trajectory
     from optdock.verification import Certificate, TrajectoryCertificate
 
 __all__ = ["UndockPlan", "plan_undock", "reversed_path"]

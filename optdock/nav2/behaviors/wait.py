@@ -8,9 +8,9 @@ from pydantic import Field
 
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
-from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
 from optdock.nav2.behaviors.results import RUNNING, SUCCEEDED, WAIT, failed, stopped
-from optdock.parameters import PluginParameters, parse_parameters
+from optdock.plugins.interfaces import Behavior, BehaviorResult, CostmapInfoType
+from optdock.plugins.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
-from optdock.interfaces import Layer
-from optdock.parameters import PluginParameters
+from optdock.plugins.interfaces import Layer
+from optdock.plugins.parameters import PluginParameters
 
 __all__ = ["LayerParameters", "SwitchedLayer"]
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from optdock.costmap.costs import FREE_SPACE, LETHAL
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds
+from optdock.model.dock import Dock
 from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
 from optdock.nav2.layers.window import NOWHERE, checked_window, grown_by_points, joined
+from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap

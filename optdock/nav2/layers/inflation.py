@@ -12,9 +12,9 @@ from pydantic import Field
 
 from optdock.costmap.costs import FREE_SPACE, INSCRIBED, LETHAL, MAX_NON_OBSTACLE, NO_INFORMATION, CostArray
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds
 from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.window import EVERYWHERE, checked_window
+from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -9,12 +9,12 @@ import numpy as np
 
 from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds
 from optdock.nav2.layers.base import SwitchedLayer
 from optdock.nav2.layers.obstacle_parameters import ObstacleLayerParameters, SourceParameters, combined
 from optdock.nav2.layers.raster import cells_of_lines, corners_of, fill_footprint
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, checked_window, grown_by_points, joined, moved_grid
-from optdock.parameters import closest
+from optdock.plugins.interfaces import Bounds
+from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

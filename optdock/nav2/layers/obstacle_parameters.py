@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from optdock.costmap.costs import NO_INFORMATION
 from optdock.nav2.layers.base import LayerParameters
-from optdock.parameters import PluginParameters
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from optdock.costmap.costs import CostArray

@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds
+from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
     from optdock.costmap.costs import CostArray

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import Path
-from optdock.segments import Direction, PolylineSegment
+from optdock.model.path import Path
+from optdock.model.segments import Direction, PolylineSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray

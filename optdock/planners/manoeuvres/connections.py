@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
+from optdock.model.dock import DockDirection
 from optdock.planners.manoeuvres.arcs import Arcs
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.problem import DockingProblem
+    from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
-    from optdock.problem import DockingProblem
-    from optdock.robot import Robot
 
 __all__ = [
     "Connections",

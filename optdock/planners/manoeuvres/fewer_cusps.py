@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.path import Path
-from optdock.segments import PolylineSegment, TurnSegment
+from optdock.model.path import Path
+from optdock.model.segments import PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.problem import DockingProblem
-    from optdock.segments import Segment
+    from optdock.model.problem import DockingProblem
+    from optdock.model.segments import Segment
 
 __all__ = ["fewer_cusps"]
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.obstacles import ObstacleSet
     from optdock.geometry.separation import ConvexBody
-    from optdock.obstacles import ObstacleSet
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["DistanceField", "Effort", "FreeSpace"]
 

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
-from optdock.interfaces import GlobalPlanner, LifecycleState, never_cancelled
-from optdock.parameters import PluginParameters
 from optdock.planners.manoeuvres.stages import Stages
+from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from optdock.geometry.pose import Pose2
-    from optdock.outcomes import Guess
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.plugins.outcomes import Guess
 
 __all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters"]
 

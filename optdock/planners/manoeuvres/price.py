@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.dock import DockDirection
-from optdock.segments import TurnSegment
+from optdock.model.dock import DockDirection
+from optdock.model.segments import TurnSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.limits import MotionLimits, TurnLimits
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
-    from optdock.robot import Robot
+    from optdock.model.limits import MotionLimits, TurnLimits
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.model.robot import Robot
 
 __all__ = [
     "CUSP_PRICE",

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.outcomes import Guess
+from optdock.model.dock import DockDirection
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybrid_a_star
@@ -23,16 +22,17 @@ from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
 from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
+from optdock.plugins.outcomes import Guess
 from optdock.verification import end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.problem import DockingProblem
     from optdock.planners.manoeuvres.arcs import Arcs
     from optdock.planners.manoeuvres.turns import TurnSearch
     from optdock.planners.manoeuvres.wavefront import Wavefront
-    from optdock.problem import DockingProblem
 
 __all__ = ["Stages"]
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.robot import Robot
 
 __all__ = ["ArcTree", "Moves", "joined"]
 

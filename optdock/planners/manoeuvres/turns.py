@@ -17,18 +17,18 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.path import Path
+from optdock.model.path import Path
+from optdock.model.segments import Direction, PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planners.manoeuvres.connections import Nodes
 from optdock.planners.manoeuvres.price import driving_prices, stopping_cost, turning_times
-from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.segments import Segment
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.segments import Segment
 
 __all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turning_places", "turns_and_drives"]
 

@@ -17,13 +17,13 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 from optdock.geometry.polygon import signed_area
-from optdock.robot import Drive
+from optdock.model.robot import Drive
 
 if TYPE_CHECKING:
-    from optdock.dock import Dock
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
-    from optdock.robot import Robot
+    from optdock.model.dock import Dock
+    from optdock.model.robot import Robot
 
 __all__ = ["Chassis", "docking_model"]
 

@@ -15,14 +15,14 @@ import numpy as np
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
-from optdock.robot import admissible
+from optdock.model.robot import admissible
 from optdock.simulation.mujoco.model import Chassis, docking_model
 from optdock.simulation.plant import Actuation, PlantState, arrivals, check_duration, first_order
 
 if TYPE_CHECKING:
-    from optdock.dock import Dock
     from optdock.geometry.arrays import FloatArray
-    from optdock.robot import Robot
+    from optdock.model.dock import Dock
+    from optdock.model.robot import Robot
 
 __all__ = ["MujocoDrive", "MujocoPhysics", "load_mujoco"]
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import finite_number
 from optdock.geometry.footprint import Footprint
+from optdock.model.dock import DockDirection
 
 __all__ = ["VShape", "flat_station"]
 

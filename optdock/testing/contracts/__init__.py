@@ -18,8 +18,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue
-from optdock.parameters import closest
-from optdock.plugins import INTERFACES, available_plugins, create_plugin
+from optdock.plugins.parameters import closest
+from optdock.plugins.registry import INTERFACES, available_plugins, create_plugin
 from optdock.testing.contracts.behavior import BehaviorContract
 from optdock.testing.contracts.checker import GoalCheckerContract
 from optdock.testing.contracts.controller import ControllerContract
@@ -34,8 +34,8 @@ from optdock.testing.contracts.timing import TimeParameterizerContract
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optdock.lifecycle import Plugin
-    from optdock.plugins import PluginInfo
+    from optdock.plugins.lifecycle import Plugin
+    from optdock.plugins.registry import PluginInfo
 
 __all__ = [
     "CONTRACTS",
@@ -63,7 +63,7 @@ CONTRACTS: Mapping[str, type] = {
     "layers": LayerContract,
     "docks": DockTypeContract,
 }
-"""The suite of every kind of plugin in `optdock.plugins.INTERFACES`."""
+"""The suite of every kind of plugin in `optdock.plugins.registry.INTERFACES`."""
 
 
 def installed_suites(samples: Mapping[str, Mapping[str, object]] | None = None) -> dict[str, type]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from optdock.errors import BehaviorException
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType, PluginContext
+from optdock.plugins.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType, PluginContext
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import refused, require
 from optdock.testing.contracts.scene import (
@@ -48,7 +48,7 @@ class _World:
 
 
 class BehaviorContract(PluginContract[Behavior]):
-    """`optdock.interfaces.Behavior`: a timed recovery or auxiliary motion.
+    """`optdock.plugins.interfaces.Behavior`: a timed recovery or auxiliary motion.
 
     Attributes:
         command: One that succeeds in the open, for a robot at `start`.

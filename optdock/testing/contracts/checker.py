@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import GoalChecker, Tolerances
+from optdock.plugins.interfaces import GoalChecker, Tolerances
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
 from optdock.testing.contracts.scene import GOAL
@@ -29,7 +29,7 @@ def _remaining(length: float, goal: Pose2 = GOAL) -> list[Pose2]:
 
 
 class GoalCheckerContract(PluginContract[GoalChecker]):
-    """`optdock.interfaces.GoalChecker`: decides whether the robot has arrived."""
+    """`optdock.plugins.interfaces.GoalChecker`: decides whether the robot has arrived."""
 
     interface: ClassVar[type[GoalChecker]] = GoalChecker
 

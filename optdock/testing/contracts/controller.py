@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from optdock.errors import ControllerException, ControllerInvalidPath, InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, GoalChecker, Tolerances
-from optdock.path import Direction, Path
+from optdock.model.path import Direction, Path
+from optdock.plugins.interfaces import Controller, GoalChecker, Tolerances
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import refused, require
 from optdock.testing.contracts.scene import ORIGIN, ROBOT, scene_context, scene_problem
@@ -18,8 +18,8 @@ from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from optdock.lifecycle import PluginContext
-    from optdock.trajectory import Trajectory
+    from optdock.model.trajectory import Trajectory
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["ControllerContract"]
 
@@ -49,7 +49,7 @@ class _Accepting(GoalChecker):
 
 
 class ControllerContract(PluginContract[Controller]):
-    """`optdock.interfaces.Controller`: turns a path or a trajectory into velocity commands.
+    """`optdock.plugins.interfaces.Controller`: turns a path or a trajectory into velocity commands.
 
     Attributes:
         period: Time between two commands [s], as their stamps say.

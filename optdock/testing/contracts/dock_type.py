@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import DockType
-from optdock.measurements import AtDock, Detection, Measurements
+from optdock.model.measurements import AtDock, Detection, Measurements
+from optdock.plugins.interfaces import DockType
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
 from optdock.testing.contracts.scene import GOAL
@@ -27,7 +27,7 @@ _SEEN = Detection(0.0, Pose2(0.8, 0.05, 0.02), 0.003, 0.005)
 
 
 class DockTypeContract(PluginContract[DockType]):
-    """`optdock.interfaces.DockType`: a kind of dock."""
+    """`optdock.plugins.interfaces.DockType`: a kind of dock."""
 
     interface: ClassVar[type[DockType]] = DockType
 

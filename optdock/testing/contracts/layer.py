@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Bounds, Layer
+from optdock.plugins.interfaces import Bounds, Layer
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
 from optdock.testing.contracts.scene import ORIGIN
@@ -31,7 +31,7 @@ _WINDOWS = ((0, 0, _COLUMNS, _ROWS), (30, 20, 90, 60), (55, 35, 56, 36), (0, 0, 
 
 
 class LayerContract(PluginContract[Layer]):
-    """`optdock.interfaces.Layer`: one source of costs in a layered costmap."""
+    """`optdock.plugins.interfaces.Layer`: one source of costs in a layered costmap."""
 
     interface: ClassVar[type[Layer]] = Layer
 

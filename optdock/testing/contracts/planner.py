@@ -10,8 +10,8 @@ import numpy as np
 
 from optdock.errors import PlannerCancelled, PlannerException
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import GlobalPlanner
-from optdock.path import Path
+from optdock.model.path import Path
+from optdock.plugins.interfaces import GlobalPlanner
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require, require_cancellable
 from optdock.testing.contracts.scene import GOAL, ORIGIN, scene_context, scene_problem
@@ -35,7 +35,7 @@ def _numbers(path: Path) -> tuple[tuple[float, ...], ...]:
 
 
 class GlobalPlannerContract(PluginContract[GlobalPlanner]):
-    """`optdock.interfaces.GlobalPlanner`: makes a path from start to goal.
+    """`optdock.plugins.interfaces.GlobalPlanner`: makes a path from start to goal.
 
     Attributes:
         is_equivariant: Start and goal moved together move the path; not so for planners on a grid.

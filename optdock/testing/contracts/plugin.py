@@ -8,14 +8,14 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from optdock.errors import InvalidValue, LifecycleError, OptdockError
-from optdock.lifecycle import LifecycleState, Plugin, PluginContext
+from optdock.plugins.lifecycle import LifecycleState, Plugin, PluginContext
 from optdock.testing.contracts.rules import refused, require
 from optdock.testing.contracts.scene import scene_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from optdock.parameters import PluginParameters
+    from optdock.plugins.parameters import PluginParameters
 
 __all__ = ["PluginContract"]
 
@@ -44,7 +44,7 @@ _TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 
 class PluginContract(ABC, Generic[P]):
-    """`optdock.lifecycle.Plugin` and `optdock.parameters.PluginParameters`, sentence by sentence.
+    """`optdock.plugins.lifecycle.Plugin` and `optdock.plugins.parameters.PluginParameters`, sentence by sentence.
 
     Attributes:
         interface: The interface that the plugin implements.

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.lifecycle import PluginContext
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.lifecycle import PluginContext
 
 __all__ = [
     "GOAL",

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherException, SmootherTimedOut
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import PluginContext, Smoother, SmoothingReport, SmoothingResult
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
+from optdock.model.path import Path
+from optdock.plugins.interfaces import PluginContext, Smoother, SmoothingReport, SmoothingResult
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import refused, require, require_cancellable
 from optdock.testing.contracts.scene import (
@@ -27,7 +27,7 @@ from optdock.testing.contracts.scene import (
 from optdock.verification import certify_path, pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.problem import DockingProblem
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["SmootherContract"]
 
@@ -42,7 +42,7 @@ def _numbers(path: Path) -> tuple[tuple[float, ...], ...]:
 
 
 class SmootherContract(PluginContract[Smoother]):
-    """`optdock.interfaces.Smoother`: makes a path smoother, within its time, between the same two poses."""
+    """`optdock.plugins.interfaces.Smoother`: makes a path smoother, within its time, between the same two poses."""
 
     interface: ClassVar[type[Smoother]] = Smoother
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimeParameterizer, TimingResult, TimingStatus
-from optdock.limits import LIMITS, LimitKind, MotionLimits, SpeedZone
-from optdock.path import Path
+from optdock.model.limits import LIMITS, LimitKind, MotionLimits, SpeedZone
+from optdock.model.path import Path
+from optdock.plugins.interfaces import TimeParameterizer, TimingResult, TimingStatus
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require, require_cancellable
 from optdock.testing.contracts.scene import ORIGIN, moved_path
@@ -22,7 +22,7 @@ from optdock.verification import certify_trajectory
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from optdock.trajectory import Trajectory
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["TimeParameterizerContract"]
 
@@ -31,7 +31,7 @@ _TURNING = 0.3  # [m/s], [rad/s], ...: of every limit that depends on curvature;
 
 
 class TimeParameterizerContract(PluginContract[TimeParameterizer]):
-    """`optdock.interfaces.TimeParameterizer`: gives a path its time law; physics is an outcome, not an exception."""
+    """`optdock.plugins.interfaces.TimeParameterizer`: the time law of a path; physics is an outcome, no exception."""
 
     interface: ClassVar[type[TimeParameterizer]] = TimeParameterizer
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

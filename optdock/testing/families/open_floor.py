@@ -13,8 +13,8 @@ import numpy as np
 
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.path import Path
-from optdock.robot import Robot
+from optdock.model.path import Path
+from optdock.model.robot import Robot
 from optdock.testing.families.motion import Gear, Kink
 from optdock.testing.families.scene import (
     AMR,

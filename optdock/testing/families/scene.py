@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.path import Direction, Path
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path
+from optdock.model.robot import Drive, Robot
 from optdock.testing.families.motion import Gear, Kink, Piece, motion_to, straight, turn
 
 if TYPE_CHECKING:

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.executor import DockingExecutor, Step
-    from optdock.measurements import Measurements
-    from optdock.robot import Robot
+    from optdock.model.measurements import Measurements
+    from optdock.model.robot import Robot
 
 __all__ = ["ControlLoop", "CycleTimes", "Run", "may_be_preferred"]
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from optdock.dock import DockDirection
 from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, PluginError
 from optdock.executor import SimpleDock
 from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import DockType
-from optdock.measurements import Detection, Measurements
+from optdock.model.dock import DockDirection
+from optdock.model.measurements import Detection, Measurements
 from optdock.nav2.docks import docked_pose
-from optdock.parameters import PluginParameters, closest, parse_parameters
-from optdock.plugins import create_plugin, load_plugin
+from optdock.plugins.interfaces import DockType
+from optdock.plugins.parameters import PluginParameters, closest, parse_parameters
+from optdock.plugins.registry import create_plugin, load_plugin
 from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:

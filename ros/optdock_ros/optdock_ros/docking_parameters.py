@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import Field
 
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue, OptdockError
 from optdock.executor import ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GoalChecker
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.problem import ClearanceRule
 from optdock.nav2.docks import DockEntry
-from optdock.parameters import PluginParameters, parse_parameters
-from optdock.plugins import PluginChoice, plugin_from
-from optdock.problem import ClearanceRule
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.plugins.registry import PluginChoice, plugin_from
 from optdock_ros.dock_plugins import DockPlugin, plugin_class
 from optdock_ros.docks import docks_of_parameters
 from optdock_ros.parameters import ServerParameters, clearance_parameters, robot_parameters, unknown_names
@@ -27,8 +27,8 @@ from optdock_ros.surroundings import nav2_footprint
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from optdock.interfaces import DockType
-    from optdock.lifecycle import Plugin
+    from optdock.plugins.interfaces import DockType
+    from optdock.plugins.lifecycle import Plugin
     from optdock_ros.parameters import RobotParameters
 
 __all__ = ["ControllerParameters", "DockParameters", "DockingParameters", "DockingSettings", "docking_settings"]

@@ -30,11 +30,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from optdock import ros
-from optdock.costmap.contact_zone import contact_reach
 from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockError
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
+from optdock.executor.contact_zone import contact_reach
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.problem import DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock_ros.dock_plugins import Told
 from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from optdock.executor import Event, ExecutorSettings, Step
     from optdock.executor.planning import Motion, PlanResult
     from optdock.geometry.footprint import Footprint
-    from optdock.measurements import Measurements
+    from optdock.model.measurements import Measurements
     from optdock.nav2.docks import DockEntry
     from optdock.ros import StampedCostmap
     from optdock_ros.dock_plugins import DockPlugin

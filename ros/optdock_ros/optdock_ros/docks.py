@@ -10,7 +10,7 @@ from optdock.errors import DockNotInDB, DockNotValid, InvalidValue
 from optdock.io.quoting import printable
 from optdock.io.yaml_lines import Document
 from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
-from optdock.parameters import closest
+from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from optdock import ros
 from optdock.errors import InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements, OdometryPose
+from optdock.model.measurements import Detection, Measurements, OdometryPose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

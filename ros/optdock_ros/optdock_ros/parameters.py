@@ -21,8 +21,8 @@ from rclpy.parameter import Parameter
 from optdock.config.document import ClearanceDocument, RobotDocument, synonym
 from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
-from optdock.parameters import PluginParameters, closest
-from optdock.robot import Robot
+from optdock.model.robot import Robot
+from optdock.plugins.parameters import PluginParameters, closest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from optdock.geometry.footprint import Footprint
-    from optdock.problem import ClearanceRule
+    from optdock.model.problem import ClearanceRule
 
 T = TypeVar("T")
 

@@ -21,7 +21,6 @@ from rclpy.duration import Duration
 
 from optdock import ros
 from optdock.deadline import Deadline
-from optdock.dock import Dock
 from optdock.errors import (
     Cancelled,
     GoalOccupied,
@@ -33,9 +32,10 @@ from optdock.errors import (
     StartOccupied,
     StartOutsideMapBounds,
 )
-from optdock.interfaces import GlobalPlanner, PluginContext
-from optdock.path import Path
-from optdock.problem import ClearanceRule, DockingProblem
+from optdock.model.dock import Dock
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.plugins.interfaces import GlobalPlanner, PluginContext
 from optdock.verification import certify_path, pose_clearances
 from optdock_ros.goals import Job, JobEnded, answer_of
 from optdock_ros.plugin_server import (

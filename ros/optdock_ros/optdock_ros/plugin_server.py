@@ -13,9 +13,9 @@ from pydantic import Field
 
 from optdock import ros
 from optdock.costmap.costmap import Costmap
-from optdock.lifecycle import Plugin
-from optdock.path import Path, PolylineSegment
-from optdock.problem import ClearanceRule
+from optdock.model.path import Path, PolylineSegment
+from optdock.model.problem import ClearanceRule
+from optdock.plugins.lifecycle import Plugin
 from optdock_ros.goals import GoalAction, JobEnded, Worker
 from optdock_ros.parameters import (
     Faults,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
-    from optdock.robot import Robot
+    from optdock.model.robot import Robot
     from optdock_ros.goals import Job
 
 __all__ = [

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from optdock.errors import OptdockError
-from optdock.lifecycle import Plugin
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
 from optdock.nav2.provided_plugins import provided
-from optdock.parameters import parse_parameters
-from optdock.plugins import PluginChoice, create_plugin, load_plugin
+from optdock.plugins.lifecycle import Plugin
+from optdock.plugins.parameters import parse_parameters
+from optdock.plugins.registry import PluginChoice, create_plugin, load_plugin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from optdock.lifecycle import PluginContext
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["NamedPlugin", "named_plugins"]
 

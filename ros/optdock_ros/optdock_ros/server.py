@@ -29,7 +29,7 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
-from optdock.parameters import parse_parameters
+from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
 from optdock_ros.parameters import (
     ServerParameters,

@@ -62,12 +62,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from optdock import simulation
 from optdock.config import load_scenario
 from optdock.costmap.costs import LETHAL
-from optdock.dock import DockDirection
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
-from optdock.obstacles import ObstacleSet
-from optdock.parameters import closest
+from optdock.model.dock import DockDirection
+from optdock.plugins.parameters import closest
 from optdock.ros.transforms import quaternion_product, rotated
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ if TYPE_CHECKING:
     from rclpy.parameter import Parameter
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.measurements import Detection
-    from optdock.problem import DockingProblem
+    from optdock.model.measurements import Detection
+    from optdock.model.problem import DockingProblem
     from optdock.ros.transforms import Quaternion as Rotation
 
 __all__ = ["PARAMETERS", "SimulatedRobot", "main"]

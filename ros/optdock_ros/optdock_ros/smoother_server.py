@@ -19,14 +19,14 @@ from pydantic import Field
 from rclpy.duration import Duration
 
 from optdock import ros
-from optdock.dock import Dock
 from optdock.errors import Cancelled, InvalidPath, InvalidValue, OptdockError, SmootherException
 from optdock.geometry.pose import Pose2, transform_poses
-from optdock.interfaces import PluginContext, Smoother
-from optdock.outcomes import SmoothingResult
-from optdock.path import Path, may_be_one_frame
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
+from optdock.model.dock import Dock
+from optdock.model.path import Path, may_be_one_frame
+from optdock.model.problem import DockingProblem
+from optdock.plugins.interfaces import PluginContext, Smoother
+from optdock.plugins.outcomes import SmoothingResult
+from optdock.plugins.registry import create_plugin
 from optdock.verification import certify_path
 from optdock_ros.goals import Job, JobEnded
 from optdock_ros.plugin_server import (

@@ -11,8 +11,8 @@ from checkers.nav2.simple import SimpleGoalChecker
 from checkers.nav2.stopped import StoppedGoalChecker
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import GoalChecker
-from optdock.plugins import create_plugin
+from optdock.plugins.interfaces import GoalChecker
+from optdock.plugins.registry import create_plugin
 
 REST = Twist2()
 GOAL = Pose2(0.0, 0.0, 0.0)

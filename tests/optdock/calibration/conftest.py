@@ -8,8 +8,8 @@ import pytest
 from optdock.calibration.recording import Recording
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.robot import Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Robot
 
 STEP = 0.001
 PERIOD = 0.02

@@ -6,8 +6,8 @@ import pytest
 from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Robot
 from optdock.simulation import Actuation, DifferentialDrive
 
 ROBOT = Robot(Footprint.from_radius(0.3), MotionLimits())

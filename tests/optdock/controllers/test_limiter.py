@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from optdock.controllers.command_limits import CommandLimiter, rate_limited
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Drive
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive
 from optdock.testing.drives import s_curve_drive
 
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=1.0, max_yaw_acceleration=2.0)

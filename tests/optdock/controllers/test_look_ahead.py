@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import PluginContext
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext
 from optdock.verification import pose_clearances
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)

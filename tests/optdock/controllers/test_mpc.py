@@ -9,17 +9,17 @@ from checkers.dock import DockGoalChecker
 from optdock.controllers import mpc
 from optdock.controllers.mpc import CycleOutcome, MpcController
 from optdock.controllers.tracking import TrackingController
-from optdock.dock import Dock
 from optdock.errors import NoValidControl
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, PluginContext
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot, TrackingTube
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot, TrackingTube
+from optdock.plugins.interfaces import Controller, PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 

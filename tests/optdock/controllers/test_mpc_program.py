@@ -14,8 +14,8 @@ from optdock.controllers.mpc_program import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Robot
 from optdock.simulation import Actuation, DifferentialDrive
 from optdock.testing.drives import s_curve_drive
 

@@ -10,19 +10,19 @@ from checkers.dock import DockGoalChecker
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.moving_reference import Progress, Reference
 from optdock.controllers.tracking import TrackingController
-from optdock.dock import Dock
 from optdock.errors import InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import PluginContext
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.nav2.graceful import GracefulController
-from optdock.path import Direction, Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
-from optdock.trajectory import TimeLaw, Trajectory
 
 START = Pose2(0.0, 0.0, 0.3)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_reverse_speed=0.5))

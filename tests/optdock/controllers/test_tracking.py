@@ -12,17 +12,17 @@ from optdock.controllers import tracking
 from optdock.controllers.tracking import TrackingController
 from optdock.controllers.tracking_law import DelayBounds, Gains
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, PluginContext
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction, Path
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.plugins.interfaces import Controller, PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 from optdock.verification import pose_clearances

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from optdock.costmap.contact_zone import with_contact_zone
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import FREE_SPACE, LETHAL
-from optdock.dock import Dock, DockDirection
+from optdock.executor.contact_zone import with_contact_zone
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.dock import Dock, DockDirection
 
 
 @pytest.mark.parametrize("direction", [DockDirection.FORWARD, DockDirection.BACKWARD])

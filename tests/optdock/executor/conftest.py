@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from optdock.dock import Dock, DockTolerances
 from optdock.executor import DockingExecutor, State
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.simulation import (
     Actuation,
     DifferentialDrive,

@@ -15,7 +15,7 @@ from optdock.executor.approach import (
     staging_distance,
 )
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
+from optdock.model.limits import MotionLimits
 
 from .conftest import LIMITS, problem_with
 

@@ -15,9 +15,9 @@ from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.executor.log import DockingLog, LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Contact, DockType
-from optdock.measurements import AtDock, Detection, Measurements
-from optdock.plugins import PluginChoice
+from optdock.model.measurements import AtDock, Detection, Measurements
+from optdock.plugins.interfaces import Contact, DockType
+from optdock.plugins.registry import PluginChoice
 from optdock.simulation import Actuation, Station
 from tests.optdock.executor.conftest import PERFECT, TRUE_DOCK, problem_with, run, simulated
 from tests.optdock.executor.test_endings import AFAR, QUICK, Recording, StraightPlanning, perfect

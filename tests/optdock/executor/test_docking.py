@@ -6,16 +6,16 @@ import math
 import numpy as np
 import pytest
 
-from optdock.camera import Camera
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
 from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.obstacles import ObstacleSet
-from optdock.problem import DockingProblem
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.problem import DockingProblem
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
 from .conftest import LIMITS, PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within

@@ -15,11 +15,11 @@ from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
 from optdock.executor.log import RecordedPlanning
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements
-from optdock.obstacles import ObstacleSet
-from optdock.problem import ClearanceRule
-from optdock.robot import TrackingTube
+from optdock.model.measurements import Detection, Measurements
+from optdock.model.problem import ClearanceRule
+from optdock.model.robot import TrackingTube
 from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest
 from optdock.verification import pose_clearance

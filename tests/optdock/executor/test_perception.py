@@ -6,7 +6,7 @@ import pytest
 from optdock.executor import ExecutorSettings
 from optdock.executor.perception import Perception
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements
+from optdock.model.measurements import Detection, Measurements
 
 DOCK, HERE, PUSHED = Pose2(0.0, 0.0, 0.0), Pose2(-0.6, 0.0, 0.0), Pose2(-0.6, 0.08, 0.0)
 PERIOD = 0.05

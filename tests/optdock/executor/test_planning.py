@@ -5,19 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue
 from optdock.executor.planning import Job, Motion, Outcome, planned
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Path
-from optdock.plan import DockPlan
-from optdock.plugins import timed_by
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
-from optdock.trajectory import Trajectory
+from optdock.model.dock import Dock, DockTolerances
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import Trajectory
+from optdock.planning.plan import DockPlan
+from optdock.plugins.registry import timed_by
 from optdock.verification import prove_motion
 
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.5), MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))

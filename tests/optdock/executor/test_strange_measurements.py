@@ -10,7 +10,7 @@ from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings
 from optdock.executor.approach import staging_distance
 from optdock.executor.intake import usable
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements, OdometryPose
+from optdock.model.measurements import Detection, Measurements, OdometryPose
 from tests.optdock.executor.conftest import BEFORE_DOCK, LIMITS, problem_with, run, simulated
 
 SEEN = Detection(0.0, Pose2(0.0, 0.0, 0.0).in_frame_of(BEFORE_DOCK), 0.003, 0.005)

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import _by_all_axes, separation
-from optdock.obstacles import ObstacleSet
 
 
 def random_convex(rng, scale):

@@ -7,7 +7,7 @@ import pytest
 
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.parking_cases import OBCA_SCENES, load_obca, load_tpcap, obca_cases
-from optdock.robot import Drive
+from optdock.model.robot import Drive
 
 # A square and an L, which is not convex.
 CASE = "1,2,0.5, 8,2,-0.5, 2, 4,6, 0,5,1,5,1,6,0,6, 5,5,8,5,8,6,6,6,6,8,5,8"

@@ -12,8 +12,8 @@ from optdock.errors import InvalidFile, InvalidPath, InvalidValue, StartOccupied
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanError, PlanFile, TrajectoryColumns, load_plan, save_plan
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.model.trajectory import TimeLaw, Trajectory
 
 
 def two_gears(curvature=0.8):

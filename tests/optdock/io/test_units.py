@@ -176,7 +176,7 @@ def test_what_is_plausible_passes(value, unit):
 
 def test_the_library_itself_asks_nothing():
     from optdock.geometry.pose import Pose2
-    from optdock.limits import MotionLimits
+    from optdock.model.limits import MotionLimits
 
     assert Pose2(0.0, 0.0, 90.0).yaw == 90.0
     assert MotionLimits(max_speed=500.0).max_speed == 500.0

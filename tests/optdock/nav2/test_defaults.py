@@ -5,12 +5,12 @@ A table holds what Nav2's documents give; a parameter of ours that is not in it 
 
 import dataclasses
 
-from optdock.interfaces import GoalChecker
 from optdock.nav2.costmap_params import CostmapParams
 from optdock.nav2.docks import DockType
 from optdock.nav2.layered_costmap import LayeredCostmapParameters
 from optdock.nav2.scenario import nav2_scenario
-from optdock.plugins import INTERFACES, load_plugin
+from optdock.plugins.interfaces import GoalChecker
+from optdock.plugins.registry import INTERFACES, load_plugin
 
 POSITION = {
     "xy_goal_tolerance": 0.25,

@@ -6,9 +6,9 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 from optdock.costmap import OccupancyGrid, obstacles_from_costmap
-from optdock.dock import Dock
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import Dock
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import load_nav2_params
 

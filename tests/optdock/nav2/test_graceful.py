@@ -9,19 +9,19 @@ from hypothesis import strategies as st
 
 from checkers.nav2.simple import SimpleGoalChecker
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, PluginContext
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.nav2.graceful import GracefulController
 from optdock.nav2.graceful_law import GracefulLaw, egocentric
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction, Path
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.interfaces import Controller, PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import run_closed_loop
 from optdock.testing.drives import s_curve_drive, straight_drive
 

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import DockDirection
 from optdock.nav2.docks import DockType
 from optdock.nav2.params import load_nav2_params
 

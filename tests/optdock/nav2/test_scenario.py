@@ -7,10 +7,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.limits import LIMIT_UNITS
+from optdock.model.dock import DockDirection
+from optdock.model.limits import LIMIT_UNITS
 from optdock.nav2.params import load_nav2_params
 from optdock.nav2.scenario import nav2_limits, nav2_scenario
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from optdock.errors import NoValidPathCouldBeFound
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.path import Direction
+from optdock.model.path import Direction
 from optdock.planners.approach_axis import DockGeometry, approach_axis
 from optdock.planners.dock_parameters import DockPlannerParameters
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from optdock.costmap.costmap import Costmap
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.nurbs import Nurbs
-from optdock.interfaces import never_cancelled
-from optdock.path import Direction
+from optdock.model.path import Direction
 from optdock.planners.two_segment import MAX_SAMPLES, CurveSampler
+from optdock.plugins.interfaces import never_cancelled
 
 ARC = np.array([[0.0, 0.0], [2.0, 0.0], [3.0, 1.5]])
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     InvalidValue,
     LifecycleError,
@@ -15,15 +14,16 @@ from optdock.errors import (
     StartOutsideMapBounds,
 )
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Direction
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.dock_planner import DockPlanner, DockPlannerParameters
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, PluginContext
+from optdock.plugins.registry import create_plugin
 
 ROBOT = Footprint.rectangle(front=0.4, rear=0.4, width=0.6)
 DOCK = "[[0.5, -0.4], [0.7, -0.4], [0.7, 0.4], [0.5, 0.4]]"

@@ -17,7 +17,7 @@ from optdock.errors import (
 )
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import Pose2
-from optdock.path import Direction
+from optdock.model.path import Direction
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters
 from optdock.planners.two_segment import JointKind, plan_two_segment

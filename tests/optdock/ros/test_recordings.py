@@ -21,8 +21,8 @@ from optdock.executor.outcomes import Feedback, FeedbackState, Step
 from optdock.executor.planning import Motion, Outcome, PlanResult
 from optdock.geometry.pose import transform_points
 from optdock.io.plan_file import load_plan
-from optdock.measurements import Detection, Measurements
-from optdock.plugins import PluginChoice
+from optdock.model.measurements import Detection, Measurements
+from optdock.plugins.registry import PluginChoice
 from optdock.ros.bag import BagMessage, bag_types, write_bag
 from optdock.ros.field import kept_poses
 

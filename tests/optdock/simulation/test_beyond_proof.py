@@ -5,13 +5,13 @@ import functools
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot, TrackingTube
+from optdock.planning.pipeline import plan_dock
 from optdock.simulation import beyond_proof
 
 PLATE = Footprint([(0.4, -0.3), (0.6, -0.3), (0.6, 0.3), (0.4, 0.3)])

@@ -13,9 +13,9 @@ from optdock.config import load_scenario
 from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext
-from optdock.pipeline import plan_dock
-from optdock.plugins import PluginChoice
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import PluginContext
+from optdock.plugins.registry import PluginChoice
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
 DOCKING = {"along_path_tolerance": 0.02, "cross_track_tolerance": 0.02, "stopped": True}

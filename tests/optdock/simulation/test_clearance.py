@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import transform_points
-from optdock.obstacles import ObstacleSet
 from optdock.simulation import executed_clearance
 
 FOOTPRINT = Footprint(np.array([[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3], [0.1, 0.0]]))  # not convex

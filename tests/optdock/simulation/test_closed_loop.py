@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from checkers.axis import AxisGoalChecker
 from checkers.dock import DockGoalChecker
 from optdock.controllers.tracking import TrackingController
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import Direction, Path
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Direction, Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
+from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import Actuation, SimulationSettings, pose_errors, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
 from optdock.timing.near_optimal import NearOptimal

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive, Robot
 from optdock.plotting import save_mujoco_animation
-from optdock.robot import Drive, Robot
 from optdock.simulation import Actuation, DifferentialDrive, PoseSensor, Sensors, SimulatedRobot, executed_clearance
 from optdock.simulation.mujoco import Chassis, MujocoDrive, VShape, docking_model, flat_station
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.robot import Drive, Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Drive, Robot
 from optdock.simulation import Actuation, DifferentialDrive, Slip, StuckWheel, Wheels
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)

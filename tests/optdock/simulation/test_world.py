@@ -9,10 +9,10 @@ from checkers.axis import AxisGoalChecker
 from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.robot import Robot
+from optdock.model.limits import MotionLimits
+from optdock.model.robot import Robot
 from optdock.simulation import (
     Actuation,
     DifferentialDrive,

@@ -13,8 +13,8 @@ import pytest
 
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
-from optdock.obstacles import ObstacleSet
-from optdock.plugins import INTERFACES, available_plugins
+from optdock.geometry.obstacles import ObstacleSet
+from optdock.plugins.registry import INTERFACES, available_plugins
 from optdock.testing.contracts import CONTRACTS, installed_suites
 from optdock.testing.contracts.scene import GOAL, scene_context, scene_problem
 
@@ -118,7 +118,7 @@ def test_every_sample_belongs_to_a_plugin_and_says_what_its_suite_knows():
 
 
 FOREIGN = """
-from optdock.interfaces import GoalChecker, Tolerances
+from optdock.plugins.interfaces import GoalChecker, Tolerances
 
 class Always(GoalChecker):
     tolerances = Tolerances()

@@ -11,11 +11,11 @@ from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException, PluginError
 from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, Contact, CostmapInfoType, Layer
+from optdock.model.path import Path
 from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.drive import DriveOnHeading
-from optdock.parameters import PluginParameters
-from optdock.path import Path
+from optdock.plugins.interfaces import BehaviorResult, BehaviorStatus, Bounds, Contact, CostmapInfoType, Layer
+from optdock.plugins.parameters import PluginParameters
 from optdock.testing.contracts import (
     BehaviorContract,
     ContractBroken,

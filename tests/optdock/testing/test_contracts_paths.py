@@ -8,7 +8,9 @@ from pydantic import Field
 
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import normalize_angle
-from optdock.interfaces import (
+from optdock.model.path import Direction, Path, PolylineSegment
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.plugins.interfaces import (
     GlobalPlanner,
     Smoother,
     SmoothingResult,
@@ -17,11 +19,9 @@ from optdock.interfaces import (
     TimingStatus,
     never_cancelled,
 )
-from optdock.parameters import PluginParameters, checked_seconds
-from optdock.path import Direction, Path, PolylineSegment
-from optdock.plugins import create_plugin
+from optdock.plugins.parameters import PluginParameters, checked_seconds
+from optdock.plugins.registry import create_plugin
 from optdock.testing.contracts import GlobalPlannerContract, SmootherContract, TimeParameterizerContract
-from optdock.trajectory import TimeLaw, Trajectory
 
 
 class LineParameters(PluginParameters):

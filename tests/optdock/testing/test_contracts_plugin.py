@@ -7,9 +7,9 @@ import pytest
 from pydantic import ConfigDict, Field
 
 from optdock.errors import InvalidValue
-from optdock.interfaces import GoalChecker, LifecycleState, Tolerances
-from optdock.parameters import PluginParameters
-from optdock.plugins import INTERFACES
+from optdock.plugins.interfaces import GoalChecker, LifecycleState, Tolerances
+from optdock.plugins.parameters import PluginParameters
+from optdock.plugins.registry import INTERFACES
 from optdock.testing.contracts import GoalCheckerContract, PluginContract
 from optdock.testing.contracts.rules import (
     ContractBroken,

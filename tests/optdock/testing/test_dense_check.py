@@ -4,16 +4,16 @@ import math
 import numpy as np
 import pytest
 
-from optdock.camera import Camera
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.testing.dense_check import clearance_at, dense_check
 from optdock.testing.families import instance
 from optdock.verification import certify_path
@@ -133,7 +133,7 @@ def test_gears_that_do_not_join_are_found():
 def test_a_crab_and_a_wrong_gear_are_found():
     crab = Path.from_poses(np.column_stack((np.linspace(0, 4, 50), np.linspace(0, 0.4, 50), np.zeros(50))))
     assert "slip" in dense_check(crab, problem_with()).broken
-    from optdock.path import Direction, PolylineSegment
+    from optdock.model.path import Direction, PolylineSegment
 
     line = np.column_stack((np.linspace(0, 4, 50), np.zeros(50), np.zeros(50)))
     assert dense_check(Path((PolylineSegment(line, Direction.REVERSE),)), problem_with()).broken == ("direction",)

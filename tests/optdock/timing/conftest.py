@@ -7,8 +7,8 @@ import pytest
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Path
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
 
 
 def _dense_ratios(trajectory, limits, zone) -> dict[str, float]:

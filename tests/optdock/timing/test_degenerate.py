@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Path
+from optdock.plugins.interfaces import TimingStatus
 from optdock.testing.drives import s_curve_drive
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import limits_along

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock.model.trajectory import TimeLaw
 from optdock.timing.motion import Motion, State, braking_slack, state_after, stretched
-from optdock.trajectory import TimeLaw
 
 PHASES = ((0.4, 1.0), (0.3, 0.0), (0.5, -0.8), (0.7, 0.2))
 

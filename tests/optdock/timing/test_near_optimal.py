@@ -8,15 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import FailedToTimePath, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimeParameterizer, TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Path
-from optdock.plugins import PluginChoice, create_plugin, timed_by
-from optdock.problem import DockingProblem
-from optdock.robot import Footprint, Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Footprint, Robot
+from optdock.plugins.interfaces import TimeParameterizer, TimingStatus
+from optdock.plugins.registry import PluginChoice, create_plugin, timed_by
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory
@@ -246,7 +246,7 @@ def test_configuring_imports_what_the_first_call_needs():
     code = (
         "import sys\n"
         "from optdock.timing.near_optimal import NearOptimal\n"
-        "from optdock.lifecycle import PluginContext\n"
+        "from optdock.plugins.lifecycle import PluginContext\n"
         "assert 'ruckig' not in sys.modules and 'scipy' not in sys.modules\n"
         "NearOptimal().configure(PluginContext())\n"
         "assert 'ruckig' in sys.modules and 'scipy.linalg' in sys.modules\n"

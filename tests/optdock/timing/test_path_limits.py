@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Direction, Path
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Direction, Path
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.timing.motion import DriveBounds, Motion, State
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits, worst_ratio
 from optdock.timing.ruckig_moves import move
-from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory
 
 

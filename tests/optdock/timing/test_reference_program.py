@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from optdock.limits import SpeedZone
-from optdock.path import Path
+from optdock.model.limits import SpeedZone
+from optdock.model.path import Path
 from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.motion import State, state_after
 from optdock.timing.path_limits import ReferenceBounds, limits_along

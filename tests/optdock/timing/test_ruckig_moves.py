@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import PluginError
-from optdock.limits import SpeedZone
+from optdock.model.limits import SpeedZone
 from optdock.timing import ruckig_moves
 from optdock.timing.motion import DriveBounds, Motion, State
 from optdock.timing.near_optimal import reference_motion

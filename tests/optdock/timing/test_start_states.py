@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Direction, Path
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Direction, Path
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.motion import Motion, State, braking_slack
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits

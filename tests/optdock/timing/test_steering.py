@@ -8,20 +8,20 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimingStatus
-from optdock.limits import LIMITS, MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path, PolylineSegment
-from optdock.pipeline import plan_dock
-from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import LIMITS, MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
-from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_motion, certify_trajectory, trajectory_rules
 
 NO_ZONE = SpeedZone()

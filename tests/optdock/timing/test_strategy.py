@@ -9,9 +9,9 @@ import pytest
 
 from optdock.deadline import Deadline, OutOfTime
 from optdock.errors import InvalidValue
-from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Path
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Path
+from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.checks import SegmentPlan
 from optdock.timing.motion import DriveBounds, Motion, State
 from optdock.timing.near_optimal import NearOptimal, near_optimal_plans

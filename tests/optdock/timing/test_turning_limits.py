@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.limits import MotionLimits
+from optdock.model.limits import MotionLimits
 from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
 
 sizes = st.floats(0.05, 20.0)

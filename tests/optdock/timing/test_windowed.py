@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
-from optdock.interfaces import TimeParameterizer, TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Path
-from optdock.plugins import create_plugin
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import Path
+from optdock.plugins.interfaces import TimeParameterizer, TimingStatus
+from optdock.plugins.registry import create_plugin
 from optdock.timing.motion import DriveBounds
 from optdock.timing.windowed import Window, Windowed, reachable_speed, s_curve_length
 

@@ -10,19 +10,20 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidFile, NoMotionExists
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.impossibility import BlockedStraight, check_impossibility, prove_straight_blocked
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plan_file_verdict import judge_plan_file
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.report import failed_plan_file
-from optdock.robot import Robot
-from optdock.verification import BlockedStraight, certify_path, check_impossibility, prove_straight_blocked
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.reports.plan_file_verdict import judge_plan_file
+from optdock.reports.report import failed_plan_file
+from optdock.verification import certify_path
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
 RULE = ClearanceRule(0.05, 0.0, 0.5)

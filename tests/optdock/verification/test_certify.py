@@ -7,17 +7,17 @@ import weakref
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify, certify_path, certify_trajectory
 from optdock.verification.memo import Memo
 

@@ -11,16 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.deadline import never_late
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.polygon import is_convex
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification import certify_path, conservative_advancement, pose_clearance
 from optdock.verification.conservative_advancement import AdvanceBounds, Advances, _Subdivision, _World, advance_bounds
 from optdock.verification.motion_bounds import PathMotion

@@ -7,15 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.costmap import Costmap, obstacles_from_costmap
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification import certify_path, pose_clearance
 
 TOUCHING = ClearanceRule(0.0, 0.0, 0.0)

@@ -9,22 +9,17 @@ import pytest
 
 from experiments.fuzz.case import rng_of
 from experiments.fuzz.kinds import impossibilities
-from optdock.dock import Dock
 from optdock.errors import InvalidFile
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.pipeline import warm_up
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.impossibility import ImpossibilityProof, ImpossibilitySearch, check_impossibility, prove_impossible
+from optdock.impossibility import proof as impossibility
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import warm_up
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
-from optdock.verification import (
-    ImpossibilityProof,
-    ImpossibilitySearch,
-    check_impossibility,
-    impossibility,
-    prove_impossible,
-)
 from optdock.verification.certificate import TOLERANCE
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)

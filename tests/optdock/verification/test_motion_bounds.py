@@ -5,7 +5,7 @@ import pytest
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.verification.motion_bounds import PathMotion
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)

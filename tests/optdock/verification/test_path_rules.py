@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock, DockDirection
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.verification import certify_path
 
 LIMITS = MotionLimits(max_curvature=1.0, max_curvature_rate=2.0)

@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.errors import CertificationFailed, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
-from optdock.plan import DockPlan
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.replanning import DriveState, replan, still_holds
-from optdock.robot import Robot, TrackingTube
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot, TrackingTube
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.plan import DockPlan
+from optdock.planning.replanning import DriveState, replan, still_holds
 from optdock.verification import (
     ProvenMotion,
     ProvenWay,

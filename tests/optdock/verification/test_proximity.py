@@ -10,13 +10,13 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.testing.families import FAMILIES, instance
 from optdock.verification import end_clearances, pose_clearance, pose_clearances, proximity
 

@@ -8,23 +8,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import TimeParameterizer
 from optdock.io.plan_file import TrajectoryColumns
-from optdock.limits import DIMENSIONS, LimitKind, MotionLimits, SpeedZone
-from optdock.limits import LIMITS as KINDS
-from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path, TurnSegment
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.model.dock import Dock
+from optdock.model.limits import DIMENSIONS, LimitKind, MotionLimits, SpeedZone
+from optdock.model.limits import LIMITS as KINDS
+from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Drive, Robot
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import TimeParameterizer
+from optdock.plugins.registry import create_plugin
+from optdock.samples import check_sampled_motion, check_samples_of
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
-from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_path, certify_trajectory, check_sampled_motion, check_samples_of
+from optdock.verification import certify_path, certify_trajectory
 
 LIMITS = MotionLimits(
     max_yaw_rate=0.6, max_yaw_acceleration=1.2, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4,

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.obstacles import ObstacleSet
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.camera import Camera
-from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
-from optdock.problem import DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot, TrackingTube
 from optdock.verification import certify_path
 from optdock.verification.visibility import prove_view
 

@@ -8,19 +8,19 @@ import pytest
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
 from optdock.errors import BehaviorException
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Behavior, BehaviorStatus, CostmapInfoType, PluginContext
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.nav2.behaviors.drive import BackUp, DriveOnHeading
 from optdock.nav2.behaviors.spin import Spin
 from optdock.nav2.behaviors.wait import Wait
-from optdock.obstacles import ObstacleSet
-from optdock.plugins import create_plugin
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.plugins.interfaces import Behavior, BehaviorStatus, CostmapInfoType, PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.verification import pose_clearance
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)

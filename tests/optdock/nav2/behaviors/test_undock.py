@@ -6,21 +6,21 @@ import math
 import numpy as np
 import pytest
 
-from optdock.camera import Camera
-from optdock.dock import Dock, DockDirection
 from optdock.errors import BehaviorException, CertificationFailed, OptdockError
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Behavior, BehaviorStatus, CostmapInfoType, PluginContext
-from optdock.limits import MotionLimits
+from optdock.model.camera import Camera
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.nav2.behaviors.undock import Undock
 from optdock.nav2.behaviors.undock_plan import plan_undock, reversed_path
-from optdock.obstacles import ObstacleSet
-from optdock.path import Path
-from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Behavior, BehaviorStatus, CostmapInfoType, PluginContext
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import DifferentialDrive, executed_clearance
 from optdock.testing.drives import cusp_drive, s_curve_drive
 from optdock.verification import certify_path

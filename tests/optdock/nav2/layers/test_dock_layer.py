@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.occupancy import OccupancyGrid
-from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import Dock
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
 from optdock.nav2.layers.obstacle import ObstacleLayer

@@ -10,10 +10,10 @@ from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Bounds
-from optdock.lifecycle import PluginContext
 from optdock.nav2.layers.inflation import InflationLayer, inflation_costs
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE
+from optdock.plugins.interfaces import Bounds
+from optdock.plugins.lifecycle import PluginContext
 
 HERE = Pose2(0.0, 0.0, 0.0)
 

@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.occupancy import OccupancyGrid
-from optdock.dock import Dock
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Bounds
-from optdock.lifecycle import PluginContext
+from optdock.model.dock import Dock
 from optdock.nav2.layers.dock import DockLayer
 from optdock.nav2.layers.inflation import InflationLayer
 from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.layers.window import joined
+from optdock.plugins.interfaces import Bounds
+from optdock.plugins.lifecycle import PluginContext
 
 ROBOT = Footprint.rectangle(0.2, 0.2, 0.3)
 

@@ -9,13 +9,13 @@ from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Bounds, Layer
-from optdock.lifecycle import LifecycleState
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
 from optdock.nav2.layers.inflation import InflationLayer
 from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
+from optdock.plugins.interfaces import Bounds, Layer
+from optdock.plugins.lifecycle import LifecycleState
 
 HERE = Pose2(0.5, 0.5, 0.0)
 ROBOT = Footprint.rectangle(0.2, 0.2, 0.3)

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
-from optdock.interfaces import Bounds
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, grown_by_points, joined, window_of
+from optdock.plugins.interfaces import Bounds
 
 numbers = st.floats(-3.0, 3.0)
 GRID = Costmap.writable((6, 8), 0.5, (-1.0, -2.0))

@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner
-from optdock.limits import MotionLimits
-from optdock.path import Path
-from optdock.pipeline import plan_dock
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.segments import PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planners.manoeuvres.fewer_cusps import fewer_cusps
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
-from optdock.segments import PolylineSegment, TurnSegment
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import GlobalPlanner
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS, turns_in_place=True)

@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.obstacles import ObstacleSet
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.free_space import DistanceField, FreeSpace
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
 from optdock.verification import pose_clearances
 
 BENT = np.array([[-0.4, -0.3], [0.5, -0.3], [0.5, 0.1], [0.1, 0.1], [0.1, 0.4], [-0.4, 0.4]])

@@ -10,22 +10,22 @@ import ruckig
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, PluginContext
-from optdock.limits import MotionLimits
-from optdock.path import Path
+from optdock.model.dock import Dock, DockDirection
+from optdock.model.limits import MotionLimits
+from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.model.trajectory import braking_time
 from optdock.planners.manoeuvres import turns
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price, least_prices
 from optdock.planners.manoeuvres.stages import turning_radius
-from optdock.plugins import timed_by
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
-from optdock.trajectory import braking_time
+from optdock.plugins.interfaces import GlobalPlanner, PluginContext
+from optdock.plugins.registry import timed_by
 from optdock.verification import certify_path
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)

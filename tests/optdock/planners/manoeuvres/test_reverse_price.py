@@ -8,15 +8,15 @@ import pytest
 
 from optdock.config.scenario import Scenario, load_scenario
 from optdock.config.writing import save_scenario
-from optdock.dock import Dock
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
-from optdock.pipeline import plan_dock
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, least_prices
-from optdock.problem import DockingProblem
-from optdock.robot import Robot
+from optdock.planning.pipeline import plan_dock
 
 BEYOND = Pose2(2.5, 0.0, 0.0)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))

@@ -6,15 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.free_space import FreeSpace
 from optdock.planners.manoeuvres.roadmap import elastic_band
 from optdock.planners.manoeuvres.stages import Stages
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
 from optdock.verification import pose_clearances
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)

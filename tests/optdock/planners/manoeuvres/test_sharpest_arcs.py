@@ -5,16 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
 from optdock.planners.manoeuvres.stages import Stages
 from optdock.planners.manoeuvres.tree import ArcTree
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
 

@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.dock import Dock
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Controller, GoalChecker
-from optdock.limits import MotionLimits, TurnLimits
-from optdock.path import Direction, Path, PolylineSegment, TurnSegment
-from optdock.pipeline import plan_dock
+from optdock.model.dock import Dock
+from optdock.model.limits import MotionLimits, TurnLimits
+from optdock.model.path import Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, stops, turning_times
 from optdock.planners.manoeuvres.stages import Stages
-from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.planning.pipeline import plan_dock
+from optdock.plugins.interfaces import Controller, GoalChecker
+from optdock.plugins.registry import create_plugin
 from optdock.simulation import run_closed_loop
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path, pose_clearances

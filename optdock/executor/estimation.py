@@ -1,0 +1,557 @@
+"""Where the robot is: dead reckoning, corrected by measured poses that are late, noisy or wrong.
+
+`DeadReckoning` joins the poses of the odometry, or its twists, to the way of the robot. `PoseFilter` is an extended
+Kalman filter ([Thrun2005] ch. 3 and 7, [BarShalom2001]) of the robot's pose in one fixed frame: the map, or the frame
+of a dock. Beside the pose it estimates what is wrong with the odometry: a scale of the way, a turn per metre, and the
+delay of the measurements against it.
+
+A measurement outside the gate is put aside; when a few of a short time agree with each other, they are believed and the
+estimate jumps there. Innovations that keep to one side are none of a correct model, and grow the covariance.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from collections import deque
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.checked import finite_number
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.model.measurements import OdometryPose
+
+__all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
+
+_ORIGIN = Pose2(0.0, 0.0, 0.0)
+AHEAD = 0.01  # [s]: rounding and jitter of stamps; what is stamped later than that is of another clock
+# A new pose of the odometry that is farther than this from where the twists lead is one of a new frame: an odometry
+# that was restarted. Far more than a twist is ever wrong, plus what a fast robot drives while no twist comes.
+_LEAP = 0.3, 0.5  # [m], [rad]
+_FASTEST = 3.0, 6.0  # [m/s], [rad/s]
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists while the pose never changes at all: nobody writes it
+
+
+class DeadReckoning:
+    """The way of the robot by its odometry, seen from where it was first heard of.
+
+    Poses of the odometry are joined by their increments, so that a restart of its frame does no harm; from the newest
+    one to now the twists carry on, and without any poses they are integrated.
+
+    Args:
+        stamp: Of the first reading [s].
+        twist: Body velocity.
+        odometry: Pose; None where there is none.
+
+    Attributes:
+        pose: Where the robot is now.
+        restarts: How often the odometry's frame began anew.
+    """
+
+    def __init__(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> None:
+        self.pose = _ORIGIN
+        self.restarts = 0
+        self._stamp, self._twist = stamp, twist
+        self._known, self._at_known = odometry, _ORIGIN  # the newest pose of the odometry, and where it puts the robot
+        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # from there on, by the twists
+        self._idle = _ORIGIN  # the way by the twists since the pose of the odometry changed
+
+    def advance(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> Pose2:
+        """Go on to `stamp` and return the way since the last reading, seen from the last pose.
+
+        Args:
+            stamp: Now [s]; not before the last one.
+            twist: Body velocity.
+            odometry: The newest pose; one that was used before, or is older than that, is left out.
+        """
+        before, period = self.pose, stamp - self._stamp
+        if period > 0.0:
+            # The mean of the velocities at both ends is exact to second order.
+            mean = Twist2(
+                0.5 * (self._twist.linear + twist.linear),
+                0.5 * (self._twist.angular + twist.angular),
+                0.5 * (self._twist.lateral + twist.lateral),
+            )
+            self.pose, self._idle = before.moved(mean, period), self._idle.moved(mean, period)
+            self._since.append((stamp, self.pose))
+        self._stamp, self._twist = stamp, twist
+        if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + AHEAD:
+            self._join(odometry)
+        if self._known is None:
+            del self._since[:-1]
+        return before.inverse() @ self.pose
+
+    def _join(self, odometry: OdometryPose) -> None:
+        known, then = self._known, _between(self._since, odometry.stamp)
+        if known is None:
+            found = then
+        elif odometry.stamp <= known.stamp:
+            return
+        elif odometry.pose == known.pose and _is_beyond(self._idle, _IDLE):
+            found = self._at_known @ self._idle  # nobody writes the pose: the twists alone tell the way
+            self._since, self.pose = [(self._stamp, found)], found
+            return
+        else:
+            found, passed = self._at_known @ (known.pose.inverse() @ odometry.pose), odometry.stamp - known.stamp
+            if _is_beyond(found.in_frame_of(then), (_LEAP[0] + _FASTEST[0] * passed, _LEAP[1] + _FASTEST[1] * passed)):
+                self.restarts += 1
+                found = then
+            if odometry.pose != known.pose:
+                self._idle = _ORIGIN
+        self._known, self._at_known = odometry, found
+        moved = found @ then.inverse()
+        later = [(stamp, moved @ pose) for stamp, pose in self._since if stamp > odometry.stamp]
+        self._since = [(odometry.stamp, found), *later]
+        self.pose = self._since[-1][1]
+
+
+def _is_beyond(gap: Pose2, most: tuple[float, float]) -> bool:
+    """Whether a gap is larger than a distance [m] or an angle [rad]."""
+    return math.hypot(gap.x, gap.y) > most[0] or abs(gap.yaw) > most[1]
+
+
+def _between(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], stamp: float) -> Pose2:
+    """The pose at a stamp, along arcs between the readings; before the first and after the last those themselves."""
+    after = bisect_right(readings, stamp, key=_stamp_of)
+    if after == 0:
+        return readings[0][1]
+    if after == len(readings):
+        return readings[-1][1]
+    (begin, before), (end, pose) = readings[after - 1], readings[after]
+    return before.moved(_arc(pose.in_frame_of(before)), (stamp - begin) / (end - begin))
+
+
+def _stamp_of(reading: tuple[float, Pose2]) -> float:
+    return reading[0]
+
+
+def _arc(step: Pose2) -> Twist2:
+    """The constant twist that makes `step` in one second, its inverse: `Pose2.moved`."""
+    half = 0.5 * normalize_angle(step.yaw)
+    grow = half / math.sin(half) if abs(half) > 1e-9 else 1.0
+    c, s = math.cos(half), math.sin(half)
+    return Twist2(grow * (c * step.x + s * step.y), 2.0 * half, grow * (c * step.y - s * step.x))
+
+
+class OdometryErrors(NamedTuple):
+    """Standard deviations of what is wrong with dead reckoning, and with the stamps of measurements.
+
+    Attributes:
+        along: Random, of the way after a metre [m/m^0.5].
+        yaw_per_way: Random, of the heading after a metre [rad/m^0.5].
+        yaw_per_turn: Random, of the heading after a turn of 1 rad [rad/rad^0.5].
+        wander: Random walk of the fixed frame, x and y each [m/s^0.5].
+        yaw_wander: Likewise of its yaw [rad/s^0.5].
+        scale: Systematic, of the way: wheels larger than believed [1].
+        drift: Systematic, a turn per way: wheels of unequal size [rad/m].
+        delay: Systematic, of the measurements against the odometry [s].
+        jitter: Random, likewise [s].
+    """
+
+    along: float = 0.003
+    yaw_per_way: float = 0.003
+    yaw_per_turn: float = 0.01
+    wander: float = 5e-4
+    yaw_wander: float = 5e-4
+    scale: float = 0.0
+    drift: float = 0.0
+    delay: float = 0.0
+    jitter: float = 0.0
+
+
+Verdict = Literal["accepted", "rejected", "moved", "forgotten"]
+GATE = 16.27  # squared Mahalanobis distance in three dimensions that one measurement of 1000 exceeds
+_ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement is left out for less
+_MEMORY = 2.0  # [s] of motion that is remembered for what arrives late, and of measurements put aside
+_LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
+_INNOVATIONS = 8  # of which the mean is looked at
+_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations of a wheel that has just slipped; one mean of 100 exceeds the second
+_SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
+_CLOSE_GATE = 4.11  # of chi-squared with three degrees of freedom, for a probability of three quarters
+_ESTABLISHED = 8  # measurements that were believed; what jumps before may have been begun with a wrong one
+_SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was expected of one is left
+_DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
+
+
+class PoseFilter:
+    """Pose of the robot in a fixed frame from dead reckoning and measured poses, at any rates.
+
+    Args:
+        errors: Of the odometry.
+        confirmations: So many measurements that do not fit, but fit each other, are believed.
+        fewer_when_close: How many fewer are enough if they agree within the 75 % bound of their noise.
+
+    Attributes:
+        covariance: Of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
+            Shape (6, 6).
+        systematic: Scale [1], drift [rad/m] and delay [s] of the odometry as estimated, Shape (3,).
+        accepted: Number of measurements taken in.
+        jump: How far the last correction moved the estimate at once, seen from where it was; None where it did not.
+        rejected: Measurements in a row that were left out, up to now.
+        doubts: How often the covariance was grown because innovations kept to one side.
+        measured_at: Stamp of the newest measurement that was believed [s]; -inf before the first.
+
+    Raises:
+        InvalidValue: A standard deviation is negative or not finite.
+    """
+
+    def __init__(self, errors: OdometryErrors, *, confirmations: int = 4, fewer_when_close: int = 0) -> None:
+        for name, value in errors._asdict().items():
+            if not finite_number(value, f"pose filter: {name}") >= 0.0:
+                raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
+        self._errors, self._confirmations, self._fewer_when_close = errors, confirmations, fewer_when_close
+        self._seen_errors = errors  # with what wheels that slipped have shown
+        self.covariance: FloatArray = np.zeros((6, 6))
+        self.systematic: FloatArray = np.zeros(3)
+        self.jump: Pose2 | None = None
+        self.accepted = self.rejected = self.doubts = 0
+        self.measured_at = -math.inf
+        self._estimate: Pose2 | None = None
+        # Corrected dead reckoning: what lies back is the estimate now, moved back, and so never in an older frame.
+        self._reckoned: deque[tuple[float, Pose2]] = deque()
+        self._outside: list[_Outside] = []
+        self._whitened: deque[FloatArray] = deque(maxlen=_INNOVATIONS)
+
+    @property
+    def started(self) -> bool:
+        """Whether there is an estimate."""
+        return self._estimate is not None
+
+    @property
+    def pose(self) -> Pose2:
+        """The estimate now.
+
+        Raises:
+            InvalidValue: The filter was not started yet.
+        """
+        if self._estimate is None:
+            raise InvalidValue("pose filter: has no pose yet; start it with one")
+        return self._estimate
+
+    @property
+    def stamp(self) -> float:
+        """Of the last prediction [s]; -inf before the start."""
+        return self._reckoned[-1][0] if self._reckoned else -math.inf
+
+    @property
+    def remembered_from(self) -> float:
+        """The earliest stamp whose pose is known [s]; infinite before the start."""
+        return self._reckoned[0][0] if self._reckoned else math.inf
+
+    def start(self, stamp: float, pose: Pose2, covariance: FloatArray) -> None:
+        """Begin, or begin anew and forget everything but what was learned of the odometry.
+
+        Args:
+            stamp: Now [s].
+            pose: The first estimate.
+            covariance: Of it, Shape (3, 3) [m, m, rad].
+
+        Raises:
+            InvalidValue: The stamp is not finite, or earlier than the last one.
+        """
+        self._check_clock(stamp)
+        if not self.started:
+            scale, drift, delay = self._errors.scale, self._errors.drift, self._errors.delay
+            self.covariance[3:, 3:] = np.diag([scale**2, drift**2, delay**2])
+            self._reckoned.append((stamp, _ORIGIN))
+        self.place(pose, covariance)
+
+    def place(self, pose: Pose2, covariance: FloatArray) -> None:
+        """Put the robot elsewhere now; what was learned of the odometry and the way driven stay."""
+        self._estimate = pose
+        self._outside.clear()
+        self._whitened.clear()
+        self.covariance[:3, :] = 0.0
+        self.covariance[:, :3] = 0.0
+        self.covariance[:3, :3] = covariance
+
+    def predict(self, stamp: float, step: Pose2) -> Pose2:
+        """The estimate at `stamp`, after a way by odometry.
+
+        Args:
+            stamp: Now [s].
+            step: From the last stamp until now, seen from the pose then.
+
+        Raises:
+            InvalidValue: The stamp is not finite, or earlier than the last one; or the filter was not started.
+        """
+        self._check_clock(stamp)
+        before, last = self.pose, self.stamp
+        scale, drift = float(self.systematic[0]), float(self.systematic[1])
+        corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
+        after = self._estimate = before @ corrected
+        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors)
+        self._forget_slip(math.hypot(step.x, step.y))
+        reckoned = self._reckoned
+        if stamp > last:
+            reckoned.append((stamp, reckoned[-1][1] @ corrected))
+            while len(reckoned) > 2 and reckoned[1][0] <= stamp - _MEMORY:
+                reckoned.popleft()
+        elif step != _ORIGIN:  # the same stamp again, with a newer pose of the odometry
+            reckoned[-1] = (stamp, reckoned[-1][1] @ corrected)
+        self.jump = None
+        return after
+
+    def pose_at(self, stamp: float) -> Pose2:
+        """Where the robot was at `stamp` [s], as it is known now; after the last prediction: where it was then.
+
+        Raises:
+            InvalidValue: It lies more than two seconds back, or the filter was not started.
+        """
+        pose, reckoned = self.pose, self._reckoned
+        if stamp < reckoned[0][0]:
+            raise InvalidValue(f"pose filter: the motion is remembered from {reckoned[0][0]} s on, asked for {stamp} s")
+        return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
+
+    def correct(
+        self,
+        stamp: float,
+        measured: Pose2,
+        noise: FloatArray,
+        *,
+        may_move: bool = True,
+        slip: tuple[float, float] = (0.0, 0.0),
+    ) -> Verdict:
+        """Take in a measured pose.
+
+        Args:
+            stamp: When it was measured [s]; it may be late.
+            measured: Of the robot in the fixed frame.
+            noise: Covariance, Shape (3, 3) [m, m, rad].
+            may_move: Whether it may take part in a jump of the estimate.
+            slip: Standard deviations of the way [m] and the turn [rad] that wheels may have lost since the last
+                measurement; they count only if this one is accepted.
+
+        Returns:
+            `accepted`, `rejected` where it does not fit, `moved` where the estimate jumped to it and to others that
+            agree with it, or `forgotten` where it is older than what is remembered, or lies in the future.
+        """
+        pose, delay = self.pose, float(self.systematic[2])
+        if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
+            return "forgotten"
+        velocity = self._velocity_at(stamp - delay)
+        then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)
+        if ahead > 0.0:  # an odometry that is late itself
+            then = Pose2.from_sequence(then.as_array() + ahead * velocity)
+        miss = np.array([measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)])
+        seen = np.zeros((3, 6))
+        seen[0, 0] = seen[1, 1] = seen[2, 2] = 1.0
+        seen[0, 2], seen[1, 2] = pose.y - then.y, then.x - pose.x
+        seen[:, 5] = -velocity
+        noise = noise + self._errors.jitter**2 * np.multiply.outer(velocity, velocity)
+        covariance = self._with_slip(*slip)
+        shared = seen @ covariance
+        spread = shared @ seen.T + noise
+        solved = np.linalg.solve(spread, np.column_stack((miss, shared)))
+        near = math.hypot(miss[0], miss[1]) <= _ALWAYS_NEAR[0] and abs(miss[2]) <= _ALWAYS_NEAR[1]
+        if not near and float(miss @ solved[:, 0]) > GATE:
+            return self._put_aside(stamp, measured, then, noise) if may_move else "rejected"
+        change = shared.T @ solved[:, 0]
+        gain = solved[:, 1:].T
+        rest = np.eye(6) - gain @ seen
+        self.covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
+        self._shift(change)
+        self.accepted, self.rejected = self.accepted + 1, 0
+        self.measured_at = max(self.measured_at, stamp)
+        self._outside = [one._replace(accepted_since=one.accepted_since + 1) for one in self._outside]
+        self._check_innovations(np.linalg.solve(np.linalg.cholesky(spread), miss), miss)
+        return "accepted"
+
+    def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
+        """Note where the robot may be if something else is right: a single measurement there is then believed.
+
+        Args:
+            pose: Where it may be now.
+            covariance: Of that, Shape (3, 3) [m, m, rad].
+        """
+        self._outside.append(_Outside(self.stamp, pose, self._reckoned[-1][1], covariance, 0, is_measured=False))
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether two or more of the newest measurements agree with each other and not with the estimate."""
+        since = self.stamp - _MEMORY
+        newest = [o for o in self._outside if o.is_measured and o.accepted_since == 0 and o.stamp > since]
+        return any(self._agree(one, newest[-1]) for one in newest[:-1])
+
+    def after(self, way: float) -> FloatArray:
+        """The covariance of x, y and yaw after a straight way without a measurement or a slip, Shape (3, 3).
+
+        Args:
+            way: Forward [m], negative in reverse.
+        """
+        covariance, pose = self.covariance, self.pose
+        for _ in range(_STEPS):
+            step = Pose2(way / _STEPS, 0.0, 0.0)
+            after = pose @ step
+            covariance = _grown(covariance, pose, after, step, 0.0, self._errors)
+            pose = after
+        found: FloatArray = covariance[:3, :3].copy()
+        return found
+
+    def _with_slip(self, along: float, yaw: float) -> FloatArray:
+        """The covariance with standard deviations of a slip along the heading [m] and of a turn [rad], Shape (6, 6)."""
+        c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
+        found: FloatArray = self.covariance.copy()
+        found[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
+        found[2, 2] += yaw**2
+        return found
+
+    def _check_clock(self, stamp: float) -> None:
+        stamp = finite_number(stamp, "pose filter: stamp")
+        if stamp < self.stamp:
+            raise InvalidValue(f"pose filter: the clock went back, from {self.stamp} s to {stamp} s")
+
+    def _shift(self, change: FloatArray) -> None:
+        pose = self.pose
+        x, y, yaw = change[:3].tolist()
+        self._estimate = Pose2(pose.x + x, pose.y + y, pose.yaw + yaw)
+        self.systematic = self.systematic + change[3:]
+        self.systematic[2] = min(max(self.systematic[2], -_LONGEST_DELAY), _LONGEST_DELAY)
+
+    def _velocity_at(self, stamp: float) -> FloatArray:
+        """Of the robot in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
+        reckoned = self._reckoned
+        after = min(max(bisect_right(reckoned, stamp, key=_stamp_of), 1), len(reckoned) - 1)
+        if len(reckoned) < 2:
+            return np.zeros(3)
+        (begin, before), (end, pose) = reckoned[after - 1], reckoned[after]
+        turn = self.pose.yaw - reckoned[-1][1].yaw
+        c, s = math.cos(turn), math.sin(turn)
+        x, y = (pose.x - before.x) / (end - begin), (pose.y - before.y) / (end - begin)
+        return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
+
+    def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
+        """A measurement outside the gate: a wrong one, or one of the first after a jump."""
+        now = measured @ (then.inverse() @ self.pose)
+        one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
+        self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]
+        agreeing = [other for other in self._outside if self._agree(other, one)]
+        self._outside.append(one)
+        self.rejected += 1
+        measured_there = [other for other in agreeing if other.is_measured]
+        count, is_supposed = len(measured_there) + 1, len(measured_there) < len(agreeing)
+        is_close = all(self._agree(other, one, _CLOSE_GATE) for other in measured_there)
+        needed = self._confirmations - (self._fewer_when_close if is_close else 0)
+        is_confirmed = is_supposed or count >= max(needed, 2)
+        if not is_confirmed or max((other.accepted_since for other in measured_there), default=-1) >= count - 1:
+            return "rejected"
+        before, driven = self.pose, self._driven()
+        offsets = [_difference(other.moved_to(one.reckoned), now) for other in measured_there]
+        x, y, yaw = (np.sum(offsets, axis=0) / count).tolist() if offsets else (0.0, 0.0, 0.0)
+        self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
+        self.jump = self.pose.in_frame_of(before)
+        if driven > _SLIPPED and not is_supposed and self.accepted >= _ESTABLISHED:
+            self._expect_slip(self.jump, driven)
+        self.accepted, self.rejected = self.accepted + count, 0
+        self.measured_at = max(self.measured_at, stamp)
+        return "moved"
+
+    def _driven(self) -> float:
+        """Way that is remembered [m]."""
+        poses = [pose for _, pose in self._reckoned]
+        return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
+
+    def _expect_slip(self, jump: Pose2, driven: float) -> None:
+        """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
+        errors, root = self._seen_errors, math.sqrt(driven)
+        self._seen_errors = errors._replace(
+            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
+            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
+        )
+
+    def _forget_slip(self, driven: float) -> None:
+        """Expect less of what the odometry did a while ago."""
+        errors, seen, left = self._errors, self._seen_errors, math.exp(-driven / _SLIP_MEMORY)
+        if seen is errors:
+            return
+        self._seen_errors = errors._replace(
+            along=errors.along + left * (seen.along - errors.along),
+            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
+        )
+
+    @staticmethod
+    def _agree(one: _Outside, other: _Outside, gate: float = GATE) -> bool:
+        off = _difference(one.moved_to(other.reckoned), other.now)
+        near = math.hypot(off[0], off[1]) <= _ALWAYS_NEAR[0] and abs(off[2]) <= _ALWAYS_NEAR[1]
+        # Two measurements of one pose differ by the noise of both.
+        return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= gate
+
+    def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
+        """Grow the covariance where the innovations keep to one side; those of a correct model are white."""
+        self._whitened.append(whitened)
+        for count in range(2, min(_SUDDEN, len(self._whitened)) + 1):
+            total = np.sum(list(self._whitened)[-count:], axis=0)
+            if float(total @ total) / count > _SUDDEN_GATE and self._driven() > _SLIPPED:
+                self.covariance[:3, :3] += np.multiply.outer(miss, miss)
+                self._whitened.clear()
+                return
+        if len(self._whitened) < _INNOVATIONS:
+            return
+        total = np.sum(self._whitened, axis=0)
+        if float(total @ total) / _INNOVATIONS <= GATE:
+            return
+        self._whitened.clear()
+        self.doubts += 1
+        self.covariance[:3, :3] += np.multiply.outer(miss, miss)
+        for k, sigma in enumerate((self._errors.scale, self._errors.drift, self._errors.delay), 3):
+            self.covariance[k, :] = self.covariance[:, k] = 0.0
+            self.covariance[k, k] = (_DOUBT * sigma) ** 2
+
+
+class _Outside(NamedTuple):
+    """A measured pose outside the gate.
+
+    Attributes:
+        stamp: Of the measurement [s].
+        now: Where the robot would be when it came.
+        reckoned: Dead reckoning then.
+        noise: Covariance, Shape (3, 3).
+        accepted_since: Measurements that fitted since then.
+        is_measured: False where it was supposed.
+    """
+
+    stamp: float
+    now: Pose2
+    reckoned: Pose2
+    noise: FloatArray
+    accepted_since: int
+    is_measured: bool
+
+    def moved_to(self, reckoned: Pose2) -> Pose2:
+        """Where it would be with dead reckoning at `reckoned`."""
+        return self.now @ (self.reckoned.inverse() @ reckoned)
+
+
+_FORGOTTEN = 0.2  # of the systematic errors, after a metre: so that what was learned wrongly can be learned anew
+_STEPS = 4  # in which a straight way is looked ahead: the covariance couples yaw and place to second order
+
+
+def _grown(
+    covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
+) -> FloatArray:
+    """The covariance after a step of odometry. Shape (6, 6)."""
+    way, turn = step.x, abs(normalize_angle(step.yaw))
+    driven = math.hypot(step.x, step.y)
+    middle = before.yaw + 0.5 * normalize_angle(step.yaw)
+    c, s = math.cos(middle), math.sin(middle)
+    slope = np.eye(6)
+    slope[0, 2], slope[1, 2] = before.y - after.y, after.x - before.x
+    slope[0, 3], slope[1, 3], slope[2, 4] = c * way, s * way, way
+    grown: FloatArray = slope @ covariance @ slope.T
+    along, wander = errors.along**2 * driven, errors.wander**2 * period
+    grown[0, 0] += c * c * along + wander
+    grown[1, 1] += s * s * along + wander
+    grown[0, 1] += c * s * along
+    grown[1, 0] += c * s * along
+    grown[2, 2] += errors.yaw_per_way**2 * driven + errors.yaw_per_turn**2 * turn + errors.yaw_wander**2 * period
+    return grown
+
+
+def _difference(pose: Pose2, reference: Pose2) -> FloatArray:
+    return np.array([pose.x - reference.x, pose.y - reference.y, normalize_angle(pose.yaw - reference.yaw)])

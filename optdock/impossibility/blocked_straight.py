@@ -1,0 +1,218 @@
+"""A proof that no motion exists: the straight before the dock, which every certified path ends with, is blocked.
+
+**Theorem.** Let `check_blocked_straight(proof, problem)` be proven. Then no path to the dock is certified for the
+problem: a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear that the
+dock allows (`path_rules`). So a path has every pose on one of these straights, but for what the certificate tolerates,
+and for each of them the proof names a pose that is closer to an obstacle than the least that any certificate requires
+there (`least_required`), by more than is tolerated, or overlaps one.
+
+Whoever checks the proof measures the poses again, by distances of shapely.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from optdock.errors import InvalidFile
+from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.obstacles import in_words
+from optdock.geometry.pose import transform_points
+from optdock.impossibility.proof import SLACK, ImpossibilityVerdict, least_required
+from optdock.model.dock import DockDirection
+from optdock.verification.path_rules import STRAIGHT_TOLERANCE
+from optdock.verification.proximity import end_clearances, pose_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.model.problem import DockingProblem
+
+__all__ = ["BlockedPose", "BlockedStraight", "check_blocked_straight", "prove_straight_blocked"]
+
+_SPACING = 0.01  # [m] between the poses looked at
+_GEARS = {DockDirection.FORWARD: (1,), DockDirection.BACKWARD: (-1,), DockDirection.AUTO: (1, -1)}
+
+
+@dataclass(frozen=True)
+class BlockedPose:
+    """Where the straight of one gear is blocked.
+
+    Args:
+        gear: In which the dock is entered, 1 or -1.
+        before: How far before the dock [m].
+        x: Where the robot's origin is [m].
+        y: Likewise [m].
+        yaw: Its heading [rad].
+        clearance: What the robot has there, negative where it overlaps something [m].
+        required: The least that any certificate requires there [m].
+        obstacle: The name of what is nearest.
+    """
+
+    gear: int
+    before: float
+    x: float
+    y: float
+    yaw: float
+    clearance: float
+    required: float
+    obstacle: str
+
+    def __str__(self) -> str:
+        gear, met = "forward" if self.gear > 0 else "backward", in_words(self.obstacle)
+        kept = f"overlaps {met} by {-self.clearance:.4f} m" if self.clearance < 0.0 else ""
+        kept = kept or f"is {self.clearance:.4f} m from {met}, required {self.required:.4f} m"
+        return f"{gear}, {self.before:.3f} m before it, the footprint {kept}"
+
+
+@dataclass(frozen=True)
+class BlockedStraight:
+    """A blocked pose on each straight by which the dock may be entered.
+
+    Args:
+        poses: One for every gear that the dock allows.
+        problem: Digests of what it was proven for.
+    """
+
+    poses: tuple[BlockedPose, ...]
+    problem: ProblemFingerprint
+
+    @property
+    def message(self) -> str:
+        """One sentence for people."""
+        blocked = "; ".join(map(str, self.poses))
+        told = f"no motion ends in the dock: its final straight is blocked: {blocked}"
+        if all(pose.clearance >= 0.0 for pose in self.poses):
+            kept = max(pose.clearance for pose in self.poses)
+            told += f"; up to {kept:.4f} m can be kept there, see clearance.dock_run"
+        return told
+
+    @property
+    def where(self) -> dict[str, object]:
+        """What a refusal says of it: the pose that is least blocked, its obstacle, clearance and requirement."""
+        least = min(self.poses, key=lambda pose: pose.required - pose.clearance)
+        measured = {"clearance": least.clearance, "required": least.required}
+        pose = [least.x, least.y, least.yaw]
+        return {"reason": "approach_blocked", "pose": pose, "obstacle": least.obstacle, **measured}
+
+    @property
+    def bottleneck(self) -> None:
+        """None: where it is blocked its poses say."""
+        return
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a plan file."""
+        return {"straight": [vars(pose) for pose in self.poses], "problem": self.problem._asdict()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, object]) -> BlockedStraight:
+        """What `as_dict` gave.
+
+        Raises:
+            InvalidFile: Something is missing, or of another kind.
+        """
+        try:
+            document = _Document.model_validate(values)
+            poses = tuple(BlockedPose(**pose.model_dump()) for pose in document.straight)
+            return cls(poses, ProblemFingerprint(**document.problem))
+        except (ValueError, TypeError) as error:  # pydantic's errors are ValueErrors
+            raise InvalidFile(f"impossibility: {error}") from error
+
+
+class _PoseDocument(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
+
+    gear: Annotated[int, Field(ge=-1, le=1)]
+    before: float
+    x: float
+    y: float
+    yaw: float
+    clearance: float
+    required: float
+    obstacle: str
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    straight: Annotated[tuple[_PoseDocument, ...], Field(max_length=2)]
+    problem: dict[str, str]
+
+
+def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
+    """The proof that the final straight is blocked, in every gear that the dock allows; None where it is not.
+
+    It looks at poses a centimetre apart, all of them in about a millisecond.
+    """
+    straight, slack = problem.dock.final_straight, _slack(problem)
+    if straight <= 0.0 or len(problem.all_obstacles) == 0:
+        return None
+    before = np.linspace(0.0, straight, math.ceil(straight / _SPACING) + 1)
+    found = []
+    for gear in _GEARS[problem.dock.direction]:
+        poses = _poses(gear, before, problem)
+        required = least_required(problem, poses[:, 0], poses[:, 1], slack, end_clearances(problem).start)
+        footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+        clearance, row = pose_clearances(poses, footprint, obstacles, float(required.max()) + slack)
+        k = int(np.argmax(required - clearance))
+        if not required[k] - clearance[k] > 2.0 * slack:
+            return None
+        name = obstacles.name_of(int(row[k]))
+        (x, y, yaw), kept = poses[k].tolist(), float(clearance[k])
+        found.append(BlockedPose(gear, float(before[k]), x, y, yaw, kept, float(required[k]), name))
+    return BlockedStraight(tuple(found), problem.fingerprint)
+
+
+def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> ImpossibilityVerdict:
+    """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is measured again.
+
+    Args:
+        proof: What somebody claims.
+        problem: What the robot must do.
+
+    Returns:
+        The verdict; its `cells` are the poses judged.
+    """
+    import shapely
+
+    fault = ""
+    if not 0.0 < problem.dock.final_straight < math.inf:
+        fault = "the dock asks for no final straight"
+    elif set(_GEARS[problem.dock.direction]) - {pose.gear for pose in proof.poses}:
+        fault = "it says nothing of a gear that the dock allows"
+    elif not all(0.0 <= pose.before <= problem.dock.final_straight for pose in proof.poses):
+        fault = "a pose is not on the final straight"
+    if fault:
+        return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
+    slack, start_clearance = _slack(problem), end_clearances(problem).start
+    tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices))
+    for blocked in proof.poses:
+        pose = _poses(blocked.gear, np.array([blocked.before]), problem)
+        required = least_required(problem, pose[:, 0], pose[:, 1], slack, start_clearance)[0]
+        outline = shapely.Polygon(transform_points(pose, problem.robot.footprint.vertices)[0])
+        # Grown by what is required, or shrunk where that is less than what is tolerated.
+        within = float(required) - slack
+        body = outline if within > 0.0 else outline.buffer(within, join_style="mitre")
+        met = tree.query(body, predicate="dwithin", distance=within) if within > 0.0 else tree.query(body, "intersects")
+        if body.is_empty or met.size == 0:
+            reason = f"{blocked.before:.3f} m before the dock the robot is free"
+            return ImpossibilityVerdict(proven=False, reason=reason, cells=0)
+    return ImpossibilityVerdict(proven=True, reason="", cells=len(proof.poses))
+
+
+def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray:
+    """Poses so far before the dock, Shape (n,) [m] to (n, 3)."""
+    goal, back = problem.goal, -gear * before
+    x, y = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
+    poses: FloatArray = np.column_stack((x, y, np.full(before.size, goal.yaw)))
+    return poses
+
+
+def _slack(problem: DockingProblem) -> float:
+    """How far a point of the robot may be from where the exact straight has it, on a certified path [m]."""
+    return STRAIGHT_TOLERANCE * (1.0 + problem.robot.footprint.circumscribed_radius) + SLACK

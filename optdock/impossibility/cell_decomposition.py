@@ -1,0 +1,984 @@
+"""The search for a proof that no motion exists: approximate cell decomposition, refined where a route is left.
+
+What such a proof is, and why it is one, stands in `impossibility`. Here tiles of cells are made until no route from
+start to goal is left, one is found that is wide open, or time is up ([Brooks1985], [Zhang2008]):
+
+    1. The plane is a quadtree of tiles. Of a tile that nobody has looked at everything counts as free.
+    2. A tile that was looked at falls into blocked cells, cells that look open, and narrow ones between. Connected
+       cells of one kind are one node of a graph.
+    3. The cheapest route through the graph is the one through the fewest narrow and unseen tiles. These are split.
+
+How a tile looks is a matter of a few milliseconds: its cells share one lattice of distances from the obstacles, and
+every disc of the body at every heading reads it shifted by whole nodes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+import math
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from optdock.deadline import Deadline, OutOfTime, never_late
+from optdock.geometry.arrays import frozen, readonly
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.geometry.separation import separation
+from optdock.impossibility.proof import (
+    CELLS,
+    SLACK,
+    Bottleneck,
+    ImpossibilityProof,
+    least_required,
+)
+from optdock.verification.proximity import end_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+    from scipy.sparse import csr_matrix
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.model.problem import DockingProblem
+
+__all__ = ["ImpossibilitySearch", "prepare_footprint", "prove_impossible"]
+
+_FINEST = 4  # level of the finest tiles
+_REACH = 0.7  # of a cell's turn: points at this share of the body's reach move as far by it as by half a cell's side
+# Half a cell of level 0, as a share of the largest disc's radius: cells of level 0 must be able to close a thin wall.
+_CELL = 0.27
+_FIT = 0.03  # of the largest disc's radius: how far the body may stick out of its discs
+_SMALLER = 0.6  # from one disc in a corner to the next
+_LARGEST = 6  # levels of unseen tiles above level 0
+_GATHERED = 250_000  # distances read in one go, less than a millisecond
+_OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+_NODES, _AROUND = 129, 6.0  # of the lattice for a first look; [largest discs] around start and goal
+_STEP = 0.004  # [s]: the longest steps between two looks at the clock take about so long, on a quiet machine
+_FEWEST_HEADINGS = 8  # of level 0
+_SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
+_ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_ROUNDS_OF_DISC = 10  # likewise, for a disc
+_PLACES = 5  # on the widest route that are compared by exact distances
+_POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
+_POLISHED_AT = (33, 9, 5)  # places along each axis, where one, two or three of them are open
+_FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
+_CLOSE = 0.01  # [m]: half a cell; so much and a little more a narrow place of a disc may be off
+_ROOM = 1e3  # [m] of clearance that nobody has
+_SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
+
+
+def prove_impossible(
+    problem: DockingProblem, *, time_budget: float = 1.0, cancel_checker: Callable[[], bool] = never_late
+) -> ImpossibilityProof | None:
+    """Try to prove that no motion of any kind joins start and goal, reversing and turning in place included.
+
+    Args:
+        problem: From where, to where, with what, among what.
+        time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+        cancel_checker: Asked as often; True ends the search.
+
+    Returns:
+        The proof; or None: there may be a motion, or the time was too short. `check_impossibility` judges it.
+    """
+    return ImpossibilitySearch(problem).proof(time_budget, cancel_checker)
+
+
+class ImpossibilitySearch:
+    """A search for a proof that can go on where it was interrupted.
+
+    At first it looks at the largest disc within the robot alone. Whatever that cannot pass the robot cannot pass at any
+    heading, and without headings there are a hundred times fewer cells.
+
+    Args:
+        problem: From where, to where, with what, among what.
+    """
+
+    def __init__(self, problem: DockingProblem) -> None:
+        self.problem = problem
+        self._left: list[_Body] | None = None if len(problem.all_obstacles) else []  # the next one last; None: not made
+        self._search: _Search | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no use in going on."""
+        return self._left == []
+
+    def proof(
+        self, time_budget: float, cancel_checker: Callable[[], bool] = never_late, *, only_disc: bool = False
+    ) -> ImpossibilityProof | None:
+        """Go on.
+
+        Args:
+            time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+            cancel_checker: Asked as often; True interrupts it.
+            only_disc: Stop where the largest disc alone proves nothing.
+
+        Returns:
+            The proof, with the bottleneck as far as there was time for it; or None, where there is none, or none yet.
+        """
+        deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
+        with contextlib.suppress(OutOfTime):
+            if self._left is None:
+                body = _body(self.problem.robot.footprint, deadline.look)
+                self._left = [body, body.largest_disc]
+            while len(self._left) > int(only_disc):
+                if self._search is None:
+                    self._search = _Search(self.problem, self._left[-1], deadline)
+                if len(self._left) == 1 or not self._search.looks_open(deadline):
+                    proof = self._search.proof(deadline)
+                    if proof is not None:
+                        return proof
+                self._search = None
+                self._left.pop()
+        return None
+
+
+class _Body(NamedTuple):
+    """A footprint as discs within it: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
+
+    centre: FloatArray
+    discs: FloatArray
+    reach: float
+
+    @property
+    def largest_disc(self) -> _Body:
+        """The largest of the discs alone, which looks the same at every heading."""
+        x, y, radius = self.discs[0].tolist()
+        return _Body(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
+
+    @property
+    def turns(self) -> bool:
+        """Whether a heading matters."""
+        return bool(self.discs[:, :2].any())
+
+
+_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
+
+
+@functools.lru_cache(maxsize=16)
+def _bodies(footprint: Footprint) -> list[_Body]:  # noqa: ARG001 - the key
+    """A cache cell per footprint: a list with its discs; empty until they are made, also after an interruption."""
+    return []
+
+
+def _body(footprint: Footprint, look: Callable[[], None]) -> _Body:
+    """The discs of a footprint, made once.
+
+    Args:
+        footprint: Of the robot.
+        look: Called every few milliseconds; what it raises is passed on, and nothing is kept.
+    """
+    kept = _bodies(footprint)
+    if not kept:
+        kept.append(_discs_within(footprint, look))
+    return kept[0]
+
+
+def prepare_footprint(footprint: Footprint) -> None:
+    """Make the discs of a footprint now, so that no search for a proof has to: 6 to 40 ms, once per footprint."""
+    _body(footprint, lambda: None)
+
+
+def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:
+    """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
+    outline = footprint.vertices
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    outline = outline - centre
+    reach = float(np.hypot(*outline.T).max())
+    step = np.linspace(-reach, reach, 61)
+    points = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
+    points = np.vstack((points, 0.0 * points[:1]))
+    radius = _depth(points, outline, look)
+    points, radius = points[radius > 0.0], radius[radius > 0.0]
+    if radius.size == 0:  # a sliver between all of them
+        points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
+        radius = _depth(points, outline, look)
+    largest = radius.max()
+    # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
+    inward = np.empty_like(outline)
+    for i, corner in enumerate(outline):
+        look()
+        along = points - corner
+        inward[i] = along[(radius / np.hypot(*along.T)).argmax()]
+    shares = _SMALLER ** np.arange(1, 12)
+    corners = (outline[:, None] + shares[:, None] * inward[:, None]).reshape(-1, 2)
+    points = np.vstack((points, corners))
+    radius = np.concatenate((radius, _depth(corners, outline, look)))
+    points, radius = points[radius > 0.0], radius[radius > 0.0]
+    ends = np.roll(outline, -1, axis=0)
+    per_edge = max(_FEWEST_SAMPLES, -(-_SAMPLES // len(outline)))
+    share = np.linspace(0.0, 1.0, per_edge, endpoint=False)[:, None, None]
+    samples = (outline + share * (ends - outline)).reshape(-1, 2)
+    covers = np.empty((len(samples), len(points)), dtype=np.bool_)
+    for i, sample in enumerate(samples):
+        look()
+        gap = np.hypot(*(sample - points).T) - radius
+        covers[i] = gap <= _FIT * largest
+        covers[i, gap.argmin()] = True
+    chosen = _cover(covers, int(radius.argmax()), look)
+    return frozen(_Body(centre, np.column_stack((points, radius))[chosen], reach))
+
+
+def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
+    """Columns that together are true in every row, greedily: each in as many of the rows that are left as it can be."""
+    chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
+    while True:
+        newly = np.flatnonzero(left & covers[:, chosen[-1]])
+        left[newly] = False
+        for k in range(0, newly.size, _SOME):
+            look()
+            gains -= covers[newly[k : k + _SOME]].sum(axis=0)
+        if not left.any():
+            return chosen
+        chosen.append(int(gains.argmax()))
+
+
+_SOME = 64  # samples of the outline in one go
+_ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
+
+
+def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
+    """How deep points lie in a polygon, Shape (n,) [m]; not above 0 outside."""
+    blocks, step = [], max(1, _ROWS // len(outline))
+    for k in range(0, len(points), step):
+        look()
+        blocks.append(_depth_of_some(points[k : k + step], outline))
+    return np.concatenate(blocks)
+
+
+def _depth_of_some(points: FloatArray, outline: FloatArray) -> FloatArray:
+    start, edge = outline, np.roll(outline, -1, axis=0) - outline
+    to = points[:, None] - start
+    along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
+    distance = np.hypot(*(to - along[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
+    end = np.roll(outline, -1, axis=0)
+    crosses = (start[:, 1] > points[:, 1:]) != (end[:, 1] > points[:, 1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = start[:, 0] + (points[:, 1:] - start[:, 1]) / edge[:, 1] * edge[:, 0]
+    inside = (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
+    found: FloatArray = np.where(inside, distance - 1e-9, -distance)
+    return found
+
+
+class _Grid(NamedTuple):
+    """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
+
+    origin: FloatArray
+    cell: float
+    headings: int
+    above: int
+
+    def half(self, level: int) -> float:
+        return self.cell * 0.5**level
+
+    def side(self, level: int) -> float:
+        return 2.0 * CELLS * self.half(level)
+
+    def count(self, level: int) -> int:
+        return self.headings << level
+
+
+class _Tile(NamedTuple):
+    """One tile of the quadtree; one that nobody has looked at has neither `blocked` nor `margin`.
+
+    `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
+    their middles, likewise [m].
+    """
+
+    level: int
+    column: int
+    row: int
+    blocked: BoolArray | None = None
+    margin: NDArray[np.float32] | None = None
+
+    def split(self) -> list[tuple[int, int, int]]:
+        """Level, column and row of its quarters."""
+        return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
+
+
+class _Obstacles:
+    """Obstacles in the frame of the tiles, for distances of lattice nodes from them."""
+
+    def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
+        everything, self.look = problem.all_obstacles, look
+        self.normals, self.vertices = everything.normals, everything.vertices - origin
+        self.offsets = (self.normals * self.vertices).sum(axis=2)
+        self.lower, self.upper = everything.lower - origin, everything.upper - origin
+        starts, ends = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
+        kept = (starts != ends).any(axis=1)
+        self.starts, self.along = starts[kept], (ends - starts)[kept]
+        self.low, self.high = np.minimum(starts, ends)[kept], np.maximum(starts, ends)[kept]
+
+    def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
+        """Upper bounds of the distances of nodes from the obstacles, Shape (count, count), rows along y [m].
+
+        Every node is measured against a point of an obstacle near the node that is nearest among those near obstacles.
+
+        Args:
+            corner: The first node [m].
+            step: Between nodes [m].
+            count: Nodes along each side; what lies further out is left out.
+        """
+        from scipy import ndimage
+
+        extent = step * (count - 1)
+        inside = self._inside(corner, step, count)
+        points = self._samples(corner, extent, 0.5 * step)
+        node = np.rint(points / step).astype(np.int64)
+        at_x, at_y = np.meshgrid(step * np.arange(count), step * np.arange(count))
+        point_x, point_y = at_x.copy(), at_y.copy()
+        point_x[node[:, 1], node[:, 0]], point_y[node[:, 1], node[:, 0]] = points.T
+        none = ~inside
+        none[node[:, 1], node[:, 0]] = False
+        if none.all():
+            return np.full((count, count), np.inf, dtype=np.float32)
+        self.look()
+        row, column = ndimage.distance_transform_edt(none, return_distances=False, return_indices=True)
+        self.look()
+        nearest = row * count + column
+        found = np.hypot(at_x - point_x.take(nearest), at_y - point_y.take(nearest))
+        found[inside] = 0.0
+        single: NDArray[np.float32] = found.astype(np.float32)
+        return single
+
+    def _inside(self, corner: FloatArray, step: float, count: int) -> BoolArray:
+        """Which nodes lie in an obstacle: of every piece and row from which node to which."""
+        low, high = (self.lower - corner) / step, (self.upper - corner) / step
+        met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
+        first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
+        number = np.maximum(np.floor(np.clip(high[met, 1], 0, count - 1)).astype(np.int64) + 1 - first, 0)
+        piece = np.repeat(np.arange(met.size), number)
+        row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
+        (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
+        # A normal along y bounds no x: it lets a whole row through, or nothing of it.
+        room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
+        steep, is_along = step * nx[piece], nx[piece] == 0.0
+        bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
+        until = np.where((steep > 0.0) | is_along, bound, inf).min(axis=1, initial=inf)
+        since = np.where(steep < 0.0, bound, -inf).max(axis=1, initial=-inf)
+        begin = np.ceil(np.clip(since, 0, count)).astype(np.int64)
+        stop = np.maximum(np.floor(np.clip(until, -1, count - 1)).astype(np.int64) + 1, begin)
+        change = np.bincount(row * (count + 1) + begin, minlength=count * (count + 1))
+        change -= np.bincount(row * (count + 1) + stop, minlength=count * (count + 1))
+        inside: BoolArray = change.reshape(count, count + 1).cumsum(axis=1)[:, :-1] > 0
+        return inside
+
+    def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
+        """Points of the outlines, clipped to a square ([Liang1984]), at most `spacing` apart. Shape (n, 2) [m]."""
+        rows = np.flatnonzero(((self.low <= corner + extent) & (self.high >= corner)).all(axis=1))
+        start, along = self.starts[rows] - corner, self.along[rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = -start / along, (extent - start) / along
+        still = along == 0.0
+        enter = np.where(still, 0.0, np.minimum(first, second)).max(axis=1, initial=0.0)
+        leave = np.where(still, 1.0, np.maximum(first, second)).min(axis=1, initial=1.0)
+        kept = enter <= leave
+        enter, leave, start, along = enter[kept], leave[kept], start[kept], along[kept]
+        number = np.ceil((leave - enter) * np.hypot(*along.T) / spacing).astype(np.int64) + 1
+        edge = np.repeat(np.arange(number.size), number)
+        place = (np.arange(edge.size) - np.repeat(np.cumsum(number) - number, number)) / np.maximum(number - 1, 1)[edge]
+        share = enter[edge] + place * (leave - enter)[edge]
+        points: FloatArray = np.clip(start[edge] + share[:, None] * along[edge], 0.0, extent)
+        return points
+
+
+Kinds: TypeAlias = "Callable[[_Tile], tuple[BoolArray, BoolArray]]"
+_ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
+_NONE = readonly(np.zeros((0, 2), dtype=np.int64))
+
+
+def _by_certainty(grid: _Grid) -> Kinds:
+    """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
+
+    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.blocked is None or tile.margin is None:
+            return ~_ONE, _ONE
+        is_open = ~tile.blocked & (tile.margin > grid.half(tile.level))
+        return is_open, ~(tile.blocked | is_open)
+
+    return kinds
+
+
+def _by_margin(low: float, high: float) -> Kinds:
+    """Cells with a margin of at least `high`, and others with at least `low`."""
+
+    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.margin is None:
+            return _ONE, ~_ONE
+        return tile.margin >= high, (tile.margin >= low) & (tile.margin < high)
+
+    return kinds
+
+
+_OUTSIDE, _START, _GOAL = range(3)  # nodes
+
+
+class _Graph:
+    """Tiles beside each other; its nodes are connected cells of one kind in one tile.
+
+    Args:
+        grid: How cells lie.
+        ends: Poses of the centre at start and goal.
+        kinds: Which cells of a tile are open, and which narrow; the others are left out.
+    """
+
+    def __init__(self, grid: _Grid, ends: list[FloatArray], kinds: Kinds) -> None:
+        self.grid, self.ends, self.kinds = grid, ends, kinds
+        self.tiles: list[_Tile] = []  # also such as were removed
+        self.labels: list[IntArray] = []
+        self.tile_at = np.full((2 ** (grid.above + _FINEST),) * 2, -1, dtype=np.int64)
+        self.cost, self.tile_of = [_OPEN] * 3, [-1] * 3
+        self.joints: dict[tuple[int, int], IntArray] = {}
+
+    def add(self, tiles: Iterable[_Tile]) -> None:
+        """Put tiles into the plane, instead of what was there, and join them to what is beside them."""
+        first = len(self.tiles)
+        for tile in tiles:
+            self._label(tile)
+        for key in range(first, len(self.tiles)):
+            rows, columns = self._place(key)
+            self._join(key, 0, 0, columns.start - 1, rows)
+            self._join(key, 0, -1, columns.stop, rows)
+            self._join(key, 1, 0, rows.start - 1, columns)
+            self._join(key, 1, -1, rows.stop, columns)
+
+    def remove(self, keys: set[int]) -> None:
+        """Take tiles out; others must be put where they were."""
+        self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
+
+    def present(self) -> list[int]:
+        """The keys of the tiles that are there."""
+        return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
+
+    def _label(self, tile: _Tile) -> None:
+        from scipy import ndimage
+
+        key = len(self.tiles)
+        is_open, is_narrow = self.kinds(tile)
+        labels = np.full(is_open.shape, -1)
+        both = [
+            (which, cost) for which, cost in ((is_open, _OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
+        ]
+        for which, cost in both:
+            found, count = (which, 1) if which.all() else ndimage.label(which)
+            if count == 1:
+                labels[which] = len(self.cost)
+                self.cost.append(cost)
+                self.tile_of.append(key)
+                continue
+            labels[which] = found[which] + (len(self.cost) - 1)
+            self.cost += [cost] * count
+            self.tile_of += [key] * count
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
+
+    def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
+        """Join a tile over its lower (0) or upper (-1) side along an axis."""
+        if not 0 <= beyond < len(self.tile_at):
+            nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
+            nodes = nodes[nodes >= 0]
+            known = self.joints.get((key, -1), _NONE)
+            self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, np.full_like(nodes, _OUTSIDE)))))
+            return
+        strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
+        for other in np.unique(strip).tolist():
+            pair = (min(key, other), max(key, other))
+            if other >= 0 and pair not in self.joints:
+                self.joints[pair] = self._met_over(key, other, axis, edge)
+
+    def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
+        """Nodes that meet over a side of a tile, Shape (n, 2)."""
+        if self.labels[key].size == self.labels[other].size == 1:
+            met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
+            return met if met.min() >= 0 else _NONE
+        both = ((key, edge), (other, -1 - edge))
+        sides = tuple((*self.tiles[k][:3], self.labels[k].shape[1], self.labels[k].shape[0], side) for k, side in both)
+        first, second = (
+            self.labels[k].ravel().take(place) for (k, _), place in zip(both, _beside(sides, axis), strict=True)
+        )
+        return _pairs(first, second, len(self.cost))
+
+    def _place(self, key: int) -> tuple[slice, slice]:
+        """Rows and columns of a tile in `tile_at`."""
+        tile = self.tiles[key]
+        size = 2 ** (_FINEST - tile.level)
+        return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
+
+    def _nodes_at(self, pose: FloatArray) -> list[int]:
+        """The nodes of the cells that a pose of the centre is in, or less than `SLACK` from."""
+        found: set[int] = set()
+        size, near = self.grid.side(_FINEST), (-SLACK, SLACK)
+        for dx, dy, turned in itertools.product(near, near, near):
+            x, y, yaw = pose + np.array([dx, dy, turned])
+            i, j = math.floor(x / size), math.floor(y / size)
+            if not (0 <= i < len(self.tile_at) and 0 <= j < len(self.tile_at)):
+                found.add(_OUTSIDE)
+                continue
+            key = int(self.tile_at[j, i])
+            tile, (headings, n, _) = self.tiles[key], self.labels[key].shape
+            side = self.grid.side(tile.level)
+            row, column = (math.floor((v / side - first) * n) for v, first in ((y, tile.row), (x, tile.column)))
+            layer = math.floor(yaw * headings / (2.0 * math.pi)) % headings
+            found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
+        return sorted(found - {-1})
+
+    def _all_joints(self) -> NDArray[np.int32]:
+        """Every two nodes that meet, Shape (n, 2)."""
+        ends = [
+            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
+        ]
+        return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
+
+    def _matrix(self) -> csr_matrix:
+        """Of every two nodes that meet what it costs to go over to the second."""
+        from scipy import sparse
+
+        joints, cost = self._all_joints(), np.array(self.cost)
+        first, second = np.concatenate((joints, joints[:, ::-1])).T
+        return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
+
+    def route(self) -> list[int]:
+        """The nodes of the cheapest route from goal to start; empty where there is none."""
+        from scipy.sparse import csgraph
+
+        spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([_START]), return_predecessors=True)
+        if not np.isfinite(spent[0, _GOAL]):
+            return []
+        route = [_GOAL]
+        while route[-1] != _START:
+            route.append(int(before[0, route[-1]]))
+        return route
+
+    def reached(self, node: int) -> BoolArray:
+        """Which nodes are joined to a node."""
+        from scipy.sparse import csgraph
+
+        component = csgraph.connected_components(self._matrix(), directed=False)[1]
+        found: BoolArray = component == component[node]
+        return found
+
+
+class _Places(_Graph):
+    """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
+
+    Costs are negative where it fits. What nobody has looked at costs less than anything.
+    """
+
+    def _label(self, tile: _Tile) -> None:
+        key, first = len(self.tiles), len(self.cost)
+        if tile.margin is None:
+            labels, cost = np.full((1, 1, 1), first), [-_ROOM]
+        else:
+            best = tile.margin.max(axis=0) + math.sqrt(2.0) * self.grid.half(tile.level)
+            labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
+        self.cost += cost
+        self.tile_of += [key] * len(cost)
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=2)
+
+    def route(self) -> list[int]:
+        """The nodes of the route whose dearest node is cheapest: the one through a minimum spanning tree ([Hu1961])."""
+        from scipy import sparse
+        from scipy.sparse import csgraph
+
+        cost = np.maximum(np.array(self.cost), -_ROOM)
+        cost[: _GOAL + 1] = -_ROOM
+        first, second = self._all_joints().T
+        dear = np.maximum(cost[first], cost[second]) + 2.0 * _ROOM  # zero would be no joint
+        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
+        before = csgraph.breadth_first_order(tree, _START, directed=False)[1]
+        route = [_GOAL]
+        while route[-1] != _START:
+            route.append(int(before[route[-1]]))
+        return route
+
+
+class _Search:
+    """The tiles so far, and the graph of what may be free in them."""
+
+    def __init__(self, problem: DockingProblem, body: _Body, deadline: Deadline) -> None:
+        self.problem, self.body, self.deadline = problem, body, deadline
+        self.start_clearance = end_clearances(problem).start
+        self.grid = self._grid()
+        self.obstacles = _Obstacles(problem, self.grid.origin, self._look)
+        self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
+        self.known: dict[tuple[int, int, int], _Tile] = {}
+        self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
+        self.graph.add([_Tile(-self.grid.above, 0, 0)])
+
+    def _grid(self) -> _Grid:
+        """Tiles that cover both ends, and obstacles as far as they may matter."""
+        cell = _CELL * float(self.body.discs[:, 2].max())
+        ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
+        near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
+        lower, upper = ends.min(axis=0), ends.max(axis=0)
+        everything = self.problem.all_obstacles.in_box(lower - _SEEN_FROM, upper + _SEEN_FROM)
+        if len(everything):
+            lower = np.minimum(lower, np.maximum(everything.lower.min(axis=0), lower - _SEEN_FROM))
+            upper = np.maximum(upper, np.minimum(everything.upper.max(axis=0), upper + _SEEN_FROM))
+        side, extent = 2.0 * CELLS * cell, float((upper - lower).max()) + 2.0 * near
+        above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
+        turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        headings = turning if self.body.turns else 1
+        return _Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
+
+    def _look(self) -> None:
+        self.deadline.look()
+
+    def looks_open(self, deadline: Deadline) -> bool:
+        """Whether nodes of one coarse lattice around start and goal join them for a disc: a first look, no proof."""
+        from scipy import ndimage
+
+        self.deadline = deadline
+        _, _, radius = self.body.discs[0].tolist()
+        ends, border = np.array(self.ends)[:, :2], radius + self.problem.path_clearance.required
+        side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
+        corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
+        x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
+        required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
+        is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
+        # Of what lies outside nobody has looked.
+        kept = slice(math.ceil(border / step), -math.ceil(border / step))
+        labels = np.zeros(is_free.shape, dtype=np.int32)
+        ndimage.label(is_free[kept, kept], output=labels[kept, kept])
+        found = [set(labels[j - 1 : j + 2, i - 1 : i + 2].flat) for i, j in np.rint((ends - corner) / step).astype(int)]
+        return bool(set.intersection(*found) - {0})
+
+    def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
+        """Split what is narrow on the cheapest route, until no route is left, or one that is open.
+
+        Raises:
+            OutOfTime: The deadline came first; a later call goes on with what is known.
+        """
+        self.deadline = deadline
+        while True:
+            self.deadline.look()
+            route = self.graph.route()
+            if not route:
+                break
+            narrow = {self.graph.tile_of[node] for node in route if self.graph.cost[node] > _OPEN}
+            if not self._split(self.graph, narrow):
+                return None
+        proof = self._around_an_end()
+        with contextlib.suppress(OutOfTime):
+            for bottleneck in self._bottlenecks() if self.body.turns else self._bottlenecks_of_disc():
+                proof = dataclasses.replace(proof, bottleneck=bottleneck)
+        return proof
+
+    def _split(self, graph: _Graph, keys: set[int]) -> bool:
+        """Look at tiles, or at their quarters, as far as they can be split; whether any could."""
+        keys = {key for key in keys if graph.tiles[key].level < _FINEST}
+        new: list[_Tile] = []
+        for key in sorted(keys):
+            tile = graph.tiles[key]
+            if tile.level < 0:
+                new += [_Tile(*place) for place in tile.split()]
+            else:
+                new += [self._seen(*place) for place in (tile.split() if tile.margin is not None else [tile[:3]])]
+        graph.remove(keys)
+        graph.add(new)
+        return bool(keys)
+
+    def _around_an_end(self) -> ImpossibilityProof:
+        """The proof, once no route is left: around the goal, or around the start where the goal is in the open."""
+        graph = self.graph
+        goal = graph.reached(_GOAL)
+        end, reached = ("start", graph.reached(_START)) if goal[_OUTSIDE] else ("goal", goal)
+        tiles, whole = {}, []
+        for key in graph.present():
+            tile, labels = graph.tiles[key], graph.labels[key]
+            inside = (labels >= 0) & reached[labels]
+            if tile.margin is not None:
+                tiles[tile[:3]] = inside
+            elif inside.all():
+                whole.append(tile[:3])
+        order = sorted(tiles)
+        (x, y), (cx, cy) = self.grid.origin.tolist(), self.body.centre.tolist()
+        return ImpossibilityProof(
+            end=end,
+            origin=(x, y),
+            cell=self.grid.cell,
+            headings=self.grid.headings,
+            centre=(cx, cy),
+            discs=self.body.discs,
+            tiles=np.array(order, dtype=np.int64).reshape(-1, 3),
+            inside=tuple(tiles[place] for place in order),
+            whole=np.array(sorted(whole), dtype=np.int64).reshape(-1, 3),
+            bottleneck=None,
+            problem=self.problem.fingerprint,
+        )
+
+    def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
+        """The narrowest place of the widest route of a disc, in cells that are made finer until it is known.
+
+        Cells promise what their widest place may have, so that every other gap is narrower than what is found.
+        """
+        graph, found = _Places(self.grid, self.ends, _by_certainty(self.grid)), None
+        graph.add([self.graph.tiles[key] for key in self.graph.present()])
+        with contextlib.suppress(OutOfTime):
+            for _ in range(_ROUNDS_OF_DISC):
+                self.deadline.look()
+                route = graph.route()
+                found = max(route, key=lambda node: graph.cost[node])
+                dearest = graph.cost[found]
+                if dearest <= -_ROOM:
+                    return
+                half = self.grid.half(graph.tiles[graph.tile_of[found]].level)
+                keys = {graph.tile_of[node] for node in route if graph.cost[node] >= dearest - _SHARP * half}
+                if not self._split(graph, {key for key in keys if self.grid.half(graph.tiles[key].level) > _CLOSE}):
+                    break
+        if found is not None:
+            bottleneck = self._at_place(graph, found)
+            if bottleneck is not None:
+                yield bottleneck
+
+    def _at_place(self, graph: _Graph, node: int) -> Bottleneck | None:
+        """What is known of a place of the disc, at the heading at which the body has most room.
+
+        None where it is in an obstacle, or as near to one as that the cell reaches beyond: then there is no gap at all.
+        """
+        tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
+        half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
+        middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
+        (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
+        if most + float(self.body.discs[0, 2]) <= 2.0 * half:
+            return None
+        body = _body(self.problem.robot.footprint, self.deadline.look)
+        shift = self.body.centre - body.centre
+        whole = _Body(body.centre, body.discs - (*shift, 0.0), body.reach)
+        (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), whole)
+        return self._bottleneck((x, y, yaw), most, half)
+
+    def _bottlenecks(self) -> Iterator[Bottleneck]:
+        """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
+        tiles, half = self._coarse_tiles(), self.grid.cell
+        low, high = -self.problem.path_clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
+        for _ in range(_ROUNDS):
+            low, high = self._widest(tiles, low, high, _SHARP * half)
+            graph = self._by_margin(tiles, low, high)
+            route = graph.route()
+            narrow = [node for node in route if graph.cost[node] > _OPEN]
+            if not narrow:
+                return
+            some = narrow[:: -(-len(narrow) // _PLACES)]  # rough cells may look as narrow as the narrowest
+            yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
+            keys = {graph.tile_of[node] for node in narrow}
+            half = max(self.grid.half(graph.tiles[key].level) for key in keys)
+            keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
+            # What nobody looked at counts as wide, and hides how thick a wall is.
+            passed = {graph.tile_of[node] for node in route if node > _GOAL}
+            keys |= {key for key in passed if graph.tiles[key].margin is None}
+            if not self._split(graph, keys):
+                return
+            tiles = [graph.tiles[key] for key in graph.present()]
+            low, high = low - half, high + half
+
+    def _widest(self, tiles: list[_Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
+        """Margins that leave a route and that leave none, at most `sharp` apart [m]: first found, then bisected."""
+        step = high - low
+        while self._by_margin(tiles, high, high).route():
+            low, high = high, high + step
+        while not self._by_margin(tiles, low, low).route():
+            low, high = low - step, low
+        while high - low > sharp:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
+        return low, high
+
+    def _coarse_tiles(self) -> list[_Tile]:
+        """The tiles that were looked at first, and those that never were."""
+        present = set(self.graph.present())
+        return [
+            tile
+            for key, tile in enumerate(self.graph.tiles)
+            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
+        ]
+
+    def _by_margin(self, tiles: list[_Tile], low: float, high: float) -> _Graph:
+        self.deadline.look()
+        graph = _Graph(self.grid, self.ends, _by_margin(low, high))
+        graph.add(tiles)
+        return graph
+
+    def _seen(self, level: int, column: int, row: int) -> _Tile:
+        """A tile that was looked at, once."""
+        self.deadline.look()
+        known = self.known.get((level, column, row))
+        if known is not None:
+            return known
+        half, count, body = self.grid.half(level), self.grid.count(level), self.body
+        turn, required_most = math.pi / count, self.problem.path_clearance.required
+        halo = math.ceil((body.reach + required_most) / half) + 1
+        nodes = 2 * CELLS + 1 + 2 * halo
+        corner = np.array([column, row]) * self.grid.side(level)
+        distance = self.obstacles.distances(corner - halo * half, half, nodes).ravel()
+        self.deadline.look()
+        middle = halo + 1 + 2 * np.arange(CELLS)
+        at = (middle[:, None] * nodes + middle).ravel()
+        x, y, radius = body.discs.T
+        # Of a disc's place: within the cell, and to the nearest node; the middles of cells are nodes.
+        off = np.hypot(x, y)
+        to_node = np.where(off > 0.0, math.sqrt(0.5) * half, 0.0)
+        moved = math.sqrt(2.0) * half + 2.0 * off * math.sin(0.5 * turn) + to_node + SLACK
+        yaw = turn * (2.0 * np.arange(count) + 1.0)
+        c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+        shift = (np.rint((s * x + c * y) / half) * nodes + np.rint((c * x - s * y) / half)).astype(np.int64)
+        least, most = np.empty((count, at.size), np.float32), np.empty((count, at.size), np.float32)
+        chunk = max(1, _GATHERED // (at.size * radius.size))
+        for k in range(0, count, chunk):
+            rows = slice(k, k + chunk)
+            read = distance.take(at + shift[rows, :, None])
+            read -= radius[:, None].astype(np.float32)
+            read.min(axis=1, out=least[rows])
+            read += moved[:, None].astype(np.float32)
+            read.min(axis=1, out=most[rows])
+            self.deadline.look()
+        required = self._required(corner, half, (c, s), turn)
+        shape = (count, CELLS, CELLS)
+        tile = self.known[level, column, row] = _Tile(
+            level, column, row, (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
+        )
+        return tile
+
+    def _required(
+        self, corner: FloatArray, half: float, turned: tuple[FloatArray, FloatArray], turn: float
+    ) -> FloatArray:
+        """The least clearance required in each cell, Shape (headings, cells) [m]."""
+        (mx, my), (c, s) = self.body.centre, turned
+        along = half * (2.0 * np.arange(CELLS) + 1.0)
+        y, x = (axis.ravel() for axis in np.meshgrid(along, along, indexing="ij"))
+        x0, y0 = self.grid.origin + corner
+        reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(0.5 * turn)
+        at = x0 + x - (c * mx - s * my), y0 + y - (s * mx + c * my)
+        return least_required(self.problem, *at, reach, self.start_clearance)
+
+    def _at_node(self, graph: _Graph, node: int) -> Bottleneck:
+        """What is known of the widest cell of a node."""
+        key = graph.tile_of[node]
+        tile = graph.tiles[key]
+        assert tile.margin is not None
+        margin = np.where(graph.labels[key] == node, tile.margin, -np.inf)
+        layer, j, i = np.unravel_index(int(margin.argmax()), margin.shape)
+        half, turn = self.grid.half(tile.level), math.pi / margin.shape[0]
+        yaw = turn * (2.0 * float(layer) + 1.0)
+        x, y = (2.0 * half * (CELLS * first + k + 0.5) for first, k in ((tile.column, float(i)), (tile.row, float(j))))
+        at, most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]), self.body)
+        return self._bottleneck(at, most, half)
+
+    def _bottleneck(self, at: tuple[float, float, float], most: float, half: float) -> Bottleneck:
+        """What is missing at a pose of the centre at which the discs have so much room."""
+        (x, y, yaw), (x0, y0), (mx, my) = at, self.grid.origin, self.body.centre
+        c, s = math.cos(yaw), math.sin(yaw)
+        pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
+        required = least_required(self.problem, np.array(pose.x), np.array(pose.y), 0.0, self.start_clearance)
+        body = -2.0 * most
+        return Bottleneck(pose.x, pose.y, pose.yaw, body + 2.0 * float(required), body, 4.0 * half, self._between(pose))
+
+    def _best_near(self, pose: FloatArray, reach: FloatArray, body: _Body) -> tuple[tuple[float, float, float], float]:
+        """The pose near one of a body's centre that is farthest from obstacles, and how far its discs are there [m].
+
+        Args:
+            pose: Shape (3,).
+            reach: How far around it to look, in x, y and yaw, Shape (3,).
+            body: Its discs.
+        """
+        import shapely
+
+        everything, (x, y, radius) = self.obstacles, body.discs.T
+        extent = 2.0 * body.reach
+        near = ((everything.lower <= pose[:2] + extent) & (everything.upper >= pose[:2] - extent)).all(axis=1)
+        tree = shapely.STRtree(shapely.polygons(everything.vertices[near]))
+        count = _POLISHED_AT[np.count_nonzero(reach) - 1]
+        shares = [np.linspace(-extent, extent, count) if extent else np.zeros(1) for extent in reach.tolist()]
+        around = np.stack(np.meshgrid(*shares), axis=-1).reshape(-1, 3)
+        most = -math.inf if near.any() else 0.0
+        for _ in range(_POLISHED if near.any() else 0):
+            poses = pose + around
+            c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+            at = poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y
+            apart = tree.query_nearest(
+                shapely.points(*(v.ravel() for v in at)), return_distance=True, all_matches=False
+            )[1]
+            margin = (apart.reshape(at[0].shape) - radius).min(axis=1)
+            best = int(margin.argmax())
+            pose, most, around = poses[best], float(margin[best]), 0.25 * around
+        return (float(pose[0]), float(pose[1]), float(pose[2])), most
+
+    def _between(self, pose: Pose2) -> tuple[str, ...]:
+        """The obstacle nearest to the robot at a pose, and the nearest on its other side."""
+        obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
+        reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
+        at = np.array([pose.x, pose.y])
+        rows = obstacles.rows_in_box(at - reach, at + reach)
+        if rows.size == 0:  # of a first guess, in a cell that is larger than the robot
+            return ()
+        found = [
+            separation(body, np.tile(pose.as_array(), (rows.size, 1)), obstacles.pieces(rows))
+            for body in footprint.bodies
+        ]
+        distance, axis = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        row = np.tile(rows, len(footprint.bodies))
+        first = int(distance.argmin())
+        facing = np.where(axis @ axis[first] < 0.0, distance, np.inf)
+        second = int(facing.argmin())
+        both = [first] if np.isinf(facing[second]) else [first, second]
+        return tuple(obstacles.name_of(int(row[k])) for k in both)
+
+
+def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
+    """Where a point of the robot is at a pose, seen from an origin, and the heading. Shape (3,)."""
+    return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)
+
+
+@functools.lru_cache(maxsize=4096)
+def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
+    """Flat indices of cells of two tiles that share a face, Shape (n,) each.
+
+    Args:
+        sides: Of each level, column, row, cells along a side, headings, and which side: 0 the lower, -1 the upper.
+        axis: Across the side, 0 for x.
+    """
+    finest = max(side[0] for side in sides)
+    size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
+    low = [side[2 - axis] * n for side, n in zip(sides, size, strict=True)]
+    step = min(n // side[3] for side, n in zip(sides, size, strict=True))
+    along = np.arange(max(low), min(first + n for first, n in zip(low, size, strict=True)), step)
+    headings = max(side[4] for side in sides)
+    places = []
+    for side, n, first in zip(sides, size, low, strict=True):
+        across, layer = (along - first) * side[3] // n, np.arange(headings) * side[4] // headings
+        face = np.full_like(across, side[5] % side[3])
+        row, column = (across, face) if axis == 0 else (face, across)
+        places.append(((layer[:, None] * side[3] + row) * side[3] + column).ravel())
+    return readonly(places[0]), readonly(places[1])
+
+
+def _met_within(labels: IntArray, kinds: int) -> IntArray:
+    """Nodes of one tile that meet, Shape (n, 2); those of one kind meet over the full turn only."""
+    most = int(labels.max()) + 1
+    found = [_pairs(labels[0], labels[-1], most)]
+    if kinds > 1:
+        found += [
+            _pairs(labels[:, :, 1:], labels[:, :, :-1], most),
+            _pairs(labels[:, 1:], labels[:, :-1], most),
+            _pairs(labels[1:], labels[:-1], most),
+        ]
+    return np.concatenate(found)
+
+
+def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
+    """Different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
+    met = (first >= 0) & (second >= 0) & (first != second)
+    codes = first[met] * most + second[met]
+    changes = np.ones(codes.size, dtype=np.bool_)
+    changes[1:] = codes[1:] != codes[:-1]
+    return np.column_stack(np.divmod(np.unique(codes[changes]), most))

@@ -1,0 +1,506 @@
+"""A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
+
+**Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start
+to the goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in
+place, however curved. It is one-sided: no proof does not mean that there is a motion.
+
+*Cells.* Poses are cut into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are those of one point of the
+robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has an obstacle nearer
+than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than
+e = sqrt(2) h + 2 |p| sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it
+something lies nearer to the footprint than required, or inside it where no clearance is.
+
+*The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with one of them and is none of them
+is blocked; so is every cell at the inner end, the goal or the start, that is none of them; and no cell at the other end
+is one of them. Let a motion keep the clearance. No cell that holds any of its poses is blocked, so it begins in the
+set, and ends outside. Where it leaves the set it has a pose in a cell of it and in one that is none of it; of the cells
+around that pose, which are joined by faces, one in the set shares a face with one that is not: a blocked one, which
+contradicts. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading,
+each level with cells half as large.
+
+*Certified paths.* A certificate accepts a micrometre less than required, and two micrometres of depth at a contact. A
+cell is blocked only if it is so with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as
+well. Near the start the weakest relief counts that a certificate may grant.
+
+Whoever checks the proof judges the rim again, by exact distances of its own.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from optdock.errors import InvalidFile
+from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.arrays import FrozenArrays
+from optdock.geometry.obstacles import in_words
+from optdock.verification.proximity import end_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.pose import Pose2
+    from optdock.model.problem import DockingProblem
+
+__all__ = [
+    "CELLS",
+    "SLACK",
+    "Bottleneck",
+    "ImpossibilityProof",
+    "ImpossibilityVerdict",
+    "check_cells",
+    "least_required",
+]
+
+CELLS = 16  # along each side of a tile
+# [m]: five times the deepest contact that a certificate accepts, and more than the rounding of single precision over
+# ten metres, in which distances within a tile are kept.
+SLACK = 1e-5
+_FARTHEST = 2**30  # column or row
+_LEVELS = 12  # above and below 0 that tiles in a file may have
+# A proof that is made within a second has hundreds of tiles, some dozen discs, and packed cells of 1 MB.
+_MOST_TILES, _MOST_DISCS, _MOST_HEADINGS = 10_000, 500, 10_000
+_MOST_CELLS = 1 << 26
+
+
+@dataclass(frozen=True)
+class Bottleneck:
+    """The narrowest place of the widest route.
+
+    Args:
+        x: Where the robot's origin is [m].
+        y: Likewise [m].
+        yaw: Its heading [rad].
+        missing_width: By how much the robot, with the clearance required on both sides, is too wide for it [m].
+        missing_without_clearance: Likewise where no clearance is required [m]; not above 0 where the body itself fits.
+        accuracy: How far the two may be from the truth [m].
+        between: Names of the nearest obstacles on both sides, one or two.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    missing_width: float
+    missing_without_clearance: float
+    accuracy: float
+    between: tuple[str, ...]
+
+    @property
+    def body_fits(self) -> bool:
+        """Whether the body fits, but for a millimetre, and the required clearance does not."""
+        return self.missing_without_clearance <= 0.001 < self.missing_width
+
+    def __str__(self) -> str:
+        what = "the robot with its clearance" if self.body_fits else "the robot"
+        missing = self.missing_width if self.body_fits else self.missing_without_clearance
+        names = [in_words(name) for name in dict.fromkeys(self.between)]
+        between = f", between {' and '.join(names)}" if len(names) > 1 else ""
+        kept = -0.5 * self.missing_without_clearance
+        spare = f"; up to {kept:.3f} m of clearance can be kept there" if self.body_fits else ""
+        return (
+            f"{what} is {max(missing, 0.001):.2g} m too wide for the gap at ({self.x:.2f}, {self.y:.2f}), heading "
+            f"{math.degrees(self.yaw):.0f} degrees{between}{spare}"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImpossibilityProof(FrozenArrays):
+    """Cells around one end of a problem, whose rim is blocked, and where the widest way out is too narrow.
+
+    Args:
+        end: Which end they are around, `goal` or `start`.
+        origin: Lower left corner of the tile (0, 0) of every level [m].
+        cell: Half the side of a cell of level 0 [m]; of level k it is 2^-k of that.
+        headings: How many cells of level 0 make a full turn; of level k 2^k times as many.
+        centre: The point of the robot whose place the cells speak of, in the robot's frame [m].
+        discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
+        tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
+        inside: Of each which cells are in the set, Shape (headings, rows, columns).
+        whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
+        bottleneck: Where it is too narrow; None where an end itself is blocked, or time was up.
+        problem: Digests of what it was proven for.
+    """
+
+    end: str
+    origin: tuple[float, float]
+    cell: float
+    headings: int
+    centre: tuple[float, float]
+    discs: FloatArray
+    tiles: IntArray
+    inside: tuple[BoolArray, ...]
+    whole: IntArray
+    bottleneck: Bottleneck | None
+    problem: ProblemFingerprint
+
+    def __repr__(self) -> str:
+        return f"<ImpossibilityProof: {self.message}; {len(self.tiles)} tiles>"
+
+    @property
+    def message(self) -> str:
+        """One sentence for people."""
+        why = self.bottleneck or f"the {self.end} is shut in"
+        return f"no motion joins start and goal, reversing and turning in place included: {why}"
+
+    @property
+    def where(self) -> dict[str, object]:
+        """What a refusal says of it: pose, missing width and obstacle of the bottleneck, if it is known."""
+        found = self.bottleneck
+        if found is None:
+            return {}
+        pose = [found.x, found.y, found.yaw]
+        missing = {"missing_width": found.missing_width, "missing_without_clearance": found.missing_without_clearance}
+        return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
+
+    def squares(self) -> list[FloatArray]:
+        """The places of the centre that some cell of the set has, as squares of corners, Shape (4, 2) each [m]."""
+        found = []
+        corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+        for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):
+            side = 2.0 * self.cell / 2**level
+            for j, i in np.argwhere(cells.any(axis=0)).tolist():
+                found.append(self.origin + side * (corners + np.array([CELLS * column + i, CELLS * row + j])))
+        for level, column, row in self.whole.tolist():
+            found.append(self.origin + 2.0 * CELLS * self.cell * 2.0**-level * (corners + np.array([column, row])))
+        return found
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a plan file; the cells as bits, packed by zlib and written in base 64."""
+        bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
+        return {
+            "end": self.end,
+            "origin": list(self.origin),
+            "cell": self.cell,
+            "headings": self.headings,
+            "centre": list(self.centre),
+            "discs": self.discs.tolist(),
+            "tiles": self.tiles.tolist(),
+            "inside": base64.b64encode(zlib.compress(bits, 9)).decode(),
+            "whole": self.whole.tolist(),
+            "bottleneck": None if self.bottleneck is None else asdict(self.bottleneck),
+            "problem": self.problem._asdict(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, object]) -> ImpossibilityProof:
+        """What `as_dict` gave.
+
+        Raises:
+            InvalidFile: Something is missing, or of another kind.
+        """
+        try:
+            document = _ProofDocument.model_validate(values)
+            return cls._read(document)
+        except (ValueError, TypeError, zlib.error) as error:  # pydantic's errors are ValueErrors
+            raise InvalidFile(f"impossibility: {error}") from error
+
+    @classmethod
+    def _read(cls, document: _ProofDocument) -> ImpossibilityProof:
+        tiles = np.array(document.tiles, dtype=np.int64).reshape(-1, 3)
+        shapes = [(document.headings << level, CELLS, CELLS) for level in tiles[:, 0].tolist()]
+        sizes = [math.prod(shape) // 8 for shape in shapes]
+        if 8 * sum(sizes) > _MOST_CELLS:
+            raise ValueError(f"inside: holds more than {_MOST_CELLS} cells")
+        packed = base64.b64decode(document.inside, validate=True)
+        bits = zlib.decompressobj().decompress(packed, sum(sizes) + 1)
+        if len(bits) != sum(sizes):
+            raise ValueError(f"inside: must hold {sum(sizes)} bytes, got {len(bits)}")
+        parts = np.split(np.unpackbits(np.frombuffer(bits, dtype=np.uint8)), 8 * np.cumsum(sizes)[:-1]) if sizes else []
+        return cls(
+            document.end,
+            document.origin,
+            document.cell,
+            document.headings,
+            document.centre,
+            np.array(document.discs, dtype=np.float64).reshape(-1, 3),
+            tiles,
+            tuple(part.astype(np.bool_).reshape(shape) for part, shape in zip(parts, shapes, strict=True)),
+            np.array(document.whole, dtype=np.int64).reshape(-1, 3),
+            None if document.bottleneck is None else Bottleneck(**document.bottleneck.model_dump()),
+            ProblemFingerprint(**document.problem),
+        )
+
+
+_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
+_Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
+_Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _BottleneckDocument(_Model):
+    x: _Number
+    y: _Number
+    yaw: _Number
+    missing_width: _Number
+    missing_without_clearance: _Number
+    accuracy: _Number
+    between: tuple[str, ...]
+
+
+class _ProofDocument(_Model):
+    end: Literal["goal", "start"]
+    origin: tuple[_Number, _Number]
+    cell: Annotated[float, Field(gt=0.0, le=1e6)]
+    headings: Annotated[int, Field(ge=1, le=_MOST_HEADINGS)]
+    centre: tuple[_Number, _Number]
+    discs: Annotated[list[tuple[_Number, _Number, _Number]], Field(max_length=_MOST_DISCS)]
+    tiles: Annotated[
+        list[tuple[Annotated[int, Field(ge=0, le=_LEVELS)], _Index, _Index]], Field(max_length=_MOST_TILES)
+    ]
+    inside: str
+    whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST_TILES)]
+    bottleneck: _BottleneckDocument | None = None
+    problem: dict[str, str]
+
+
+def least_required(
+    problem: DockingProblem, x: FloatArray, y: FloatArray, reach: FloatArray | float, start_clearance: float
+) -> FloatArray:
+    """The least clearance that any certificate requires of a robot whose origin is within `reach` of a place [m].
+
+    The rule grows with the distance from the goal and from the start. Where that is too close to something a
+    certificate may go by the weaker rule.
+
+    Args:
+        problem: Its rule.
+        x: Places, any shape [m].
+        y: Likewise.
+        reach: How far around each [m].
+        start_clearance: Clearance of the start pose [m].
+    """
+    from_goal, from_start = (
+        np.maximum(np.hypot(x - end.x, y - end.y) - (reach + SLACK), 0.0) for end in (problem.goal, problem.start)
+    )
+    # A start with enough clearance has no relief, but for what the certificate's own distances round.
+    rule, is_too_close = problem.path_clearance, start_clearance < problem.path_clearance.required + SLACK
+    relief = 4.0 * problem.robot.footprint.circumscribed_radius if is_too_close else 0.0
+    return rule.required_at(from_goal, from_start, start_clearance, relief)
+
+
+class ImpossibilityVerdict(NamedTuple):
+    """Whether a proof holds, and if not why; it counts as true where it does.
+
+    `proven`: it does. `reason`: why not, empty if it does. `cells`: how many are on the rim and were judged.
+    """
+
+    proven: bool
+    reason: str
+    cells: int
+
+    def __bool__(self) -> bool:
+        return self.proven
+
+
+def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
+    """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
+
+    Args:
+        proof: What somebody claims.
+        problem: What the robot must do.
+    """
+    fault = _fault(proof, problem)
+    if fault:
+        return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
+    rim = _Rim(proof)
+    inner, outer = (problem.goal, problem.start) if proof.end == "goal" else (problem.start, problem.goal)
+    fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
+    judge = _Judge(proof, problem)
+    count = 0
+    for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
+        if fault:
+            break
+        count += int(cells.sum())
+        if not judge.are_blocked(tile, cells):
+            fault = "a cell on the rim is not blocked"
+    return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
+
+
+def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
+    """What is wrong with a proof before any cell is looked at; empty where nothing is."""
+    import shapely
+
+    every = np.concatenate((proof.tiles, proof.whole))
+    counts = len(every), len(proof.discs), sum(cells.size for cells in proof.inside)
+    if any(count > most for count, most in zip(counts, (2 * _MOST_TILES, _MOST_DISCS, _MOST_CELLS), strict=True)):
+        return "it is larger than any proof"
+    levels, far = proof.tiles[:, 0].tolist(), every[np.abs(every).max(axis=1, initial=0) > _FARTHEST]
+    is_grid = (
+        (proof.end in ("goal", "start") and math.isfinite(proof.cell) and proof.cell > 0.0 and far.size == 0)
+        and (isinstance(proof.headings, int) and 1 <= proof.headings <= _MOST_HEADINGS)
+        and (all(0 <= level <= _LEVELS for level in levels) and bool(np.all(np.abs(every[:, 0]) <= _LEVELS)))
+        and (proof.tiles.dtype.kind == proof.whole.dtype.kind == "i")
+        and bool(np.isfinite([*proof.origin, *proof.centre]).all() and np.isfinite(proof.discs).all())
+    )
+    if not is_grid:
+        return "the tiles are none"
+    shapes = [(proof.headings << level, CELLS, CELLS) for level in levels]
+    if [cells.shape for cells in proof.inside] != shapes or any(cells.dtype != np.bool_ for cells in proof.inside):
+        return "the cells do not fit the tiles"
+    known = [tuple(tile) for tile in np.concatenate((proof.tiles, proof.whole)).tolist()]
+    ancestors = {(level - up, i >> up, j >> up) for level, i, j in known for up in range(1, level + _LEVELS + 1)}
+    if len(set(known)) < len(known) or set(known) & ancestors:
+        return "tiles overlap"
+    outline = shapely.Polygon(problem.robot.footprint.vertices)
+    middles = shapely.points(proof.discs[:, :2] + proof.centre)
+    deep = np.where(shapely.covers(outline, middles), shapely.distance(outline.exterior, middles), 0.0)
+    return "" if np.all(proof.discs[:, 2] <= deep + 0.1 * SLACK) else "a disc is not within the footprint"
+
+
+def _middle(pose: Pose2, proof: ImpossibilityProof) -> FloatArray:
+    """Where the robot's centre is at a pose, in the frame of the tiles, and its heading. Shape (3,)."""
+    (x, y), c, s = proof.centre, math.cos(pose.yaw), math.sin(pose.yaw)
+    at = pose.x - proof.origin[0] + (c * x - s * y), pose.y - proof.origin[1] + (s * x + c * y)
+    return np.array([*at, pose.yaw])
+
+
+class _Rim:
+    """The cells that must be blocked, of every tile, Shape (headings, rows, columns) each.
+
+    Args:
+        proof: Whose set of cells; its tiles do not overlap.
+    """
+
+    def __init__(self, proof: ImpossibilityProof) -> None:
+        self.cell = proof.cell
+        self.inside = (*proof.inside, *(np.ones((1, 1, 1), dtype=np.bool_) for _ in proof.whole))
+        tiles = np.concatenate((proof.tiles, proof.whole))
+        # Boxes in cells of the finest level: left, lower, right and upper side.
+        self.finest = int(tiles[:, 0].max(initial=0))
+        side = CELLS * 2 ** (self.finest - tiles[:, 0])
+        lower = tiles[:, 1:] * side[:, None]
+        self.boxes = np.column_stack((lower, lower + side[:, None]))
+        self.blocked = [np.zeros(cells.shape, dtype=np.bool_) for cells in self.inside]
+
+    def fault(self, inner: FloatArray, outer: FloatArray) -> str:
+        """Find the rim; what is wrong with the set, whatever is blocked: empty where nothing is.
+
+        Args:
+            inner: The pose of the centre at the end around which the set is.
+            outer: That at the other end.
+        """
+        within, is_covered = self._cells_at(inner)
+        for k, cells in within:
+            self.blocked[k][cells] |= ~self.inside[k][cells]
+        if not is_covered:
+            return "the set does not hold the end that it is around"
+        if any(self.inside[k][cells].any() for k, cells in self._cells_at(outer)[0]):
+            return "the set holds both ends"
+        for inside, rim in zip(self.inside, self.blocked, strict=True):
+            for axis in (1, 2):
+                first, second = np.swapaxes(inside, 0, axis), np.swapaxes(rim, 0, axis)
+                second[1:] |= first[:-1] & ~first[1:]
+                second[:-1] |= first[1:] & ~first[:-1]
+            for turned in (-1, 1):
+                np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
+        return "" if self._is_closed_at_sides() else "the set goes on where no tile is"
+
+    def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
+        """The cells that a pose of the centre is in, or closer to than `SLACK`; and whether tiles are all around it."""
+        unit = 2.0 * self.cell / 2**self.finest
+        near = 2.0 * SLACK / unit
+        at = pose[:2] / unit
+        found = []
+        for k in np.flatnonzero(np.all((self.boxes[:, :2] <= at + near) & (self.boxes[:, 2:] >= at - near), axis=1)):
+            headings, n, _ = self.inside[k].shape
+            size = (self.boxes[k, 2] - self.boxes[k, 0]) / n
+            first, last = (np.clip((at + sign * near - self.boxes[k, :2]) // size, 0, n - 1) for sign in (-1, 1))
+            turned = np.floor((pose[2] + np.array([-SLACK, SLACK])) * headings / (2.0 * math.pi))
+            layers = np.unique(np.arange(turned[0], turned[1] + 1) % headings)
+            spans = (layers, np.arange(first[1], last[1] + 1), np.arange(first[0], last[0] + 1))
+            found.append((int(k), np.ix_(*(span.astype(np.int64) for span in spans))))
+        around = at + near * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+        is_in = (self.boxes[:, None, :2] <= around) & (around <= self.boxes[:, None, 2:])
+        return found, bool(is_in.all(axis=2).any(axis=0).all())
+
+    def _is_closed_at_sides(self) -> bool:
+        """Whether tiles are wherever the set reaches the side of one; what is beyond and not in it is rim."""
+        for axis in (0, 1):
+            lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
+            low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
+            covered_below, covered_above = np.zeros_like(low), np.zeros_like(low)
+            for first in range(len(self.boxes)):
+                overlap = np.minimum(high[first], high) - np.maximum(low[first], low)
+                above = np.flatnonzero((lower == upper[first]) & (overlap > 0))
+                covered_above[first] = overlap[above].sum()
+                covered_below[above] += overlap[above]
+                for second in above.tolist():
+                    self._meet(first, second, axis)
+            for edge, covered in ((-1, covered_above), (0, covered_below)):
+                for k in np.flatnonzero(covered < high - low):
+                    if np.take(self.inside[k], edge, axis=2 - axis).any():
+                        return False
+        return all(cells.size > 1 or not cells.any() for cells in self.blocked)
+
+    def _meet(self, first: int, second: int, axis: int) -> None:
+        """Over the upper side of the first along an axis, which is the lower side of the second."""
+        both = (first, second)
+        low, high = max(self.boxes[k, 1 - axis] for k in both), min(self.boxes[k, 3 - axis] for k in both)
+        sizes = [(self.boxes[k, 2] - self.boxes[k, 0]) // self.inside[k].shape[1] for k in both]
+        headings = [self.inside[k].shape[0] for k in both]
+        at, layer = np.arange(low, high, min(sizes)), np.arange(max(headings))
+        places = []
+        for k, edge, size, count in zip(both, (-1, 0), sizes, headings, strict=True):
+            across = (at - self.boxes[k, 1 - axis]) // size
+            face = np.array([edge % self.inside[k].shape[1]])
+            spans = (layer * count // len(layer), *((across, face) if axis == 0 else (face, across)))
+            places.append(np.ix_(*spans))
+        here, there = (self.inside[k][place] for k, place in zip(both, places, strict=True))
+        self._mark(first, places[0], there & ~here)
+        self._mark(second, places[1], here & ~there)
+
+    def _mark(self, k: int, place: tuple[IntArray, ...], must: BoolArray) -> None:
+        """Cells of a tile that must be blocked; where it has the larger ones each may be asked for several times."""
+        np.logical_or.at(self.blocked[k], place, must)
+
+
+class _Judge:
+    """Whether cells are blocked, by exact distances of discs from obstacles."""
+
+    def __init__(self, proof: ImpossibilityProof, problem: DockingProblem) -> None:
+        import shapely
+
+        self.proof, self.problem = proof, problem
+        # Near the origin of the tiles floats are finest.
+        self.tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
+        self.start_clearance = end_clearances(problem).start
+        self.discs = proof.discs[np.argsort(-proof.discs[:, 2])].tolist()
+
+    def are_blocked(self, tile: list[int], cells: BoolArray) -> bool:
+        """Whether all of some cells of a tile are, Shape (headings, rows, columns)."""
+        import shapely
+
+        (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
+        half = self.proof.cell / 2**level
+        turn = math.pi / cells.shape[0]
+        x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
+        yaw = turn * (2.0 * layer + 1.0)
+        c, s = np.cos(yaw), np.sin(yaw)
+        required = self._required(x, y, (c, s), half, turn)
+        left = np.ones(yaw.size, dtype=np.bool_)
+        for px, py, radius in self.discs:
+            moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
+            within = radius + required - moved - SLACK
+            asked = np.flatnonzero(left & (within > 0.0))
+            if asked.size:
+                at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
+                met = self.tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
+                left[asked[met]] = False
+        return not left.any()
+
+    def _required(
+        self, x: FloatArray, y: FloatArray, turned: tuple[FloatArray, FloatArray], half: float, turn: float
+    ) -> FloatArray:
+        (mx, my), (ox, oy), (c, s) = self.proof.centre, self.proof.origin, turned
+        reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
+        at = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
+        return least_required(self.problem, *at, reach, self.start_clearance)

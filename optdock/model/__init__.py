@@ -1,0 +1,1 @@
+"""What is planned with: paths and their segments, motions, limits, robots, docks, problems, measurements."""

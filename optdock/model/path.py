@@ -1,0 +1,353 @@
+"""Paths: gear segments by arc length, joined at cusps.
+
+`s` is the distance travelled, never negative, in either gear; a turn in place counts 1 m for every rad (`segments` says
+why). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory` for that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidPath
+from optdock.fingerprint import digest
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.checked import sampling_step
+from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
+from optdock.model.segments import (
+    SAME_POSITION,
+    SAME_YAW,
+    ClothoidSegment,
+    Direction,
+    PathSamples,
+    PolylineSegment,
+    Segment,
+    TurnSegment,
+    moved_segment,
+    piece_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+
+__all__ = [
+    "ClothoidSegment",
+    "Direction",
+    "Path",
+    "PathSamples",
+    "PolylineSegment",
+    "Segment",
+    "TurnSegment",
+    "may_be_one_frame",
+]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Path(FrozenArrays):
+    """Gear segments in driving order; between two of them is a cusp.
+
+    Args:
+        segments: At least one; each begins where the one before it ends.
+        frame: Name of the coordinate frame; empty where nobody said.
+
+    Attributes:
+        segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
+
+    Raises:
+        InvalidPath: No segment, one that is neither a clothoid segment nor a polyline segment nor a turn segment, or a
+            frame that is no name.
+    """
+
+    segments: tuple[Segment, ...]
+    frame: str = ""
+    segment_starts: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "segments", tuple(self.segments))
+        if not self.segments:
+            raise InvalidPath("path: has no segment")
+        if not isinstance(self.frame, str):
+            raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
+        object.__setattr__(self, "frame", str.__str__(self.frame))  # of a subclass the plain word
+        for i, segment in enumerate(self.segments):
+            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+            if type(segment) not in (ClothoidSegment, PolylineSegment, TurnSegment):
+                kinds, found = "a ClothoidSegment, a PolylineSegment or a TurnSegment", type(segment).__name__
+                raise InvalidPath(f"path: segment {i} must be {kinds}, got {found}")
+        lengths = [segment.length for segment in self.segments]
+        object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
+
+    @classmethod
+    def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
+        """A polyline path; the gear of a step is the sign of (motion . heading), a change of it is a cusp.
+
+        Repeated poses are dropped. A step that only turns belongs to the gear before it.
+
+        Args:
+            poses: Shape (n, 3) [m, m, rad] or poses.
+            frame: Name of their coordinate frame.
+
+        Raises:
+            InvalidPath: Fewer than two distinct poses, a value that is not finite, or one out of range.
+        """
+        if not isinstance(poses, np.ndarray):
+            poses = np.array([pose.as_array() if isinstance(pose, Pose2) else pose for pose in poses])
+        try:
+            array = np.array(frozen_array(poses, "path", columns=3))
+            check_range(array, "path")
+        except ValueError as error:
+            raise InvalidPath(str(error)) from error
+        array[:, 2] = unwrap_yaw(array[:, 2])
+        array = array[_distinct(array)] if len(array) else array
+        if len(array) < 2:
+            raise InvalidPath(f"path: needs at least 2 distinct poses, got {len(array)}")
+        gears = _step_gears(array)
+        cuts = np.concatenate(([0], np.flatnonzero(np.diff(gears)) + 1, [len(gears)]))
+        return cls(
+            tuple(PolylineSegment(array[a : b + 1], Direction(int(gears[a]))) for a, b in itertools.pairwise(cuts)),
+            frame,
+        )
+
+    def with_frame(self, frame: str) -> Path:
+        """The same path, of which it is now known that it stands in `frame`; an empty name tells nothing.
+
+        Raises:
+            InvalidPath: It is known to stand in another frame. Nothing here transforms one into the other.
+        """
+        if frame in ("", self.frame):
+            return self
+        if not may_be_one_frame(self.frame, frame):
+            raise InvalidPath(f"path: stands in frame {self.frame!r}, not in {frame!r}; transform it first")
+        return dataclasses.replace(self, frame=frame)
+
+    def __repr__(self) -> str:
+        gears = ", ".join(segment.direction.name.lower().replace("_", " ") for segment in self.segments)
+        return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{_in_frame(self.frame)}>"
+
+    @property
+    def length(self) -> float:
+        """Arc length over all gears and turns: where `s` ends [m]."""
+        return float(self.segment_starts[-1])
+
+    @property
+    def driven(self) -> float:
+        """How far the robot drives [m]: the arc length without the turns in place."""
+        turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
+        return self.length - turned
+
+    @functools.cached_property
+    def turns(self) -> bool:
+        """Whether it turns in place anywhere."""
+        return any(isinstance(segment, TurnSegment) for segment in self.segments)
+
+    @property
+    def driven_stretches(self) -> tuple[tuple[float, float], ...]:
+        """Where the robot drives, from `s` to `s` [m]: between turns in place, in order."""
+        if not self.turns:
+            return ((0.0, self.length),)
+        ends = itertools.pairwise(self.segment_starts.tolist())
+        groups = itertools.groupby(
+            zip(self.segments, ends, strict=True), key=lambda one: isinstance(one[0], TurnSegment)
+        )
+        stretches = ([span for _, span in group] for turn, group in groups if not turn)
+        return tuple((spans[0][0], spans[-1][1]) for spans in stretches)
+
+    def before_end(self, distance: float) -> float:
+        """Where `distance` [m] are left to drive; below 0 where the path is shorter."""
+        s = self.length - distance
+        for segment, end in (
+            zip(self.segments[::-1], self.segment_starts[:0:-1].tolist(), strict=True) if self.turns else ()
+        ):
+            if isinstance(segment, TurnSegment) and end > s:
+                s -= segment.length
+        return s
+
+    def piece(self, begin: float, end: float = math.inf) -> Path:
+        """The part of the path from `begin` to `end` [m], clipped to it; its own s begins at 0.
+
+        Raises:
+            InvalidPath: There is none between them; stretches of less than `SAME_POSITION` are none.
+        """
+        end = min(end, self.length)
+        found = []
+        for segment, first, last in zip(
+            self.segments, self.segment_starts[:-1].tolist(), self.segment_starts[1:].tolist(), strict=True
+        ):
+            low, high = max(begin - first, 0.0), min(end, last) - first
+            if high - low > SAME_POSITION or (low == 0.0 and high == last - first):
+                found.append(piece_of(segment, low, min(high, segment.length)))
+        if not found:
+            raise InvalidPath(f"path: has nothing between s = {begin:.6g} m and {end:.6g} m")
+        return Path(tuple(found), self.frame)
+
+    def moved(self, move: Pose2) -> Path:
+        """The path as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
+        return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
+
+    def parts(self) -> tuple[Path | TurnSegment, ...]:
+        """The path cut at its turns in place: paths without any, and the turns between them, in order."""
+        groups = itertools.groupby(self.segments, key=lambda segment: isinstance(segment, TurnSegment))
+        cut = [[*segments] if turn else [Path(tuple(segments), self.frame)] for turn, segments in groups]
+        return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # as the groups' key says
+
+    @property
+    def cusps(self) -> tuple[float, ...]:
+        """Arc lengths at which the robot rests: the gear changes, or a turn in place begins or ends [m]."""
+        return tuple(float(s) for s in self.segment_starts[1:-1])
+
+    @property
+    def joint_curvatures(self) -> FloatArray:
+        """Curvature that the wheels are steered for just before and just after every cusp, Shape (cusps, 2) [1/m].
+
+        Signed as driven forward, a left turn of the wheels positive: what a gear drives in reverse, it steers mirrored.
+        """
+        ends = [
+            (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in self.segments
+        ]
+        joints = [(before[1], after[0]) for before, after in itertools.pairwise(ends)]
+        return np.array(joints, dtype=np.float64).reshape(-1, 2)
+
+    @functools.cached_property
+    def start(self) -> Pose2:
+        """Pose at s = 0; before the turn where the path begins with one in place."""
+        return Pose2.from_sequence(_first_pose(self.segments[0]))
+
+    @functools.cached_property
+    def end(self) -> Pose2:
+        """Pose at s = length."""
+        last = self.segments[-1]
+        return Pose2.from_sequence(last.poses_at(last.length)[0])
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of its exact curves: equal for equal paths, whoever made them."""
+        return digest(*(part for segment in self.segments for part in _definition(segment)))
+
+    def pose_at(self, s: float) -> Pose2:
+        """Pose at arc length `s` [m], clipped to the path."""
+        return Pose2.from_sequence(self.poses_at(s)[0])
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Poses at arc lengths `s`, Shape (n,) [m]; at a cusp the next gear's. Shape (n, 3)."""
+        return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Curvature at `s`; at a cusp the next gear's. Shape (n,) [1/m]."""
+        return self._evaluate(s, lambda segment, local: segment.curvature_at(local), ())
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """D curvature / ds at `s`; at a cusp the next gear's. Shape (n,) [1/m^2]."""
+        return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
+
+    def direction_at(self, s: ArrayLike) -> IntArray:
+        """1 or -1 at `s`, 0 where the robot turns in place; at a cusp the next gear's. Shape (n,)."""
+        gears = np.array([int(segment.direction) for segment in self.segments])
+        directions: IntArray = gears[self._owners(np.atleast_1d(np.asarray(s, dtype=np.float64)))]
+        return directions
+
+    def _owners(self, s: FloatArray) -> IntArray:
+        return np.searchsorted(self.segment_starts[1:-1], s, side="right")
+
+    def _evaluate(
+        self, s: ArrayLike, of: Callable[[Segment, FloatArray], FloatArray], shape: tuple[int, ...]
+    ) -> FloatArray:
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        if len(self.segments) == 1:
+            return of(self.segments[0], points)
+        owners, out = self._owners(points), np.empty((points.size, *shape))
+        for i in np.unique(owners):
+            mine = owners == i
+            out[mine] = of(self.segments[i], points[mine] - self.segment_starts[i])
+        return out
+
+    def sample(self, spacing: float) -> PathSamples:
+        """Points at most `spacing` [m] apart, ends and cusps included; a cusp appears once with each gear.
+
+        Raises:
+            InvalidValue: The spacing is not a finite number > 0, or far too small.
+        """
+        spacing = sampling_step(spacing, self.length, "spacing")
+        blocks = [_sample_segment(segment, spacing) for segment in self.segments]
+        shifted = (
+            block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
+        )
+        return _joined(list(shifted))
+
+
+def _in_frame(frame: str) -> str:
+    return f" in {frame!r}" if frame else ""
+
+
+def may_be_one_frame(first: str, second: str) -> bool:
+    """Whether two names can mean the same frame: they are equal, or one of them is unknown."""
+    return first == second or "" in (first, second)
+
+
+def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
+    """The numbers that define a segment."""
+    if isinstance(segment, ClothoidSegment):
+        spline = segment.spline
+        return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
+    if isinstance(segment, TurnSegment):
+        return segment.pose.as_array(), segment.turn
+    assert isinstance(segment, PolylineSegment)  # a path holds no other kind
+    return segment.poses, int(segment.direction)
+
+
+def _first_pose(segment: Segment) -> FloatArray:
+    first: FloatArray = segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0]
+    return first
+
+
+def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
+    count = max(1, int(np.ceil(segment.length / spacing - 1e-9)))
+    s = np.linspace(0.0, segment.length, count + 1, dtype=np.float64)
+    if isinstance(segment, PolylineSegment) and np.any(np.diff(segment.knots) <= 0.0):
+        return _sample_steps(segment, spacing)
+    poses = segment.poses_at(s)
+    gear = np.full(s.size, int(segment.direction))
+    return PathSamples(s, poses[:, 0], poses[:, 1], poses[:, 2], segment.curvature_at(s), gear)
+
+
+def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
+    """Every given pose, and poses between them: where the robot turns in place, arc length cannot tell poses apart."""
+    counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
+    borders = np.arange(segment.knots.size)
+    step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])
+    s, x, y, yaw = (np.interp(step, borders, column) for column in (segment.knots, *segment.poses.T))
+    return PathSamples(s, x, y, yaw, segment.curvature_at(s), np.full(s.size, int(segment.direction)))
+
+
+def _joined(blocks: Sequence[PathSamples]) -> PathSamples:
+    return PathSamples(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+
+
+def _distinct(poses: FloatArray) -> FloatArray:
+    """Indices of the poses that differ from the kept pose before them."""
+    step = np.diff(poses, axis=0)
+    moved = (np.hypot(step[:, 0], step[:, 1]) > SAME_POSITION) | (np.abs(step[:, 2]) > SAME_YAW)
+    return np.concatenate(([0], np.flatnonzero(moved) + 1))
+
+
+def _step_gears(poses: FloatArray) -> IntArray:
+    step = np.diff(poses, axis=0)
+    middle = poses[:-1, 2] + 0.5 * step[:, 2]
+    ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    moving = np.hypot(step[:, 0], step[:, 1]) > SAME_POSITION
+    gears = np.where(moving, np.where(ahead < 0.0, -1, 1), 0)
+    if not moving.any():
+        return np.ones(gears.size, dtype=np.int64)
+    known = np.flatnonzero(moving)
+    source = known[np.clip(np.searchsorted(known, np.arange(gears.size), side="right") - 1, 0, None)]
+    owned: IntArray = gears[source]
+    return owned

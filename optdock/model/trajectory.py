@@ -1,0 +1,323 @@
+"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`.
+
+The motion under constant jerk has its one home here: `constant_jerk` within a phase, `border_states` over many. Apart
+from it only the oracles know the cubic, whose independence is their worth: `experiments/fuzz/oracle/timing.py` and the
+direct transcription in `experiments/benchmarks/timing_reference.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import FloatArray, FrozenArrays, IntArray, frozen_array, readonly
+from optdock.geometry.checked import exactly, finite_number, sampling_step
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.path import Path
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+
+__all__ = [
+    "TimeLaw",
+    "TimedPoses",
+    "Trajectory",
+    "TrajectorySamples",
+    "TrajectoryState",
+    "border_states",
+    "braking_phases",
+    "braking_time",
+    "constant_jerk",
+]
+
+Number = TypeVar("Number", float, FloatArray)
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as at the cusps that are proven
+
+
+def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
+    """Distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
+
+    s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
+
+    Args:
+        t: Time since the state [s].
+        s: Distance [m].
+        v: Speed [m/s].
+        a: Acceleration [m/s^2].
+        jerk: [m/s^3].
+    """
+    gain = t * jerk
+    return s + t * (v + t * (0.5 * a + gain / 6.0)), v + t * (a + 0.5 * gain), a + gain
+
+
+def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, float, float]) -> FloatArray:
+    """Distance, speed and acceleration at the borders of phases of constant jerk.
+
+    Args:
+        durations: Shape (n,) [s].
+        jerks: Shape (n,) [m/s^3].
+        start: Distance, speed and acceleration at the first border.
+
+    Returns:
+        Shape (3, n + 1).
+    """
+    states = np.empty((3, durations.size + 1))
+    s, v, a = states
+    gain = durations * jerks
+    s[0], v[0], a[0] = 0.0, 0.0, 0.0
+    np.cumsum(gain, out=a[1:])
+    a += start[2]
+    np.cumsum(durations * (a[:-1] + 0.5 * gain), out=v[1:])
+    v += start[1]
+    np.cumsum(durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0)), out=s[1:])
+    s += start[0]
+    return states
+
+
+def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
+    """Full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
+
+    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
+    the speed then is braked off at b. A deceleration beyond it is led back first.
+
+    Args:
+        v: Speed along the travel [m/s].
+        a: Acceleration along it [m/s^2].
+        deceleration: D, the largest [m/s^2].
+        jerk: J, the largest [m/s^3].
+    """
+    if a < -deceleration:
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        phases = ((-deceleration - a) / jerk, jerk), (spare / deceleration, 0.0), (deceleration / jerk, jerk)
+    else:
+        brake = min(deceleration, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
+        hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / deceleration if brake == deceleration else 0.0
+        phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
+    return tuple(phase for phase in phases if phase[0] > 0.0)
+
+
+def braking_time(speed: float, deceleration: float, jerk: float) -> float:
+    """Duration of `braking_phases` from a constant speed [s].
+
+    Args:
+        speed: Along the travel, >= 0 [m/s].
+        deceleration: The largest [m/s^2].
+        jerk: The largest [m/s^3].
+    """
+    if speed < deceleration**2 / jerk:
+        return 2.0 * math.sqrt(speed / jerk)
+    return speed / deceleration + deceleration / jerk
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TimeLaw(FrozenArrays):
+    """Distance travelled over time, in phases of constant jerk.
+
+    Args:
+        durations: Shape (n,) [s], each > 0.
+        jerks: Shape (n,) [m/s^3].
+        start_s: Distance at the start [m].
+        start_speed: Speed at the start, >= 0 in either gear [m/s].
+        start_acceleration: Acceleration at the start [m/s^2].
+
+    Attributes:
+        times: Phase borders, Shape (n + 1,) [s], first 0.
+        states: Distance, speed, acceleration at the borders, Shape (n + 1, 3).
+
+    Raises:
+        InvalidValue: No phase, differing shapes, a duration that is not > 0, a value that is not finite, or a motion
+            that overflows.
+    """
+
+    durations: FloatArray
+    jerks: FloatArray
+    start_s: float = 0.0
+    start_speed: float = 0.0
+    start_acceleration: float = 0.0
+    times: FloatArray = field(init=False, repr=False)
+    states: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        durations, jerks = (
+            frozen_array(self.durations, "time law.durations"),
+            frozen_array(self.jerks, "time law.jerks"),
+        )
+        if durations.size == 0 or durations.size != jerks.size:
+            raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
+        if not np.all(durations > 0.0):
+            raise InvalidValue("time law.durations: must be > 0 s")
+        for name in ("start_s", "start_speed", "start_acceleration"):
+            object.__setattr__(self, name, finite_number(getattr(self, name), f"time law.{name}"))
+        start = self.start_s, self.start_speed, self.start_acceleration
+        for name, value in (("durations", durations), ("jerks", jerks)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
+        with np.errstate(over="ignore", invalid="ignore"):
+            states = np.ascontiguousarray(border_states(durations, jerks, start).T)
+        if not (np.all(np.isfinite(states)) and np.isfinite(self.times[-1])):
+            raise InvalidValue("time law: the motion goes beyond all numbers; durations and jerks are too large")
+        object.__setattr__(self, "states", readonly(states))
+
+    def __repr__(self) -> str:
+        return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return float(self.times[-1])
+
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
+        points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
+        phase = self._phases_at(points)
+        (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
+        return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
+
+    def phase_middles(self, t: FloatArray) -> FloatArray:
+        """Distance halfway through the phase in force at each of the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
+        phase = self._phases_at(t)
+        middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
+        return middles
+
+    def _phases_at(self, t: FloatArray) -> IntArray:
+        return np.searchsorted(self.times[1:-1], t, side="right")
+
+
+class TrajectoryState(NamedTuple):
+    """Where the robot is meant to be at one instant; twist and acceleration are signed, negative in reverse."""
+
+    t: float
+    s: float
+    pose: Pose2
+    twist: Twist2
+    acceleration: float
+    yaw_acceleration: float
+    jerk: float
+
+
+class TrajectorySamples(NamedTuple):
+    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed: negative speed is reverse."""
+
+    t: FloatArray
+    s: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    yaw_rate: FloatArray
+    yaw_acceleration: FloatArray
+
+
+class TimedPoses(NamedTuple):
+    """A trajectory as arrays: `t`, Shape (n,) [s]; `poses`, Shape (n, 3): x [m], y [m], yaw [rad]; and `twists`.
+
+    `twists` has Shape (n, 2): speed along the heading, negative in reverse [m/s], and yaw rate [rad/s].
+    """
+
+    t: FloatArray
+    poses: FloatArray
+    twists: FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(FrozenArrays):
+    """A timed motion: a path, and a time law over its arc length.
+
+    Args:
+        path: Where.
+        time_law: When; its distance runs from 0 to the length of the path.
+
+    Raises:
+        InvalidValue: Path or time law is of another class.
+    """
+
+    path: Path
+    time_law: TimeLaw
+
+    def __post_init__(self) -> None:
+        # Subclasses too are refused: what overrides poses or distances is another motion, of which nothing is known.
+        exactly(Path, self.path, "trajectory.path")
+        exactly(TimeLaw, self.time_law, "trajectory.time_law")
+
+    def __repr__(self) -> str:
+        return f"<Trajectory {self.duration:.3f} s over {self.path.driven:.3f} m>"
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        return self.path.frame
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return self.time_law.duration
+
+    def sample_at(self, t: ArrayLike) -> TrajectorySamples:
+        """Everything at times `t`, Shape (n,) [s], clipped to [0, duration]."""
+        times = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
+        s, v, a, j = self.time_law.at(times).T
+        s = np.clip(s, 0.0, self.path.length)
+        poses, gear = self.path.poses_at(s), self.path.direction_at(s).astype(np.float64)
+        curvature, rate = self.path.curvature_at(s), self.path.curvature_rate_at(s)
+        if self.path.turns:  # of a turn the jerk is none, also at its first instant, which rounding puts before it
+            j = np.where(self.path.direction_at(self.time_law.phase_middles(times)) == 0, 0.0, j)
+        x, y, yaw = poses.T
+        return TrajectorySamples(
+            times, s, x, y, yaw, gear * v, gear * a, gear * j, v * curvature, a * curvature + v * v * rate
+        )
+
+    def sample(self, period: float) -> TrajectorySamples:
+        """Samples at most `period` [s] apart; start, end and the arrival at every cusp are among them.
+
+        Raises:
+            InvalidValue: The period is not a finite number > 0, or far too small.
+        """
+        period = sampling_step(period, self.duration, "period")
+        count = max(1, int(np.ceil(self.duration / period - 1e-9)))
+        grid = np.minimum(np.arange(count + 1) * period, self.duration)
+        return self.sample_at(np.unique(np.concatenate((grid, self.cusp_times))))
+
+    def sampled(self, period: float) -> TimedPoses:
+        """Times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
+
+        Raises:
+            InvalidValue: The period is not a finite number > 0, or far too small.
+        """
+        step = sampling_step(period, self.duration, "period")
+        whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # the end is no sample of its own after a rounding
+        samples = self.sample_at(np.append(step * np.arange(max(whole, 1)), self.duration))
+        poses = np.column_stack((samples.x, samples.y, samples.yaw))
+        return TimedPoses(samples.t, poses, np.column_stack((samples.speed, samples.yaw_rate)))
+
+    @property
+    def cusp_times(self) -> FloatArray:
+        """Times at which the robot reaches each cusp, however long it waits there; Shape (number of cusps,) [s]."""
+        cusps, law = np.asarray(self.path.cusps), self.time_law
+        borders = law.states[:, 0]
+        nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)
+        waits = (law.jerks == 0.0) & np.all(np.abs(law.states[:-1, 1:]) <= _AT_REST, axis=1)
+        while np.any(late := waits[nearest - 1] & (nearest > 0)):
+            nearest = nearest - late
+        arrivals: FloatArray = law.times[nearest]
+        return arrivals
+
+    def at(self, t: float) -> TrajectoryState:
+        """The state at time `t` [s], clipped to [0, duration]."""
+        row = self.sample_at(t)
+        return TrajectoryState(
+            t=float(row.t[0]),
+            s=float(row.s[0]),
+            pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
+            twist=Twist2(float(row.speed[0]), float(row.yaw_rate[0])),
+            acceleration=float(row.acceleration[0]),
+            yaw_acceleration=float(row.yaw_acceleration[0]),
+            jerk=float(row.jerk[0]),
+        )

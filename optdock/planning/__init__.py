@@ -1,0 +1,1 @@
+"""From a problem to a certified plan: the portfolio of guesses, their refinement, plans, replanning."""

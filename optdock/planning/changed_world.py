@@ -1,0 +1,221 @@
+"""`still_holds`: whether what is left of a running plan keeps its clearance in a world that has changed, every cycle.
+
+What the plan was proven against does not need to be proven again. While its rule stays what it was, the proof is made
+against what is new only: the cells that are blocked now and were not, and the polygons that were not there; and of
+these only what is near enough to the rest of the path to matter. The rule is the plan's own, as it was certified.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.costmap.cell_obstacles import added_obstacles, is_same_grid
+from optdock.costmap.costmap import Costmap
+from optdock.deadline import never_late
+from optdock.geometry.checked import exactly, finite_number
+from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.model.problem import DockingProblem
+from optdock.model.trajectory import constant_jerk
+from optdock.planning.plan import DockPlan
+from optdock.verification import end_clearances
+from optdock.verification.conservative_advancement import Begun, prove_clearance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.model.dock import Dock
+    from optdock.model.trajectory import Trajectory
+    from optdock.verification.conservative_advancement import ClearanceProof
+
+__all__ = ["StillHolds", "still_holds"]
+
+_NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+_SPACING = 0.1  # [m] between the places by which what is near is found
+_HALVINGS = 30  # of a phase: below a microsecond
+_RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
+
+
+@dataclass(frozen=True)
+class StillHolds:
+    """What `still_holds` says; it counts as true where the clearance of the rest is proven.
+
+    Args:
+        holds: Whether it is.
+        changed: What differs from the world that the plan was proven in: of `obstacles`, `costmap`, `dock`,
+            `clearance`, `footprint`, `limits`, `frame`.
+        at_s: Where on the plan's path the first conflict was found [m]; None: there is none.
+        at_time: When that is on the plan's trajectory [s].
+        obstacle: What is too close there; empty where the proof was not finished.
+        clearance: To it [m].
+        required: There [m].
+        reason: All that in a sentence; empty where it holds.
+    """
+
+    holds: bool
+    changed: tuple[str, ...] = ()
+    at_s: float | None = None
+    at_time: float | None = None
+    obstacle: str = ""
+    clearance: float | None = None
+    required: float | None = None
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+def still_holds(
+    plan: DockPlan,
+    world: DockingProblem | Costmap | ObstacleSet,
+    from_time: float = 0.0,
+    *,
+    is_late: Callable[[], bool] = never_late,
+) -> StillHolds:
+    """Whether the rest of a running path keeps its clearance in a new world.
+
+    Proven is clearance alone. Whether the plan ends where the dock is now, and whether the robot still has the limits
+    that its motion keeps, is for the caller to judge where `changed` says `dock` or `limits`.
+
+    Args:
+        plan: The running plan.
+        world: A costmap, which takes the place of the plan's own, its border included; obstacles, which take the place
+            of the plan's; or a whole problem, whose start does not count.
+        from_time: How far the robot is on the plan's trajectory [s].
+        is_late: Asked between the rounds of the proof; what is open once it is True does not hold.
+
+    Raises:
+        InvalidValue: An argument is of another class, or of a subclass, or not finite.
+    """
+    exactly(DockPlan, plan, "plan")
+    from_time, known = finite_number(from_time, "from_time"), plan.problem
+    obstacles, costmap, later = known.obstacles, known.costmap, known
+    # No subclasses, as in a problem: what overrides its outline or its digest is another world than it says.
+    if isinstance(world, Costmap):
+        costmap = exactly(Costmap, world, "world")
+    elif isinstance(world, ObstacleSet):
+        obstacles = exactly(ObstacleSet, world, "world")
+    else:
+        exactly(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
+        obstacles, costmap, later = world.obstacles, world.costmap, world
+    changed = _changed(known, later, obstacles, costmap)
+    if "frame" in changed:
+        reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
+        return StillHolds(holds=False, changed=changed, reason=reason)
+    if not set(changed) - {"limits"}:
+        return StillHolds(holds=True, changed=changed)
+    # Where nothing is left to drive the robot stands at the end, which must be clear as well.
+    begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
+    return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
+
+
+@dataclass(frozen=True)
+class _Change:
+    """A running plan, and what differs from the world that it was proven in."""
+
+    plan: DockPlan
+    later: DockingProblem
+    obstacles: ObstacleSet
+    costmap: Costmap | None
+    changed: tuple[str, ...]
+
+    def judged(self, begin: float, is_late: Callable[[], bool]) -> StillHolds:
+        """Whether the rest of the path, from `begin` on [m], keeps the plan's rule against what is near."""
+        known, later = self.plan.problem, self.later
+        rest = self.plan.path.piece(begin)
+        count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)
+        places = rest.poses_at(np.linspace(0.0, rest.length, count))[:, :2]
+        reach = later.robot.footprint.circumscribed_radius + later.path_clearance.required + _SPACING
+        is_ruled_anew = bool(set(self.changed) & _RULES)
+        near = later.all_obstacles.near(places, reach) if is_ruled_anew else self._new(places, reach)
+        if len(near) == 0:
+            return StillHolds(holds=True, changed=self.changed)
+        begun, relief = Begun(known.start, end_clearances(known).start), self.plan.certificate.start_relief
+        proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
+        if proof.holds and proof.proven < 0.0 and not is_ruled_anew:
+            # What is new is touched; together with what was there before it may hide an overlap.
+            near = near + known.all_obstacles.near(places, reach)
+            proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
+        return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
+
+    def _new(self, places: FloatArray, reach: float) -> ObstacleSet:
+        """What was not there when the plan was proven, and is near."""
+        known, later, found = self.plan.problem, self.later, list[ObstacleSet]()
+        if "obstacles" in self.changed:
+            found.append(_without(self.obstacles.near(places, reach), known.obstacles))
+        if "costmap" in self.changed and self.costmap is not None:
+            unknown = later.unknown_is_obstacle
+            before = known.costmap if unknown == known.unknown_is_obstacle else None
+            found.append(added_obstacles(self.costmap, before, places, reach, unknown_is_obstacle=unknown))
+        found = [some for some in found if len(some)]
+        return functools.reduce(operator.add, found) if found else ObstacleSet.empty()
+
+    def _conflict(self, proof: ClearanceProof, begin: float, near: ObstacleSet) -> StillHolds:
+        """What stands in the way of a proof."""
+        found = StillHolds(holds=False, changed=self.changed)
+        if len(proof.violations):
+            s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
+            obstacle = near.name_of(int(row))
+            found = replace(found, obstacle=obstacle, clearance=clearance, required=required)
+            reason = f"{clearance:.4f} m from {in_words(obstacle)} at s = {begin + s:.3f} m, required {required:.4f} m"
+        else:
+            s, short = proof.unproven[np.argmin(proof.unproven[:, 0])].tolist()
+            reason = f"the clearance near s = {begin + s:.3f} m is not proven; the bound is {-short:.3g} m short"
+        when = _time_at(self.plan.trajectory, begin + s)
+        return replace(found, at_s=begin + s, at_time=when, reason=reason)
+
+
+def _changed(
+    known: DockingProblem, later: DockingProblem, obstacles: ObstacleSet, costmap: Costmap | None
+) -> tuple[str, ...]:
+    """The names of what differs, in the order of `StillHolds.changed`."""
+    differs = {
+        "obstacles": obstacles is not known.obstacles and obstacles.digest != known.obstacles.digest,
+        "costmap": _is_another(costmap, known.costmap)
+        or (costmap is not None and later.unknown_is_obstacle != known.unknown_is_obstacle),
+    }
+    if later is not known:
+        before, after = known.dock, later.dock
+        differs["dock"] = before is not after and (before.pose != after.pose or _outline(before) != _outline(after))
+        differs["clearance"] = known.path_clearance != later.path_clearance  # with the tube
+        if known.robot is not later.robot:
+            was, now = known.robot.fingerprint, later.robot.fingerprint
+            differs |= {"footprint": was.footprint != now.footprint, "limits": was.limits != now.limits}
+        differs["frame"] = known.frame != later.frame
+    return tuple(name for name, differ in differs.items() if differ)
+
+
+def _outline(dock: Dock) -> bytes | None:
+    return None if dock.footprint is None else dock.footprint.vertices.tobytes()
+
+
+def _is_another(first: Costmap | None, second: Costmap | None) -> bool:
+    if first is None or second is None or first is second:
+        return first is not second
+    return not (is_same_grid(first, second) and np.array_equal(first.data, second.data))
+
+
+def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
+    """The pieces that are none of the known ones, corner for corner."""
+    if obstacles.vertices.shape[1] != known.vertices.shape[1]:
+        return obstacles
+    pieces = {piece.tobytes() for piece in known.vertices}
+    return obstacles.subset(np.array([piece.tobytes() not in pieces for piece in obstacles.vertices], dtype=np.bool_))
+
+
+def _time_at(trajectory: Trajectory, s: float) -> float:
+    """When a trajectory first comes to a place on its path [s]."""
+    law = trajectory.time_law
+    phase = int(np.clip(np.searchsorted(law.states[:, 0], s) - 1, 0, law.durations.size - 1))
+    low, high = 0.0, float(law.durations[phase])
+    at, speed, acceleration = law.states[phase].tolist()
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        reached = constant_jerk(middle, at, speed, acceleration, float(law.jerks[phase]))[0]
+        low, high = (middle, high) if reached < s else (low, middle)
+    return float(law.times[phase]) + high

@@ -1,0 +1,384 @@
+"""The rest of a path, deformed onto another start and another goal: the least change of its curvature that closes it.
+
+What is left of a plan is drivable, smooth and knows its way between the obstacles; a dock that turns out to be some
+centimetres aside asks for a small change of it. Let a path have curvature k(s) in its gears. To first order a change
+dk ds at s turns all that comes after about the point p(s), so that it moves the end by
+
+    d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
+
+a longer gear moves it along, and a turn in place turns it about where the robot stands. Gauss-Newton: the change of
+least weighted norm that closes the gap in this linear model, then the exact path, until nothing is left. What is least
+is the curvature rate, which is what drivers feel and what the drive's yaw acceleration pays for; bounds of curvature
+and of its rate are kept by holding what has reached one.
+
+A path that comes too close to something is pushed off it in the same way: to where a point of the robot is on the way,
+a shorter path leads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.separation import separation
+from optdock.model.path import Path
+from optdock.model.segments import ClothoidSegment, TurnSegment
+from optdock.quadratic_program import UNBOUNDED, DenseProgram
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.separation import ConvexBody, ConvexPieces
+    from optdock.model.limits import MotionLimits
+    from optdock.model.segments import Segment
+
+__all__ = ["Push", "deformed"]
+
+_CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
+_PUSHED = 1e-4  # [m]: pushes leave more room than that
+_STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
+_LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
+_SHORTEST_PIECE = 0.01  # [m]: shorter ones are not cut any further
+_LENGTH_PRICE = 0.5  # of a gear's relative change of length, where one of the curvature by its limit over 1 m costs 1
+_BEND_PRICE = 0.3  # of curvature, likewise, beside its rate
+_ALL = 1_000_000  # gears
+_USED = 0.999  # share of the bounds that is taken where one is reached
+_SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
+_USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
+_LEAST_TURN = 1e-3  # [rad]: a turn in place that shrinks to less is none
+_MOST_STRETCH = 0.3  # of a gear in one step, relative: beyond it the linear model knows nothing
+_USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is thought to swing by all it has
+# Three Gauss points on [0, 1] integrate what is linear in a hat, and quadratic in between, exactly.
+_NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.leggauss(3)) / 2.0 + [[0.5], [0.0]])
+
+
+class _Gear(NamedTuple):
+    """One gear, or turn, that is bent.
+
+    `knots`: of the free part, Shape (n,) [m], first 0. `curvature`: there, Shape (n,) [1/m]. `tail`: length of the
+    straight run after it [m]. `sign`: 1, -1, or 0 for a turn in place, of `turn` [rad].
+    """
+
+    knots: FloatArray
+    curvature: FloatArray
+    tail: float
+    sign: int
+    turn: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """How many numbers shape it: curvatures and the length, or the turn."""
+        return self.curvature.size + 1 if self.sign else 1
+
+    def changed(self, change: FloatArray) -> _Gear:
+        """The gear with its numbers changed by so much; a length by its logarithm."""
+        if self.sign == 0:
+            return self._replace(turn=self.turn + float(change[0]))
+        return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])
+
+    def segment(self, start: Pose2) -> Segment:
+        """The exact curve from a pose."""
+        if self.sign == 0:
+            return TurnSegment(start, self.turn)
+        knots, curvature = self.knots, self.curvature
+        if self.tail > 0.0:
+            knots, curvature = np.append(knots, knots[-1] + self.tail), np.append(curvature, 0.0)
+        return ClothoidSegment(ClothoidSpline(start, knots, curvature, self.sign))
+
+
+class Push(NamedTuple):
+    """An obstacle that the robot must keep a distance from at a place of the path.
+
+    Attributes:
+        gear: Index of the segment on which the robot is then.
+        share: How far it is along it, 0 to 1.
+        body: The convex piece of the robot that comes too close.
+        piece: The convex obstacle, alone.
+        distance: That they must keep [m].
+    """
+
+    gear: int
+    share: float
+    body: ConvexBody
+    piece: ConvexPieces
+    distance: float
+
+
+class _Contact(NamedTuple):
+    """Where robot and obstacle are nearest: a point of the robot, the axis away from the obstacle, and what is short.
+
+    `place`: in the world, Shape (2,) [m]. `normal`: Shape (2,). `short`: [m], below 0 where there is more than enough.
+    """
+
+    place: FloatArray
+    normal: FloatArray
+    short: float
+
+
+def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
+    path: Path,
+    start: Pose2,
+    goal: Pose2,
+    limits: MotionLimits,
+    *,
+    final_straight: float = 0.0,
+    steers: bool = True,
+    speed: float = 0.0,
+    pushes: Sequence[Push] = (),
+) -> Path | None:
+    """A path near `path` from `start` to `goal`, with its gears; or None where the bounds leave no room for one.
+
+    Clearance is none of its business: the certificate decides.
+
+    Args:
+        path: What is left of a path, of clothoids and turns in place.
+        start: Where it is to begin.
+        goal: Where it is to end.
+        limits: Its curvature and curvature rate are kept.
+        final_straight: Length of the straight run at the end [m].
+        steers: Whether the curvature at the start must stay what it is: the robot is in motion, or steers its wheels.
+        speed: At the start, >= 0 [m/s]: until it is braked off, the yaw acceleration and the steering rate bound the
+            curvature rate as well.
+        pushes: Off what it is pushed, by just so much each.
+    """
+    gears = _gears(path, final_straight)
+    if gears is None:
+        return None
+    program = _Program(gears, limits, speed, steers=steers)
+    for _ in range(_STEPS):
+        segments = _driven(gears, start)
+        if segments is None:
+            return None
+        end = segments[-1].poses_at(segments[-1].length)[0]
+        gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
+        contacts = [_contact(push, segments) for push in pushes]
+        short = max((contact.short for contact in contacts), default=0.0)
+        if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
+            return Path(segments, path.frame)
+        change = program.least_change(gears, segments, gap, list(zip(pushes, contacts, strict=True)))
+        if change is None:
+            return None
+        gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
+    return None
+
+
+def _gears(path: Path, final_straight: float) -> list[_Gear] | None:
+    """The gears of a path with knots enough to be bent; None where it is made of something else, or has no room."""
+    gears = []
+    for segment in path.segments:
+        if isinstance(segment, TurnSegment):
+            gears.append(_Gear(segment.knots, np.zeros(0), 0.0, 0, segment.turn))
+        elif isinstance(segment, ClothoidSegment):
+            tail = final_straight if segment is path.segments[-1] else 0.0
+            free = segment.length - tail
+            if free <= 2.0 * _SHORTEST_PIECE:
+                return None
+            knots = _refined(segment.knots, free)
+            gears.append(_Gear(knots, segment.curvature_at(knots), tail, segment.spline.sign))
+        else:
+            return None
+    return gears
+
+
+def _refined(knots: FloatArray, length: float) -> FloatArray:
+    """The knots before `length`, that one, and more between those that are far apart."""
+    kept = knots[(knots > 0.0) & (knots < length)]
+    apart = 0.1 * _SHORTEST_PIECE  # what is nearer to another knot bends nothing, and would ask for a rate of its own
+    kept = kept[(kept > apart) & (kept < length - apart)]
+    ends = np.concatenate(([0.0], kept, [length]))
+    steps = np.diff(ends)
+    parts = np.ceil(steps / max(length / _LEAST_PIECES, _SHORTEST_PIECE)).astype(np.int64)
+    pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(ends[:-1], ends[1:], parts, strict=True)]
+    return np.append(np.concatenate(pieces), length)
+
+
+def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
+    """The exact curves from a pose.
+
+    None where a turn has vanished or changed its side, or a curve turns so often that it cannot be evaluated.
+    """
+    segments: list[Segment] = []
+    for gear in gears:
+        if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
+            return None
+        try:
+            segments.append(gear.segment(start))
+        except InvalidValue:
+            return None
+        start = Pose2.from_sequence(segments[-1].poses_at(segments[-1].length)[0])
+    return tuple(segments)
+
+
+def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
+    """The contact of a push as the path is now."""
+    segment = segments[push.gear]
+    pose = segment.poses_at(push.share * segment.length)
+    found = separation(push.body, pose, push.piece)
+    normal = found.axis[0]
+    corners = transform_points(pose, push.body.vertices)[0]
+    heights = corners @ normal
+    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
+    place = corners[nearest[0]]
+    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+        outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
+        corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
+        place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
+    return _Contact(place, normal, push.distance - float(found.distance[0]))
+
+
+def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
+    """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
+    left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
+    speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
+    turning = _USED_BY_BENDS * limits.max_yaw_acceleration / speeds**2
+    if not math.isfinite(limits.max_steering_rate):
+        return turning
+    return np.minimum(turning, _USED_BY_BENDS * limits.max_steering_rate / (limits.wheelbase * speeds))
+
+
+class _Program:
+    """The quadratic program of a step: the least change that closes the gap within the bounds.
+
+    Args:
+        gears: As they are at first.
+        limits: Their bounds.
+        speed: See `deformed`.
+        steers: See `deformed`.
+    """
+
+    def __init__(self, gears: list[_Gear], limits: MotionLimits, speed: float, *, steers: bool) -> None:
+        sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
+        self.most = limits.max_curvature * _USED
+        self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
+        rate = limits.max_curvature_rate
+        self.rate_scale = rate if math.isfinite(rate) else self.scale / _USUAL_SWING
+        self.starts = np.concatenate(([0], np.cumsum([gear.size for gear in gears])))
+        self.size = int(self.starts[-1])
+        most_rates = [np.full(gear.knots.size - 1 if gear.sign else 0, rate * _USED) for gear in gears]
+        if speed > 0.0 and gears[0].sign:
+            first = np.abs(np.diff(gears[0].curvature) / np.diff(gears[0].knots))
+            most_rates[0] = np.minimum(most_rates[0], np.maximum(_rates_at_speed(gears[0], limits, speed), first))
+        self.most_rates = np.concatenate(most_rates)
+        self.fixed: list[tuple[int, float]] = []
+        if steers and gears[0].sign:
+            self.fixed.append((0, float(gears[0].curvature[0])))
+        if gears[-1].sign:
+            self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
+        shaped = [np.arange(gear.curvature.size) for gear in gears]
+        self.places = np.concatenate([b + at for b, at in zip(self.starts.tolist(), shaped, strict=False)]).astype(int)
+        self.program: DenseProgram | None = None  # built on first use, for all steps
+        self.price = np.zeros((self.size, self.size))
+        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
+            self.price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
+
+    def keeps_bounds(self, gears: list[_Gear]) -> bool:
+        """Whether curvature and rates are within their bounds."""
+        curvature, rates, _ = self._bounded(gears)
+        slack = 1.0 / _USED
+        return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
+
+    def _bounded(self, gears: list[_Gear]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """All curvatures, all rates, and the rows of the rates over all numbers."""
+        curvature = np.concatenate([gear.curvature for gear in gears])
+        rates, rows = [], np.zeros((self.most_rates.size, self.size))
+        count = 0
+        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
+            if gear.sign == 0:
+                continue
+            steps, n = np.diff(gear.knots), gear.curvature.size
+            found = np.diff(gear.curvature) / steps
+            at = np.arange(n - 1)
+            rows[count + at, begin + at], rows[count + at, begin + at + 1] = -1.0 / steps, 1.0 / steps
+            rows[count + at, begin + n] = -found  # a longer gear swings more slowly
+            rates.append(found)
+            count += n - 1
+        return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
+
+    def least_change(
+        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: list[tuple[Push, _Contact]]
+    ) -> list[FloatArray] | None:
+        """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
+        end = segments[-1].poses_at(segments[-1].length)[0]
+        curvature, rates, rate_rows = self._bounded(gears)
+        if self.program is None:
+            self.program = DenseProgram(self.size, 3 + rates.size + len(pushes))
+            self.program.h[:] = self.price
+        program, pushed = self.program, 3 + rates.size
+        room = min(self.most, UNBOUNDED)
+        program.lbx[self.places], program.ubx[self.places] = -room - curvature, room - curvature
+        for i, value in self.fixed:
+            program.lbx[i] = program.ubx[i] = value - curvature[np.searchsorted(self.places, i)]
+        program.a[:3] = self._moves(gears, segments, end)
+        program.lba[:3] = program.uba[:3] = gap
+        most_rates = np.minimum(self.most_rates, UNBOUNDED)
+        program.a[3:pushed] = rate_rows
+        program.lba[3:pushed], program.uba[3:pushed] = -most_rates - rates, most_rates - rates
+        for row, (push, contact) in enumerate(pushes, pushed):
+            place = push.gear, push.share
+            program.a[row] = contact.normal @ self._moves(gears, segments, contact.place, place)[:2]
+            program.lba[row] = contact.short
+        change = program.solve()
+        lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
+        if change is None or np.any(np.abs(change[lengths]) > _MOST_STRETCH):
+            return None
+        return np.split(change, self.starts[1:-1])
+
+    def _price(self, gear: _Gear) -> FloatArray:
+        """Of a change of a gear's numbers: the squared norm of what it does, as a matrix."""
+        if gear.sign == 0:
+            return np.array([[1.0]])
+        steps, n = np.diff(gear.knots), gear.curvature.size
+        swing = np.diff(np.eye(n), axis=0) / np.sqrt(steps)[:, None] / self.rate_scale
+        width = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+        price = np.zeros((n + 1, n + 1))
+        price[:n, :n] = swing.T @ swing + np.diag(_BEND_PRICE * width / self.scale**2)
+        price[n, n] = _LENGTH_PRICE * gear.knots[-1]
+        return price
+
+    def _moves(
+        self,
+        gears: list[_Gear],
+        segments: tuple[Segment, ...],
+        end: FloatArray,
+        until: tuple[int, float] = (_ALL, 1.0),
+    ) -> FloatArray:
+        """How a point that is fixed to the robot, at `end`, moves with every number, Shape (3, all numbers).
+
+        Args:
+            gears: As they are.
+            segments: Their curves.
+            end: Where the point is.
+            until: The gear, and the share of it, on which the robot is then; later ones do not move it.
+        """
+        columns = []
+        for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
+            if i > until[0]:
+                columns.append(np.zeros((3, gear.size)))
+                continue
+            share = until[1] if i == until[0] else 1.0
+            if gear.sign == 0:
+                x, y, _ = segment.poses_at(0.0)[0]
+                columns.append(share * np.array([[y - end[1]], [end[0] - x], [1.0]]))
+                continue
+            steps, last_s = np.diff(gear.knots), share * segment.length
+            s = (gear.knots[:-1, None] + steps[:, None] * _NODES).ravel()
+            poses = segment.poses_at(s)
+            turned = np.stack((poses[:, 1] - end[1], end[0] - poses[:, 0], np.ones(s.size)))
+            weights = np.repeat(steps, _NODES.size) * np.tile(_WEIGHTS, steps.size) * (s <= last_s)
+            weighted = (turned * weights).reshape(3, steps.size, _NODES.size)
+            bends = np.zeros((3, gear.curvature.size))
+            bends[:, :-1] += weighted @ (1.0 - _NODES)
+            bends[:, 1:] += weighted @ _NODES
+            first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
+            # As long again, with the same curvatures: as much turn more everywhere, and the way itself.
+            longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
+            columns.append(np.column_stack((bends, longer)))
+        return np.concatenate(columns, axis=1)

@@ -1,0 +1,1 @@
+"""What plugins are: their interfaces, life cycle, parameters, outcomes, and the registry that finds them."""

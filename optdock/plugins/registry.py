@@ -1,0 +1,257 @@
+"""Plugins by name, through entry points; Nav2's class names are aliases of ours."""
+
+from __future__ import annotations
+
+import pathlib
+import sys
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from optdock.errors import InvalidValue, OptdockError, PluginError
+from optdock.geometry.checked import instance
+from optdock.model.limits import MotionLimits, SpeedZone
+from optdock.plugins.interfaces import (
+    Behavior,
+    Controller,
+    DockType,
+    GlobalPlanner,
+    GoalChecker,
+    Layer,
+    Plugin,
+    Smoother,
+    TimeParameterizer,
+)
+from optdock.plugins.lifecycle import PluginContext
+from optdock.plugins.outcomes import TimingStatus
+from optdock.plugins.parameters import closest, parse_parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.model.trajectory import Trajectory
+
+__all__ = [
+    "INTERFACES",
+    "PluginChoice",
+    "PluginInfo",
+    "available_plugins",
+    "create_plugin",
+    "load_plugin",
+    "plugin_class",
+    "plugin_from",
+    "timed_by",
+]
+
+INTERFACES: Mapping[str, type[Plugin]] = {
+    "planners": GlobalPlanner,
+    "smoothers": Smoother,
+    "timing": TimeParameterizer,
+    "controllers": Controller,
+    "goal_checkers": GoalChecker,
+    "behaviors": Behavior,
+    "layers": Layer,
+    "docks": DockType,
+}
+
+# Nav2 pluginlib names (namespace stripped) that differ from our entry point names.
+_NAV2_ALIASES: Mapping[str, Mapping[str, str]] = {
+    "smoothers": {"ConstrainedSmoother": "CasadiSmoother"},
+}
+
+P = TypeVar("P", bound=Plugin)
+
+
+class PluginInfo(NamedTuple):
+    """One installed plugin: kind, name, and where it comes from (`module:Class`)."""
+
+    kind: str
+    name: str
+    target: str
+
+
+@dataclass(frozen=True)
+class PluginChoice:
+    """A plugin by name, and its parameters, as a file asks for it.
+
+    Raises:
+        InvalidValue: The name is no text.
+    """
+
+    name: str
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        instance(str, self.name, "plugin choice: name")
+
+
+@cache
+def _found(kind: str) -> Mapping[str, EntryPoint]:
+    if kind not in INTERFACES:
+        raise PluginError(f"plugin kind {kind!r}: must be one of {', '.join(INTERFACES)}")
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=f"optdock.{kind}"), key=lambda p: (p.name, p.value)):
+        known = found.setdefault(point.name, point)
+        if known.value != point.value:
+            raise PluginError(f"{kind}: two plugins are named {point.name}: {known.value} and {point.value}")
+    return found
+
+
+def available_plugins() -> tuple[PluginInfo, ...]:
+    """Every installed plugin, sorted; none is imported."""
+    return tuple(PluginInfo(kind, name, point.value) for kind in INTERFACES for name, point in _found(kind).items())
+
+
+def load_plugin(interface: type[P], name: str) -> type[P]:
+    """The plugin class called `name`.
+
+    Args:
+        interface: One of the interfaces in `INTERFACES`.
+        name: Entry point name, or Nav2's `namespace::Class` (old files: `namespace/Class`).
+
+    Raises:
+        PluginError: Unknown name, failing import, or a class that is not an `interface`.
+    """
+    kind = next((k for k, known in INTERFACES.items() if known is interface), "")
+    found = _found(kind)
+    if not isinstance(name, str):
+        raise PluginError(f"{kind}: a plugin's name must be text, got {name!r}")
+    short = name.replace("/", "::").rsplit("::", 1)[-1]
+    short = _NAV2_ALIASES.get(kind, {}).get(short, short) if short not in found else short
+    if short not in found:
+        raise PluginError(f"{kind}: unknown plugin {name!r}{closest(short, found)}; available: {', '.join(found)}")
+    point = found[short]
+    try:
+        loaded = point.load()
+    except (Exception, SystemExit) as error:  # foreign code may raise anything while it is imported
+        why = f"cannot be imported: {error}{_in_the_way_of(point)}"
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error
+    if not (isinstance(loaded, type) and issubclass(loaded, interface)):
+        why = f"is not a {interface.__name__}{_in_the_way_of(point)}"
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}")
+    return loaded
+
+
+def _in_the_way_of(point: EntryPoint) -> str:
+    """The folder or file that Python takes for a plugin's package, where the plugin is in another one; else nothing.
+
+    A folder of the user's beside his script comes first on Python's path, and hides the installed package of its name.
+    """
+    package, *inside = point.module.split(".")
+    specs = (PathFinder.find_spec(package, [entry]) for entry in sys.path)
+    places = [place for spec in specs if spec for place in spec.submodule_search_locations or [spec.origin or ""]]
+    found = [pathlib.Path(place).resolve() for place in places]
+    modules = {place: place.joinpath(*inside) for place in found}
+    holding = [place for place, at in modules.items() if at.is_dir() or at.with_suffix(".py").is_file()]
+    if not holding or holding[-1] == found[0]:
+        return ""
+    what = "folder" if found[0].is_dir() else "file"
+    return f"; the {what} {found[0]} hides the package {holding[-1]}: rename that {what}, or start Python elsewhere"
+
+
+def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object] | None = None) -> P:
+    """A ready-to-use plugin.
+
+    Raises:
+        PluginError: As `load_plugin`, or the plugin cannot be built: it is abstract, or its constructor fails.
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+    plugin_class = load_plugin(interface, name)
+    values = {} if parameters is None else parameters
+    # Checked before the call: a keyword argument cannot carry every name that a file may hold.
+    parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
+    try:
+        return plugin_class(**values)
+    except OptdockError:
+        raise
+    except Exception as error:  # foreign code may raise anything while it is built
+        target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
+        raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error
+
+
+def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) -> P:
+    """The plugin that a caller asks for: by name, by name with parameters, or the object itself.
+
+    Args:
+        interface: What it must be.
+        asked: The plugin.
+        role: What it is asked for as, for messages.
+
+    Raises:
+        PluginError: As `create_plugin`.
+        InvalidValue: It is none of the three, or a parameter is wrong.
+    """
+    if isinstance(asked, interface):
+        return asked
+    if isinstance(asked, str):
+        return create_plugin(interface, asked)
+    if isinstance(asked, PluginChoice):
+        return create_plugin(interface, asked.name, asked.parameters)
+    if isinstance(asked, type):
+        raise InvalidValue(
+            f"{role}: must be a {interface.__name__}, got the class {asked.__name__}; write {asked.__name__}()"
+        )
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
+
+
+def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
+    timing: str | PluginChoice | TimeParameterizer,
+    path: Path,
+    problem: DockingProblem | None,
+    *,
+    zone: SpeedZone | None = None,
+    start_speed: float = 0.0,
+    start_acceleration: float = 0.0,
+    start_wait: float = 0.0,
+) -> Trajectory:
+    """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
+
+    Args:
+        timing: The method: its name, its name with parameters, or a plugin that is not configured.
+        path: Where to drive.
+        problem: Its robot's limits count; None: the default limits.
+        zone: Slow stretch at the end; None: that of the problem's dock.
+        start_speed: Along the travel, >= 0 in either gear [m/s].
+        start_acceleration: Likewise [m/s^2].
+        start_wait: How long it rests at the start, because steered wheels are turned there [s].
+
+    Raises:
+        FailedToTimePath: The method has no motion from this start that keeps the limits.
+        PluginError: As `create_plugin`.
+        LifecycleError: The plugin is configured already.
+        InvalidValue: A parameter or the start state is wrong.
+    """
+    parameterizer = plugin_from(TimeParameterizer, timing, "timing")
+    limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+    waits: dict[str, Any] = {"start_wait": start_wait} if start_wait > 0.0 else {}
+    parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
+    try:
+        result = parameterizer.parameterize(
+            path,
+            limits,
+            approach if zone is None else zone,
+            start_speed=start_speed,
+            start_acceleration=start_acceleration,
+            **waits,
+        )
+    finally:
+        parameterizer.cleanup()
+    if result.status is not TimingStatus.OK or result.trajectory is None:
+        raise result.failure()
+    return result.trajectory
+
+
+def plugin_class(name: str) -> type[Plugin]:
+    """The installed plugin class called `name`, of whatever kind.
+
+    Raises:
+        PluginError: No kind has such a plugin, or it cannot be imported.
+    """
+    for kind, interface in INTERFACES.items():
+        if name in _found(kind):
+            return load_plugin(interface, name)
+    raise PluginError(f"unknown plugin {name!r}: no installed distribution has an entry point of that name")

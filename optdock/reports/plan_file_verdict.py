@@ -1,0 +1,445 @@
+"""The verdict on a whole plan file: every part is proven, compared with what is proven, or named as neither.
+
+The path is proven; the motion is proven where the file holds its phases, and otherwise its samples refute it or do not;
+a proof that no motion exists is judged by itself. What a file claims beside them (its certificate, what was tried) must
+be what is found here, to the rounding of files. What only a clock or the search could know is named in `not_judged`.
+
+Columns of paths are compared with their curves when a file is read, see `optdock.io.path_columns`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from optdock import errors
+from optdock.errors import InvalidFile, OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.impossibility import BlockedStraight, check_impossibility
+from optdock.io.numbers import is_number
+from optdock.io.plan_file import CERTIFIED, UNKNOWN
+from optdock.io.quoting import shown
+from optdock.model.path import may_be_one_frame
+from optdock.model.trajectory import Trajectory
+from optdock.planners.manoeuvres.price import price_of
+from optdock.reports.report import certificate_rows
+from optdock.samples import are_rounded_phases, check_sampled_motion, check_samples_of
+from optdock.verification import SHARPNESS, TOLERANCE, certify_motion, certify_path, pose_clearance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from optdock.impossibility import NoMotionProof
+    from optdock.io.plan_file import PlanFile, TrajectoryColumns
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.model.trajectory import TimeLaw
+    from optdock.samples import SampledMotionVerdict
+    from optdock.verification import Certificate, TrajectoryCertificate, Violation
+
+__all__ = ["PlanFileVerdict", "judge_plan_file"]
+
+_ROUNDED = 0.01  # relative, of the curvature of a path that is known by samples
+_SAME_PLACE = 1e-3  # [m], [rad]: a guess of the planner may end so far beside the path that was made of it
+
+
+class PlanFileVerdict(NamedTuple):
+    """The verdict on a plan file; true if it is certified.
+
+    Attributes:
+        outcome: `certified`: path and motion are proven, as far as the file holds them, and nothing else in it is
+            refuted. `unproven`: the path is, and the motion, of which the file holds samples, is not refuted.
+            `impossible`: the proof that no motion exists holds. `refuted`: none of these.
+        rows: What was found, a name and a sentence each.
+        faults: Every broken rule.
+        false_claims: What the file says that is not so.
+    """
+
+    outcome: Literal["certified", "unproven", "impossible", "refuted"]
+    rows: tuple[tuple[str, str], ...]
+    faults: tuple[str, ...] = ()
+    false_claims: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return self.outcome == "certified"
+
+    @property
+    def reason(self) -> str:
+        """The first broken rule or false claim, or why the motion is not proven; empty where all is."""
+        unproven = ("samples refute a motion or do not, they prove none",) if self.outcome == "unproven" else ()
+        return next(iter((*self.faults, *self.false_claims, *unproven)), "")
+
+
+def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
+    """Judge everything that a plan file holds.
+
+    Args:
+        plan: The file, as `load_plan` reads it.
+        problem: What it must solve, whatever problem it was made for.
+
+    Raises:
+        InvalidFile: The file contradicts itself: its parts do not go together whatever they hold.
+    """
+    _refuse_contradictions(plan)
+    if plan.impossibility is not None:
+        return _judged_impossible(plan, plan.impossibility, problem)
+    if plan.path is None:
+        return _refused(plan, f"the file holds no path, its status is {plan.status}")
+    if not may_be_one_frame(plan.frame, problem.frame):
+        fault = f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"
+        return _refused(plan, fault)
+    return _judged_path(plan, plan.path, problem)
+
+
+def _refuse_contradictions(plan: PlanFile) -> None:
+    """Parts that exclude each other.
+
+    Raises:
+        InvalidFile: There are some.
+    """
+    parts = {name: getattr(plan, name) for name in ("path", "trajectory", "certificate", "error", "impossibility")}
+    held = [name for name, value in parts.items() if value is not None]
+    if plan.impossibility is not None:
+        wrong = [name for name in held if name in ("path", "trajectory", "certificate")]
+        if wrong or plan.status == CERTIFIED:
+            beside = wrong[0] if wrong else f"status {CERTIFIED!r}"
+            raise InvalidFile(f"impossibility: a proof that no motion exists stands beside {beside}; one is wrong")
+    if plan.status == CERTIFIED and "path" not in held:
+        raise InvalidFile(f"status: is {CERTIFIED!r}, but the file holds no path")
+    if "error" in held and not _is_refusal(plan):
+        raise InvalidFile(f"error: stands beside status {shown(plan.status)}, which is no error's name")
+    if _is_refusal(plan) and "trajectory" in held:
+        raise InvalidFile(f"trajectory: stands beside status {plan.status!r}, which says that there is no plan")
+    if "certificate" in held and "path" not in held:
+        raise InvalidFile("certificate: the file holds no path that it could be of")
+
+
+def _is_refusal(plan: PlanFile) -> bool:
+    """Whether the status of a file is the name of an error."""
+    found = getattr(errors, plan.status, None) if plan.status in errors.__all__ else None
+    return isinstance(found, type) and issubclass(found, OptdockError)
+
+
+def _refused(plan: PlanFile, fault: str) -> PlanFileVerdict:
+    rows = [("verdict", "not certified"), *_not_judged(plan, ()), ("violation", fault)]
+    return PlanFileVerdict("refuted", tuple(rows), (fault,))
+
+
+def _judged_impossible(plan: PlanFile, proof: NoMotionProof, problem: DockingProblem) -> PlanFileVerdict:
+    """Whether the proof that no motion exists holds, and what it says of the bottleneck."""
+    verdict = check_impossibility(proof, problem)
+    faults = [] if verdict.proven else [f"the proof that no motion exists does not hold: {verdict.reason}"]
+    others = ", ".join(proof.problem.differences(problem.fingerprint))
+    bottleneck = proof.bottleneck
+    if isinstance(proof, BlockedStraight):
+        judged = "poses on the final straight"
+    else:
+        judged = f"cells of poses around the {proof.end}"
+    rows = [
+        ("verdict", "impossible, proven" if verdict.proven else "not certified"),
+        ("proof", f"{verdict.cells} {judged} judged again"),
+        *((("bottleneck", f"{bottleneck} (as the file says, not proven)"),) if bottleneck is not None else ()),
+        *((("file proven for", f"another problem: {others} differ; judged here for this one"),) if others else ()),
+        *_not_judged(plan, ("bottleneck",) if bottleneck is not None else ()),
+        *(("violation", fault) for fault in faults),
+    ]
+    return PlanFileVerdict("impossible" if verdict.proven else "refuted", tuple(rows), tuple(faults))
+
+
+def _judged_path(plan: PlanFile, path: Path, problem: DockingProblem) -> PlanFileVerdict:
+    certificate = certify_path(path, problem)
+    motion = _motion(plan, path, problem)
+    # A collision before all else.
+    broken = sorted(certificate.violations, key=lambda violation: violation.kind != "clearance")
+    faults = [*map(_said, broken), *motion.faults]
+    if _is_refusal(plan):
+        faults.append(f"the file is a refusal, its status is {plan.status}")
+    claims = _Claims(plan, path, certificate, motion, problem)
+    false = tuple(claims.false())
+    refuted = bool(faults or false)
+    rows = [
+        ("verdict", "not certified" if refuted else motion.verdict),
+        *certificate_rows(certificate),
+        *((("file proven for", claims.made_for),) if claims.made_for else ()),
+        *(("false claim", claim) for claim in false),
+        *_not_judged(plan, claims.not_judged()),
+        ("motion", motion.row),
+        *(("violation", fault) for fault in faults),
+    ]
+    outcome: Literal["certified", "unproven"] = "unproven" if motion.is_sampled else "certified"
+    return PlanFileVerdict("refuted" if refuted else outcome, tuple(rows), tuple(faults), false)
+
+
+def _said(violation: Violation) -> str:
+    """What is broken, with the pose where one was found."""
+    pose = violation.where.get("pose") if violation.kind == "clearance" else None
+    return f"{violation.message}, at {Pose2.from_sequence(pose).brief}" if isinstance(pose, list) else violation.message
+
+
+def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
+    """One row of what nobody can judge; none where the file holds nothing of that."""
+    foreign = (
+        [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
+    )
+    held = [*foreign, "completed", *(name for name in ("timing_ms", "tried", "error") if getattr(plan, name))]
+    named = [*parts, *held, *plan.unjudged]
+    return [("not judged", ", ".join(named))] if named else []
+
+
+class _Motion(NamedTuple):
+    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one.
+
+    `is_sampled`: only samples of it are known, and they do not refute it.
+    """
+
+    verdict: str
+    row: str
+    faults: list[str]
+    proof: TrajectoryCertificate | None = None
+    is_sampled: bool = False
+
+
+def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _Motion:
+    if plan.trajectory is None:
+        return _Motion("path certified", "none in the file, the path alone is judged", [])
+    if plan.time_law is None:
+        return _sampled(plan.trajectory, path, problem)
+    return _exact(plan.trajectory, path, plan.time_law, problem)
+
+
+def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: DockingProblem) -> _Motion:
+    """The proof of the phases, and whether the samples are those of them."""
+    trajectory = Trajectory(path, law)
+    proof = certify_motion(trajectory, problem)
+    samples = check_samples_of(trajectory, motion, problem)
+    faults = [violation.message for violation in (*proof.violations, *samples.violations)]
+    said = f"{law.durations.size} phases, {law.duration:.3f} s"
+    if faults and are_rounded_phases(trajectory, motion):
+        judged = _sampled(motion, path, problem)
+        return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
+    if faults:
+        return _Motion("not certified", f"{said}, refuted", faults)
+    agree = f"{said}, certified; {samples.samples} samples agree with them{_beside(samples)}"
+    return _Motion("certified", agree, [], proof)
+
+
+def _beside(verdict: SampledMotionVerdict) -> str:
+    """What is said of samples that lie beside the path."""
+    if not verdict.off_path:
+        return ""
+    apart, turned = verdict.offset
+    return f", with poses up to {apart:.2g} m and {turned:.2g} rad off it, which its clearance covers"
+
+
+def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> _Motion:
+    """What the samples refute, and what they leave open."""
+    verdict = check_sampled_motion(motion, path, problem)
+    if verdict.refuted:
+        faults = [violation.message for violation in verdict.violations]
+        return _Motion("not certified", f"{verdict.samples} samples, refuted", faults)
+    units = {"speed": "m/s", "acceleration": "m/s^2", "place": "m", "yaw rate": "rad/s"}
+    open_ = ", ".join(f"{name} to within {bound:.2g} {units[name]}" for name, bound in verdict.unproven.items())
+    row = (
+        f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
+        f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
+    )
+    return _Motion("path certified, motion not refuted and not proven", row, [], is_sampled=True)
+
+
+class _Claims:
+    """What a file says beside its path and its motion, and what of it is not so.
+
+    A certificate speaks of the problem and the path whose digests it holds. What depends on another problem than this
+    one, or on curves whose numbers have been rounded since, cannot be compared to the last digit, or at all.
+    """
+
+    def __init__(
+        self, plan: PlanFile, path: Path, certificate: Certificate, motion: _Motion, problem: DockingProblem
+    ) -> None:
+        self._plan, self._path, self._certificate, self._motion = plan, path, certificate, motion
+        self._problem = problem
+        self._claimed = plan.certificate or {}
+        self._of_path = self._claimed.get("path") in (None, certificate.path)
+        self._others = self._other_parts()
+
+    def _other_parts(self) -> list[str]:
+        claimed = self._claimed.get("problem")
+        here = self._certificate.problem._asdict()
+        if not isinstance(claimed, dict):
+            return []
+        return [name for name, value in here.items() if name in claimed and claimed[name] != value]
+
+    @property
+    def made_for(self) -> str:
+        """In what the problem or the path of the file's certificate is another one; empty where it does not say so."""
+        parts = []
+        if self._others:
+            parts.append(f"another problem: {', '.join(self._others)} differ; judged here for this one")
+        if not self._of_path:
+            parts.append("a path of other numbers, such as before rounding; judged here for this one")
+        return "; ".join(parts)
+
+    def not_judged(self) -> tuple[str, ...]:
+        """Names of the claims that cannot be compared."""
+        names = ["certificate.poses_checked"] if "poses_checked" in self._claimed else []
+        if "at_s" in self._claimed and not self._of_path and not self._others:
+            names.append("certificate.at_s")
+        if self._claimed and self._others:
+            names.append("certificate (of another problem)")
+        if "trajectory" in self._claimed and (self._motion.proof is None or self._others):
+            names.append("certificate.trajectory")
+        return tuple(names)
+
+    def false(self) -> Iterator[str]:
+        """Every claim that is not so."""
+        plan, certificate = self._plan, self._certificate
+        if not certificate.certified and plan.status == CERTIFIED:
+            yield f"status is {CERTIFIED!r}, the path is not"
+        yield from self._false_verdict("certificate", self._claimed, certificate, "the path is")
+        yield from self._false_of_path()
+        if certificate.certified and not self._others:
+            yield from self._false_clearances()
+            proof, claimed = self._motion.proof, self._claimed.get("trajectory")
+            if proof is not None and isinstance(claimed, dict):
+                yield from self._false_verdict("certificate.trajectory", claimed, proof, "the motion is")
+                yield from self._false_motion(proof, claimed)
+        yield from self._false_guess()
+        yield from self._false_price()
+
+    def _false_verdict(
+        self, name: str, claimed: Mapping[str, object], verdict: Certificate | TrajectoryCertificate, subject: str
+    ) -> Iterator[str]:
+        said = claimed.get("certified")
+        if said is True and not verdict.certified:
+            yield f"{name}.certified is true, {subject} not certified"
+        elif said is False and verdict.certified and not self._others:
+            yield f"{name}.certified is false, {subject} certified"
+        if said is True and claimed.get("violations"):
+            yield f"{name}.violations are there, though {name}.certified is true"
+
+    def _false_of_path(self) -> Iterator[str]:
+        """Numbers of the path alone, whatever the problem is."""
+        claimed, here = self._claimed, self._certificate
+        for name, value, unit in (
+            ("max_curvature", here.max_curvature, "1/m"),
+            ("max_curvature_rate", here.max_curvature_rate, "1/m^2"),
+        ):
+            said = _number(claimed, name, math.inf)
+            if said is None:
+                continue
+            exact = self._of_path and "path" in claimed
+            # Differences of rounded poses exaggerate; only what is too small is false then.
+            if (exact and not _same(said, value)) or said < value * (1.0 - _ROUNDED) - TOLERANCE:
+                yield f"certificate.{name} is {said:.6g} {unit}, the path has {value:.6g} {unit}"
+        length = _number(claimed, "length", math.inf)
+        if length is not None and not _same(length, here.length):
+            yield f"certificate.length is {length:.6g} m, the path is {here.length:.6g} m long"
+
+    def _false_clearances(self) -> Iterator[str]:
+        """Numbers of path and problem; the clearance is sharp to `SHARPNESS`."""
+        here = self._certificate
+        sharp = SHARPNESS + TOLERANCE
+        for name, value, near in (
+            ("min_clearance", here.min_clearance, sharp),
+            ("required_clearance", here.required_clearance, sharp),
+            ("start_relief", here.start_relief, TOLERANCE),
+            ("tube", here.tube, TOLERANCE),
+        ):
+            said = _number(self._claimed, name, math.inf)
+            if said is not None and not _near(said, value, near):
+                yield f"certificate.{name} is {said:.6g} m, proven are {value:.6g} m"
+        margin, most = _number(self._claimed, "margin", math.inf), here.min_clearance - here.required_clearance
+        # A proof ends where the rule is proven: only of the very same path is the margin the same. Of another it is
+        # at most what is left where the clearance is least.
+        wrong = margin is not None and margin != here.margin and not margin <= most + sharp
+        if margin is not None and (wrong or (self._of_path and not (_near(margin, here.margin, sharp)))):
+            yield f"certificate.margin is {margin:.6g} m, proven are {here.margin:.6g} m"
+        yield from self._false_view()
+        yield from self._false_place()
+        nearest = self._claimed.get("nearest")
+        obstacles = self._problem.all_obstacles
+        if nearest is not None and nearest not in {obstacles.name_of(row) for row in range(len(obstacles))} | {""}:
+            yield f"certificate.nearest is {shown(nearest)}, no obstacle has this name"
+        elif nearest == "" and here.nearest:
+            yield f"certificate.nearest is empty, {here.nearest} is nearest"
+
+    def _false_view(self) -> Iterator[str]:
+        """The margin of the view is that of the very same path; of another it says nothing that could be compared."""
+        said, here = _number(self._claimed, "view_margin", math.inf), self._certificate.view_margin
+        if said is None or not self._of_path:
+            return
+        if here is None:
+            yield f"certificate.view_margin is {said:.6g} m, but nothing has to be seen"
+        elif not _near(said, here, TOLERANCE):
+            yield f"certificate.view_margin is {said:.6g} m, proven are {here:.6g} m"
+
+    def _false_place(self) -> Iterator[str]:
+        """Where the least clearance is said to be, there it must be found."""
+        here, at = self._certificate, _number(self._claimed, "at_s", math.nan)
+        if at is None or not self._of_path or not math.isfinite(here.min_clearance) or _same(at, here.at_s):
+            return
+        if not -TOLERANCE <= at <= self._path.length + TOLERANCE:
+            yield f"certificate.at_s is {at:.6g} m, the path has {self._path.length:.6g} m"
+            return
+        found, least = self._clearance_at(at), max(self._clearance_at(here.at_s), here.min_clearance)
+        if not found <= least + SHARPNESS:
+            said = f"where the clearance is {found:.6g} m, not {here.min_clearance:.6g} m"
+            yield f"certificate.at_s is {at:.6g} m, {said}"
+
+    def _clearance_at(self, s: float) -> float:
+        pose, problem = self._path.pose_at(s), self._problem
+        return pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)[0]
+
+    def _false_motion(self, proof: TrajectoryCertificate, claimed: Mapping[str, object]) -> Iterator[str]:
+        duration, ratios = _number(claimed, "duration", math.inf), claimed.get("ratios")
+        if duration is not None and not _same(duration, proof.duration):
+            yield f"certificate.trajectory.duration is {duration:.6g} s, the motion takes {proof.duration:.6g} s"
+        for name, said in ratios.items() if isinstance(ratios, dict) else ():
+            value = proof.ratios.get(name)
+            if value is None:
+                yield f"certificate.trajectory.ratios.{shown(name)} is the ratio of no limit"
+            elif not is_number(said) or not _same(said, value):
+                yield f"certificate.trajectory.ratios.{name} is {shown(said)}, proven is {value:.6g}"
+
+    def _false_guess(self) -> Iterator[str]:
+        """The planner's path leads from where the path begins to where it ends."""
+        guess = self._plan.raw_path
+        if guess is None:
+            return
+        for what, one, other in (("begins", guess.start, self._path.start), ("ends", guess.end, self._path.end)):
+            apart, turned = one.distance_to(other), abs(math.remainder(one.yaw - other.yaw, 2.0 * math.pi))
+            if not max(apart, turned) <= _SAME_PLACE:
+                yield f"raw_path {what} {apart:.3g} m and {turned:.3g} rad off where the path {what}"
+
+    def _false_price(self) -> Iterator[str]:
+        """The plan is the best of the guesses that were tried, and was made of the planner's path."""
+        law, guess = self._plan.time_law, self._plan.raw_path
+        priced = [one for one in self._plan.tried if is_number(one.get("price"))]
+        if not priced or law is None or self._motion.proof is None or self._others:
+            return
+        price = price_of(self._path, law.duration, self._problem.robot)
+        best = min(priced, key=lambda one: one["price"])  # type: ignore[arg-type,return-value]  # numbers, see above
+        if not _same(best["price"], price):  # type: ignore[arg-type]
+            yield f"tried: the lowest price is {best['price']:.6g} s, that of the plan {price:.6g} s"
+        elif guess is not None and is_number(best.get("length")) and best.get("cusps") is not None:
+            near = abs(best["length"] - guess.driven) <= _SAME_PLACE  # type: ignore[operator]
+            if not near or best["cusps"] != len(guess.cusps):
+                yield "tried: the guess of the lowest price has another length or other cusps than raw_path"
+
+
+def _number(claimed: Mapping[str, object], name: str, null: float) -> float | None:
+    """What a file says a number is; `null` where it says null, as for infinity, and None where it says nothing."""
+    if name not in claimed:
+        return None
+    said = claimed[name]
+    return null if said is None else float(np.float64(said))  # type: ignore[arg-type]  # a number, as files are read
+
+
+def _same(said: float, value: float) -> bool:
+    return _near(said, value, TOLERANCE * (1.0 + abs(value)))
+
+
+def _near(said: float, value: float, near: float) -> bool:
+    return said == value or abs(said - value) <= near  # infinities are equal
