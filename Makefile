@@ -12,6 +12,7 @@ ROS_BIN := $(ROS_VENV)/bin
 ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml ros/requirements.txt \
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-for-demo
 
 .PHONY: help demo test check unit docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
 help:
@@ -28,13 +29,21 @@ help:
 	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
-$(STAMP): pyproject.toml
+# What the demo needs, and what everything else needs beside it.
+$(DEMO_STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "optdock needs Python >= 3.10")'
+	@echo "making an environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,plot,sim]'
+	@echo "installing optdock with CasADi, SciPy, ruckig and matplotlib: a minute or two"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[plot]'
+	touch $(DEMO_STAMP)
+
+$(STAMP): $(DEMO_STAMP)
+	@echo "installing the developers' tools: a few minutes"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,plot]'
 	touch $(STAMP)
 
-demo: $(STAMP)
+demo: $(DEMO_STAMP)
 	$(BIN)/optdock demo --out demo
 	@echo
 	@echo "The program is $(BIN)/optdock; 'source $(BIN)/activate' makes it plain optdock."

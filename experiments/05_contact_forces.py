@@ -1,4 +1,4 @@
-"""Experiment 5: how hard and how straight robots meet their stations, in a physics simulation; needs the extra `sim`.
+"""Experiment 5: how hard and how straight robots meet their stations, in a physics simulation.
 
 The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25
 rad) are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.mujoco import MujocoDrive, VShape, flat_station
+from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.footprint import Footprint
@@ -37,13 +39,11 @@ from optdock.model.trajectory import Trajectory
 from optdock.nav2.graceful_law import GracefulLaw
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan
-from optdock.plotting import save_mujoco_animation
 from optdock.plotting.canvas import COLOURS, new_figure, save_figure
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
 from optdock.reports.report import table
 from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath, Sensors, SimulatedRobot
-from optdock.simulation.mujoco import MujocoDrive, VShape, flat_station
 
 OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)

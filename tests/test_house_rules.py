@@ -107,7 +107,6 @@ OPENING_IS_RIGHT = {
     ("optdock/io/guarded_file.py", "read_bytes"),
     ("optdock/io/map_image.py", "Image.open"),
     ("optdock/ros/bag.py", "reader.open"),
-    ("optdock/simulation/mujoco/model.py", "template.read_text"),
     ("ros/optdock_ros/optdock_ros/docking_server.py", "self._goals.open"),
 }
 

@@ -7,13 +7,13 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from experiments.benchmarks.tables import Table, Timer, percentile, yardstick
+from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.errors import OptdockError
 from optdock.model.path import Path
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Smoother
 from optdock.plugins.registry import create_plugin
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:

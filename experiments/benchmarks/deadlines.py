@@ -20,6 +20,7 @@ import shapely
 
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile, yardstick
 from experiments.cpu_budgets import count_cpu
+from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.costmap.costmap import Costmap
 from optdock.errors import OptdockError
@@ -31,7 +32,6 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock, warm_up
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -18,7 +18,7 @@ _PROGRAM = """
 import sys, time
 from optdock.plugins.interfaces import Smoother
 from optdock.plugins.registry import create_plugin
-from optdock.testing.families import instance
+from experiments.families import instance
 case, smoother = instance(sys.argv[1], 0), create_plugin(Smoother, "CasadiSmoother")
 times = []
 for _ in range(4):

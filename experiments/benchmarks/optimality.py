@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from experiments.benchmarks.ipopt_reference import smooth_by_ipopt
 from experiments.benchmarks.tables import Table
+from experiments.families import FEASIBLE_FAMILIES, instance
 from optdock.errors import SmootherException
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from smoothers.casadi_smoother import CasadiSmoother
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from experiments.benchmarks.tables import Table, Timer, percentile
+from experiments.families import instance
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import garbage_collection_paused
 from optdock.errors import OptdockError
@@ -25,7 +26,6 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.testing.families import instance
 from optdock.verification import prove_motion
 
 if TYPE_CHECKING:

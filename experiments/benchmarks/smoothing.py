@@ -23,9 +23,9 @@ from experiments.benchmarks.smoothing_tables import (
     warm_table,
 )
 from experiments.benchmarks.tables import Table, yardstick
+from experiments.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.plugins.interfaces import Smoother, SmoothingReport
 from optdock.plugins.registry import create_plugin, load_plugin
-from optdock.testing.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from experiments.benchmarks.tables import Timer
+from experiments.dense_check import dense_check
 from optdock.errors import SmootherException, SmootherTimedOut
 from optdock.plugins.interfaces import SmoothingReport
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
+    from experiments.dense_check import DenseReport
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from optdock.plugins.interfaces import Smoother
-    from optdock.testing.dense_check import DenseReport
     from optdock.verification import Certificate
 
 __all__ = ["Call", "Verdict", "best_of", "called", "judged"]

@@ -14,9 +14,9 @@ import numpy as np
 
 from experiments.benchmarks.smoothing_calls import called
 from experiments.benchmarks.tables import Table, Timer, percentile
+from experiments.dense_check import clearance_at
+from experiments.families import instance
 from optdock.geometry.separation import separation
-from optdock.testing.dense_check import clearance_at
-from optdock.testing.families import instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

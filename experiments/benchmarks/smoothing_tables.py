@@ -11,17 +11,17 @@ import numpy as np
 
 from experiments.benchmarks.smoothing_calls import best_of, called, judged
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile
+from experiments.families import instance
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
-from optdock.testing.families import instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from experiments.benchmarks.smoothing_calls import Call, Verdict
+    from experiments.families import Instance
     from optdock.model.path import Path
     from optdock.plugins.interfaces import Smoother
-    from optdock.testing.families import Instance
 
 __all__ = ["Run", "baseline_table", "budget_table", "family_table", "reasons_table", "solved", "warm_table"]
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from experiments.benchmarks.tables import Table, Timer
+from experiments.families import FEASIBLE_FAMILIES, instance
 from optdock.errors import OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
@@ -28,7 +29,6 @@ from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import TimingStatus
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.families import FEASIBLE_FAMILIES, instance
 from optdock.errors import SmootherException
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.model.path import ClothoidSegment, Path
 from optdock.plugins.interfaces import Smoother
 from optdock.plugins.registry import create_plugin
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:
     from optdock.model.path import Segment

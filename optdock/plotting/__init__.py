@@ -1,11 +1,10 @@
-"""Pictures of plans, motions and runs; needs the extra `plot`, or `sim` for those that MuJoCo draws.
+"""Pictures of plans, motions and runs; needs the extra `plot`.
 
 Nothing here changes a result: every function takes finished values and writes one file.
 """
 
 from optdock.plotting.animation import save_animation
 from optdock.plotting.docking_picture import save_docking_picture
-from optdock.plotting.mujoco_animation import save_mujoco_animation
 from optdock.plotting.plan_picture import save_plan_picture
 from optdock.plotting.profile_picture import save_profile_picture
 from optdock.plotting.run_picture import save_run_picture
@@ -13,7 +12,6 @@ from optdock.plotting.run_picture import save_run_picture
 __all__ = [
     "save_animation",
     "save_docking_picture",
-    "save_mujoco_animation",
     "save_plan_picture",
     "save_profile_picture",
     "save_run_picture",

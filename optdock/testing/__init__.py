@@ -1,1 +1,1 @@
-"""What tests and benchmarks share: docking problems drawn from families, and an independent dense checker."""
+"""What tests of plugins need: the contract suites, and drives and motions to try them on."""

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 import optdock
+from experiments.families import FAMILIES, instance
 from optdock import errors
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Outcome as PlanOutcome
 from optdock.executor.settings import ExecutorSettings
 from optdock.plugins.outcomes import TimingStatus
-from optdock.testing.families import FAMILIES, instance
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -56,7 +56,8 @@ def defined_keys():
 def test_every_citation_is_in_the_bibliography_and_every_entry_is_cited():
     defined = defined_keys()
     assert len(defined) == len(set(defined))
-    citing = [*CODE, *sorted((ROOT / "tests").rglob("*.py")), ROOT / "DESIGN.md", *WRITTEN]
+    written = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "experiments").rglob("*.py")]
+    citing = [*CODE, *sorted(written), ROOT / "DESIGN.md", *WRITTEN]
     cited = keys_in(path for path in citing if path.name != "bibliography.md" and path != Path(__file__))
     assert {key: where for key, where in cited.items() if key not in defined} == {}
     assert sorted(set(defined) - set(cited)) == []

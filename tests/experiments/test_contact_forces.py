@@ -4,12 +4,12 @@ import importlib
 
 import pytest
 
+from experiments.mujoco import MujocoDrive
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
-from optdock.simulation.mujoco import MujocoDrive
 from tests.docs.snippets import ROOT, measured
 
-pytest.importorskip("mujoco", reason="needs the extra sim")
+pytest.importorskip("mujoco", reason="needs mujoco")
 experiment = importlib.import_module("experiments.05_contact_forces")
 
 

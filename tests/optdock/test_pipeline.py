@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from experiments.dense_check import dense_check
 from optdock.costmap.costmap import Costmap
 from optdock.errors import (
     Cancelled,
@@ -54,7 +55,6 @@ from optdock.plugins.interfaces import (
     never_cancelled,
 )
 from optdock.plugins.registry import PluginChoice, create_plugin
-from optdock.testing.dense_check import dense_check
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_motion, certify_path, certify_trajectory, proven_for
 from smoothers import CasadiSmoother

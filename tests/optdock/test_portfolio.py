@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+from experiments.dense_check import dense_check
 from optdock.deadline import Deadline
 from optdock.errors import (
     Cancelled,
@@ -38,7 +39,6 @@ from optdock.planning.pipeline import plan_dock, warm_up
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, SmoothingResult, never_cancelled
 from optdock.plugins.outcomes import Guess
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_motion, certify_path
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -23,7 +24,6 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_motion, certify_path, certify_trajectory
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.2, max_yaw_acceleration=2.0)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
@@ -16,7 +17,6 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
@@ -21,7 +22,6 @@ from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot, TrackingTube
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import still_holds
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 
 ORIGIN, CELL, SIDE = (-3.0, -2.0), 0.1, 40

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -20,7 +21,6 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot, TrackingTube
 from optdock.planning.pipeline import plan_dock
 from optdock.samples.tube import Tube
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path, pose_clearances
 
 FOOTPRINT = Footprint.rectangle(0.45, 0.45, 0.6)

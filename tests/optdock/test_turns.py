@@ -13,6 +13,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.errors import ControllerInvalidPath, InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -31,7 +32,6 @@ from optdock.plugins.interfaces import Controller, GoalChecker, TimingStatus
 from optdock.plugins.registry import create_plugin
 from optdock.samples import check_sampled_motion, check_samples_of
 from optdock.simulation import run_closed_loop
-from optdock.testing.dense_check import dense_check
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_motion, certify_path, certify_trajectory, prove_motion

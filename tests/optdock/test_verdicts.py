@@ -13,6 +13,7 @@ import pytest
 import checkers
 import optdock
 import smoothers
+from experiments.dense_check import DenseReport, Fault, dense_check
 from optdock.executor.log import Cycle
 from optdock.executor.outcomes import Ending, EndingKind
 from optdock.executor.planning import Outcome, PlanResult, Verdict
@@ -34,7 +35,6 @@ from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, TimingResul
 from optdock.reports.plan_file_verdict import PlanFileVerdict
 from optdock.samples import SampledMotionVerdict
 from optdock.simulation.run import Run
-from optdock.testing.dense_check import DenseReport, Fault, dense_check
 from optdock.timing.checks import SegmentPlan
 from optdock.timing.start_states import StartVerdict
 from optdock.verification import Certificate, TrajectoryCertificate, Violation, certify_path, certify_trajectory
@@ -62,7 +62,7 @@ WORDS = {
 }
 DENIALS = {"refuted"}  # words that say no
 NO_VERDICT = {
-    "optdock.testing.families.scene.Scene",  # what a scene was made to be
+    "experiments.families.scene.Scene",  # what a scene was made to be
     "optdock.timing.near_optimal.ReferenceMotion",  # a step of a search, as the two below
     "optdock.timing.checks.SegmentPlan",
     "smoothers.scp.loop.Iterate",

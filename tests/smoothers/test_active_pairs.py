@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from experiments.families import instance
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.testing.families import instance
 from smoothers.scp.collision.active_pairs import active_pairs, local_minima
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase, swept_boxes
 from smoothers.scp.collision.narrow_phase import narrow_phase

@@ -8,6 +8,8 @@ import time
 import numpy as np
 import pytest
 
+from experiments.dense_check import dense_check
+from experiments.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import Deadline
 from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherException
@@ -21,8 +23,6 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.interfaces import PluginContext, Smoother, SmoothingStatus, never_cancelled
 from optdock.plugins.registry import create_plugin
-from optdock.testing.dense_check import dense_check
-from optdock.testing.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.collision.linearization import covering_disc_rows

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from experiments.benchmarks.ipopt_reference import smooth_by_ipopt
+from experiments.families import instance
 from optdock.errors import FailedToSmoothPath, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.testing.families import instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 

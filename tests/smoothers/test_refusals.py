@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from experiments.families import instance
 from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherTimedOut
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Path
 from optdock.planning import refinement
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import PartialPlan
-from optdock.testing.families import instance
 from optdock.verification import certify_path, end_clearances, pose_clearance
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother

@@ -280,7 +280,7 @@ def test_nav2s_name_finds_it():
 
 
 def test_a_curve_is_taken_as_samples():
-    from optdock.testing.families import instance
+    from experiments.families import instance
 
     witness = instance("reverse_cusp", 0).witness
     result = SimpleSmoother().smooth(witness, 10.0)

@@ -5,9 +5,9 @@ import math
 
 import pytest
 
+from experiments.families import instance
 from optdock.errors import SmootherTimedOut
 from optdock.plugins.interfaces import PluginContext
-from optdock.testing.families import instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.loop import search

@@ -34,7 +34,7 @@ def draw(rng: np.random.Generator) -> Case:
     case = docking_problem(rng)
     if rng.uniform() >= _FAMILIES:
         return case
-    from optdock.testing.families import FAMILIES, instance
+    from experiments.families import FAMILIES, instance
 
     family, member = sorted(FAMILIES)[int(rng.integers(len(FAMILIES)))], int(rng.integers(1_000_000))
     scene = problem_spec(instance(family, member).problem)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.fuzz.case import rng_of
 from experiments.fuzz.kinds import impossibilities
 from optdock.errors import InvalidFile
@@ -19,7 +20,6 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import warm_up
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.verification.certificate import TOLERANCE
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)

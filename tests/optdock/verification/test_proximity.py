@@ -10,6 +10,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.families import FAMILIES, instance
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
@@ -17,7 +18,6 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.testing.families import FAMILIES, instance
 from optdock.verification import end_clearances, pose_clearance, pose_clearances, proximity
 
 BAR = Footprint.rectangle(0.9, 0.3, 0.4)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.families import FEASIBLE_FAMILIES, instance
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -24,7 +25,6 @@ from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import TimeParameterizer
 from optdock.plugins.registry import create_plugin
 from optdock.samples import check_sampled_motion, check_samples_of
-from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path, certify_trajectory
 
 LIMITS = MotionLimits(

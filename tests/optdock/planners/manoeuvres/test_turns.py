@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.dense_check import dense_check
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -23,7 +24,6 @@ from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
 from optdock.simulation import run_closed_loop
-from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path, pose_clearances
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.0, max_yaw_acceleration=2.0)

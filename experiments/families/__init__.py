@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.families import infeasible, open_floor, tight_places
+from experiments.families.motion import motion_to, raw_beside
+from experiments.families.scene import drawn_costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.plugins.parameters import closest
-from optdock.testing.families import infeasible, open_floor, tight_places
-from optdock.testing.families.motion import motion_to, raw_beside
-from optdock.testing.families.scene import drawn_costmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from experiments.families.scene import Scene
     from optdock.costmap.costmap import Costmap
     from optdock.model.path import Path
-    from optdock.testing.families.scene import Scene
 
 __all__ = ["FAMILIES", "FEASIBLE_FAMILIES", "INFEASIBLE_FAMILIES", "Instance", "instance"]
 

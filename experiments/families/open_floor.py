@@ -11,12 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2
-from optdock.model.path import Path
-from optdock.model.robot import Robot
-from optdock.testing.families.motion import Gear, Kink
-from optdock.testing.families.scene import (
+from experiments.families.motion import Gear, Kink
+from experiments.families.scene import (
     AMR,
     AMR_BACK,
     AMR_FRONT,
@@ -31,6 +27,10 @@ from optdock.testing.families.scene import (
     straight,
     swept_area,
 )
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.model.path import Path
+from optdock.model.robot import Robot
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

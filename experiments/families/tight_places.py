@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from optdock.testing.families.motion import turn
-from optdock.testing.families.scene import (
+from experiments.families.motion import turn
+from experiments.families.scene import (
     AMR_BACK,
     AMR_FRONT,
     CAR,

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from experiments.mujoco.model import Chassis, docking_model
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.robot import admissible
-from optdock.simulation.mujoco.model import Chassis, docking_model
 from optdock.simulation.plant import Actuation, PlantState, arrivals, check_duration, first_order
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def load_mujoco() -> Any:  # noqa: ANN401 - MuJoCo is read without its types
     try:
         import mujoco
     except ImportError as error:
-        raise MissingExtra("contact physics needs mujoco: pip install 'optdock[sim]', Python >= 3.11") from error
+        raise MissingExtra("contact physics needs mujoco: pip install mujoco, Python >= 3.11") from error
     return mujoco
 
 

@@ -4,6 +4,8 @@ import math
 import numpy as np
 import pytest
 
+from experiments.dense_check import clearance_at, dense_check
+from experiments.families import instance
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -14,8 +16,6 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.testing.dense_check import clearance_at, dense_check
-from optdock.testing.families import instance
 from optdock.verification import certify_path
 
 START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(4.0, 0.0, 0.0)

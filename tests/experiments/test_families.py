@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
+from experiments.dense_check import clearance_at, dense_check
+from experiments.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import transform_points
-from optdock.testing.dense_check import clearance_at, dense_check
-from optdock.testing.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 
 SEEDS = range(3)
 

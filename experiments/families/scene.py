@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.families.motion import Gear, Kink, Piece, motion_to, straight, turn
 from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
@@ -15,7 +16,6 @@ from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path
 from optdock.model.robot import Drive, Robot
-from optdock.testing.families.motion import Gear, Kink, Piece, motion_to, straight, turn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from optdock.testing.families.motion import turn
-from optdock.testing.families.open_floor import s_curve
-from optdock.testing.families.scene import (
+from experiments.families.motion import turn
+from experiments.families.open_floor import s_curve
+from experiments.families.scene import (
     AMR_FRONT,
     FINAL_STRAIGHT,
     GAP,
@@ -22,7 +22,7 @@ from optdock.testing.families.scene import (
 if TYPE_CHECKING:
     import numpy as np
 
-    from optdock.testing.families.motion import Gear
+    from experiments.families.motion import Gear
 
 __all__ = ["approach_blocked", "gap_blocked", "start_collision", "too_close"]
 

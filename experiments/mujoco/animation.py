@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from experiments.mujoco.plant import MujocoPhysics, load_mujoco
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.plotting.gif import frame_count, save_gif
-from optdock.simulation.mujoco.plant import MujocoPhysics, load_mujoco
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from PIL.Image import Image
 
+    from experiments.mujoco.plant import MujocoDrive
     from optdock.geometry.arrays import FloatArray
-    from optdock.simulation.mujoco.plant import MujocoDrive
     from optdock.simulation.plant import PlantState
 
 __all__ = ["save_mujoco_animation"]

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from experiments.mujoco import Chassis, MujocoDrive, VShape, docking_model, flat_station
+from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -17,9 +19,7 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.robot import Drive, Robot
-from optdock.plotting import save_mujoco_animation
 from optdock.simulation import Actuation, DifferentialDrive, PoseSensor, Sensors, SimulatedRobot, executed_clearance
-from optdock.simulation.mujoco import Chassis, MujocoDrive, VShape, docking_model, flat_station
 
 needs_mujoco = pytest.mark.skipif(find_spec("mujoco") is None, reason="needs the extra sim")
 
@@ -89,7 +89,7 @@ class TestModel:
 
     def test_without_mujoco_the_extra_is_named(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "mujoco", None)
-        with pytest.raises(MissingExtra, match=r"pip install 'optdock\[sim\]', Python >= 3.11"):
+        with pytest.raises(MissingExtra, match=r"pip install mujoco, Python >= 3.11"):
             MujocoDrive(BOX, PLATE)
 
 
