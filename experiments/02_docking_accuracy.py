@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.graceful_law import GracefulLaw, egocentric
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -25,7 +26,6 @@ from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.nav2.graceful_law import GracefulLaw, egocentric
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin

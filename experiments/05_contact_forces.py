@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.graceful_law import GracefulLaw
 from experiments.mujoco import MujocoDrive, VShape, flat_station
 from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
@@ -36,7 +37,6 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
-from optdock.nav2.graceful_law import GracefulLaw
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan
 from optdock.plotting.canvas import COLOURS, new_figure, save_figure

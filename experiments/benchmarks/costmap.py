@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from optdock.costmap import obstacles_from_costmap
 from optdock.io.maps import load_map
-from optdock.nav2.layers.inflation import InflationRule, inflation_costs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,24 +45,11 @@ def report_maps(paths: list[str]) -> None:
         )
 
 
-def report_grids() -> None:
-    """A grid of 1000 x 1000 cells of 5 cm, half a percent of them lethal."""
-    rng = np.random.default_rng(0)
-    lethal = rng.random((1000, 1000)) < 0.005
-    rule = InflationRule(0.22, 0.70, 3.0)
-    for name, work in {
-        "distance transform alone": lambda: distance_transform_edt(~lethal),
-        "inflation, radius 0.70 m": lambda: inflation_costs(lethal, 0.05, rule),
-    }.items():
-        print(f"{name:<30}{best_ms(work):>10.2f} ms")
-
-
 def main(arguments: list[str]) -> None:
-    """Grids always; maps where `arguments` names map YAML files, or where the real maps are found."""
+    """Maps, where `arguments` names map YAML files, or where the real maps are found."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks costmap", description=__doc__)
     parser.add_argument("maps", nargs="*", help="map YAML files (default: Nav2's, where they are found)")
     given = parser.parse_args(arguments).maps
-    report_grids()
     default = Path(os.environ.get("OPTDOCK_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     paths = given or sorted(str(path) for path in default.glob("nav2/maps/*.yaml"))
     if paths:

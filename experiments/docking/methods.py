@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from experiments.docking.outcome import Followed, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
+from experiments.graceful_law import GracefulLaw
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
-from optdock.nav2.graceful_law import GracefulLaw
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.lifecycle import PluginContext

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Path2", "Recording", "recording_of_log"]
 
-_LONGEST_PERIOD = 0.5  # [s] between two cycles: after a longer pause nobody knows which command was in force
 _SAME = 1e-6  # [m], [rad]: a correction of the odometry that has not changed, to rounding
 
 

@@ -528,7 +528,6 @@ class _Outside(NamedTuple):
         return self.now @ (self.reckoned.inverse() @ reckoned)
 
 
-_FORGOTTEN = 0.2  # of the systematic errors, after a metre: so that what was learned wrongly can be learned anew
 _STEPS = 4  # in which a straight way is looked ahead: the covariance couples yaw and place to second order
 
 

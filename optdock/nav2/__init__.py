@@ -1,4 +1,4 @@
-"""What speaks Nav2: its files, its costmap, its behaviors and its path follower; the method knows nothing of it.
+"""What speaks Nav2: its files, its costmap and its behaviors; the method knows nothing of it.
 
 - `params`: a parameter file: its plugins, costmaps, dock types and docks (`plugin_lists`, `costmap_params`, `numbers`).
 - `docks`: dock databases and dock types.
@@ -6,8 +6,7 @@
 - `provided_plugins`: which of a file's plugins are provided here, with which parameters, and why the others are not.
 - `global_costmap`: the costmap that a parameter file describes, over a map.
 - `layered_costmap`, `layers`: one master grid, and the layers that write into it.
-- `behaviors`: Wait, Spin, BackUp, DriveOnHeading, Undock.
-- `graceful`, `graceful_law`: the GracefulController and its control law, the baseline to beat.
+- `behaviors`: BackUp, DriveOnHeading.
 
 Nav2's smoothers are in `smoothers.nav2`, its goal checkers in `checkers.nav2`.
 """

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from optdock.costmap.costs import NO_INFORMATION
 from optdock.errors import InvalidFile
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
-from optdock.nav2.layers.inflation import InflationLayer
-from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.provided_plugins import Nav2Plugin, provided
 from optdock.plugins.interfaces import Layer
@@ -45,10 +40,9 @@ def file_costmap(
 ) -> FileCostmap:
     """The costmap `described`, in the place and size of the map, as it is before any sensor has seen anything.
 
-    The layers that optdock provides write it in the file's order with the file's parameters; costs around obstacles are
-    those of its inflation. Inflation of Nav2's kind writes 253 over unknown cells beside walls; here what the other
-    layers leave unknown stays unknown, so that it stays an obstacle. Without a static layer in the file one is put
-    under the others, because the map was given.
+    The layers that optdock provides write it in the file's order with the file's parameters. Layers of sensors have
+    seen nothing yet, and inflation changes no plan here, since clearance is proven with the exact footprint: both are
+    left out. Without a static layer in the file one is put under the others, because the map was given.
 
     Args:
         params: The parameter file.
@@ -65,19 +59,11 @@ def file_costmap(
     layers, rows = _layers(params, listed, grid, dock)
     tracked = params.nodes[node].get("track_unknown_space")
     built = LayeredCostmap.of_map(grid, layers, described.outline, track_unknown_space=tracked is not False)
-    inflating = [layer for layer in layers.values() if isinstance(layer, InflationLayer)]
-    for layer in inflating:
-        layer.set_parameters(enabled=False)
     known = built.update(start)
-    for layer in inflating:
-        layer.set_parameters(enabled=True)
-    costs = np.where(known.data == NO_INFORMATION, NO_INFORMATION, built.update(start).data)
     others = [(name, _why_not(name)) for name in params.costmaps if name != described.name]
     head = (described.name, _place(grid, rolls=params.nodes[node].get("rolling_window") is True))
     keeps = all(layer.parameters.track_unknown_space for layer in layers.values() if isinstance(layer, StaticLayer))
-    return FileCostmap(
-        known.with_data(costs), (head, ("unknown cells", _unknown(tracked, keeps=keeps)), *rows, *others)
-    )
+    return FileCostmap(known, (head, ("unknown cells", _unknown(tracked, keeps=keeps)), *rows, *others))
 
 
 def _node_of(params: Nav2Params, described: CostmapParams) -> str:
@@ -123,10 +109,8 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
         layer.set_map(grid)
     if isinstance(layer, DockLayer):
         layer.set_dock(dock)
-    blind = isinstance(layer, ObstacleLayer)
-    clears = isinstance(layer, ObstacleLayer | StaticLayer) and layer.parameters.footprint_clearing_enabled
-    said = f"used: {'ObstacleLayer; nothing has been seen yet' if blind else found.outcome}"
-    return layer, f"{said}{'; it frees the cells under the robot at the start' * clears}"
+    clears = isinstance(layer, StaticLayer) and layer.parameters.footprint_clearing_enabled
+    return layer, f"used: {found.outcome}{'; it frees the cells under the robot at the start' * clears}"
 
 
 def _place(grid: OccupancyGrid, *, rolls: bool) -> str:

@@ -32,10 +32,7 @@ _KINDS: Mapping[str, str] = {
 }
 # Parameters that Nav2's plugins of a kind read from their node instead of their own block.
 _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
-    "behavior": (
-        *("cycle_frequency", "simulate_ahead_time"),
-        *("max_rotational_vel", "min_rotational_vel", "rotational_acc_lim"),
-    ),
+    "behavior": ("cycle_frequency", "simulate_ahead_time"),
     "layer": (
         *("track_unknown_space", "trinary_costmap", "lethal_cost_threshold", "unknown_cost_value"),
         *("inscribed_obstacle_cost_value", "use_maximum"),
@@ -44,6 +41,11 @@ _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
 _REASONS: Mapping[str, str] = {
     "dock": "its staging offsets, direction and threshold are read, the plugin talks to sensors",
     UNLISTED: "no list of plugins names it",
+}
+_UNSEEN = "nothing has been seen yet"
+_CLASS_REASONS: Mapping[str, str] = {
+    "InflationLayer": "clearance is proven with the exact footprint, inflated costs change no plan",
+    **dict.fromkeys(("ObstacleLayer", "VoxelLayer", "RangeSensorLayer", "NonPersistentVoxelLayer"), _UNSEEN),
 }
 
 
@@ -97,7 +99,9 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
         plugin_class = load_plugin(INTERFACES[kind], instance.nav2_class)
     except PluginError as error:
         unknown_class = error.__cause__ is None  # otherwise a plugin of ours cannot be imported
-        reason = f"optdock has no {instance.kind.replace('_', ' ')} of this class" if unknown_class else str(error)
+        known_reason = _CLASS_REASONS.get(instance.nav2_class.rsplit(":", 1)[-1].rsplit("/", 1)[-1])
+        reason = known_reason or f"optdock has no {instance.kind.replace('_', ' ')} of this class"
+        reason = reason if unknown_class else str(error)
         return Nav2Plugin(instance, reason=reason)
     fields = plugin_class.Parameters.model_fields
     shared = [name for name in _OF_THE_NODE.get(instance.kind, ()) if name in node and name in fields]

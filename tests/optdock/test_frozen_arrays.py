@@ -32,7 +32,6 @@ from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegme
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.nav2.layers.scan import LaserScan
 from optdock.planners.dock_parameters import DockPlannerParameters
 from optdock.planners.two_segment import DockGeometry, plan_two_segment
 from optdock.samples.tube import Tube
@@ -79,7 +78,7 @@ def frozen_values():
     spline = ClothoidSpline(POSE, knots, curvature)
     durations, jerks = np.array([1.0, 1.0]), np.array([1.0, -1.0])
     costs, occupancy = np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2), dtype=np.int8)
-    ranges, points = np.array([1.0, 2.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     whole = ObstacleSet(vertices, ("rock",), group)
     times, three, two = np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros((2, 2))
     heard = np.zeros(2, dtype=np.bool_)
@@ -103,7 +102,6 @@ def frozen_values():
         (problem(), []),
         (Costmap(costs, 0.1), [costs]),
         (OccupancyGrid(occupancy, 0.1), [occupancy]),
-        (LaserScan(ranges, 0.0, 0.1, 0.1, 5.0), [ranges]),
         (Nurbs(points), [points]),
         (two_segments(), []),
         (two_segments().axis, []),
@@ -114,7 +112,7 @@ def frozen_values():
     ]
 
 
-VALUES = range(27)
+VALUES = range(26)
 
 
 @functools.cache

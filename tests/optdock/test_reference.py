@@ -144,7 +144,7 @@ ACCEPTED = [
     {"smoother": {"max_iterations": 20}},
     {"smoother": {"plugin": "SimpleSmoother", "max_its": 7}},
     {"goal_checker": {"plugin": "nav2_controller::SimpleGoalChecker", "xy_goal_tolerance": 0.1}},
-    {"controller": {"plugin": "GracefulController", "lambda": 2.5}},
+    {"controller": {"plugin": "MpcController", "steps": 8}},
 ]
 
 

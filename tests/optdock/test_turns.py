@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.dense_check import dense_check
-from optdock.errors import ControllerInvalidPath, InvalidFile, InvalidPath, InvalidValue
+from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -25,7 +25,6 @@ from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.nav2.behaviors.undock_plan import reversed_path
 from optdock.planning.plan import DockPlan
 from optdock.plotting import save_profile_picture
 from optdock.plugins.interfaces import Controller, GoalChecker, TimingStatus
@@ -115,13 +114,6 @@ def test_a_path_knows_what_it_drives():
     assert (turn, again) == (ROUTE.segments[1], ROUTE.segments[3])
     assert [part.segments for part in (first, second, third)] == [(s,) for s in ROUTE.segments[::2]]
     assert ROUTE.sample(0.02).direction.tolist().count(0) == pytest.approx(3.5 / 0.02, abs=4)
-
-
-def test_the_way_back_turns_back():
-    back = reversed_path(ROUTE)
-    s = np.linspace(0.0, ROUTE.length, 500)
-    inside = np.min(np.abs(s[:, None] - ROUTE.segment_starts), axis=1) > 1e-9
-    np.testing.assert_allclose(back.poses_at(ROUTE.length - s[inside]), ROUTE.poses_at(s[inside]), atol=1e-9)
 
 
 # The robot.
@@ -512,11 +504,6 @@ def test_a_blocked_turn_finds_its_reference_waiting():
     run = run_closed_loop(plan.trajectory, slow, path.end, create_plugin(Controller, "TrackingController"), checker)
     assert run.docked, run.reason
     assert run.times[-1] > 3.0 / 0.4
-
-
-def test_a_controller_of_gears_alone_says_so():
-    with pytest.raises(ControllerInvalidPath, match="turns in place; only TrackingController"):
-        create_plugin(Controller, "GracefulController").set_path(ROUTE)
 
 
 def test_turns_are_drawn(tmp_path):

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.docking.field.outcome import Steered
+from experiments.graceful_law import GracefulLaw
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
-from optdock.nav2.graceful_law import GracefulLaw
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout

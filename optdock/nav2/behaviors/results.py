@@ -11,12 +11,8 @@ __all__ = [
     "BACK_UP",
     "DRIVE_ON_HEADING",
     "RUNNING",
-    "SPIN",
     "SUCCEEDED",
-    "UNDOCK",
-    "WAIT",
     "Codes",
-    "UndockCodes",
     "failed",
     "stopped",
 ]
@@ -31,20 +27,8 @@ class Codes(NamedTuple):
     invalid_input: int
 
 
-class UndockCodes(NamedTuple):
-    """Nav2's docking error codes, as undocking uses them."""
-
-    no_way: int = 903  # FAILED_TO_STAGE
-    control: int = 905  # FAILED_TO_CONTROL
-    timeout: int = 907
-    unknown: int = 999
-
-
-SPIN = Codes(unknown=700, timeout=701, collision_ahead=703, invalid_input=700)
 BACK_UP = Codes(unknown=710, timeout=711, collision_ahead=714, invalid_input=713)
 DRIVE_ON_HEADING = Codes(unknown=720, timeout=721, collision_ahead=723, invalid_input=724)
-WAIT = Codes(unknown=740, timeout=741, collision_ahead=740, invalid_input=740)
-UNDOCK = UndockCodes()
 
 SUCCEEDED = BehaviorResult(BehaviorStatus.SUCCEEDED)
 RUNNING = BehaviorResult(BehaviorStatus.RUNNING)

@@ -19,7 +19,6 @@ from optdock.model.path import Direction, Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.nav2.graceful import GracefulController
 from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
@@ -97,7 +96,7 @@ def test_a_call_of_the_same_stamp_changes_nothing():
         pose, twist = pose.moved(command, 0.02), command
 
 
-@pytest.mark.parametrize("make", [configured, GracefulController])
+@pytest.mark.parametrize("make", [configured])
 def test_a_clock_that_goes_back_is_refused_until_it_has_caught_up(make):
     controller = make()
     controller.set_path(straight_drive(START))

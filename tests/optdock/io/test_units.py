@@ -27,7 +27,7 @@ dock:
   approach_distance: 0.3
 start: {pose: [1.0, 0.2, 0.4], speed: 0.0}
 goal_checker: {plugin: SimpleGoalChecker, yaw_goal_tolerance: 0.1}
-controller: {plugin: GracefulController, v_linear_max: 0.4}
+controller: {plugin: TrackingController, min_speed: 0.4}
 """
 PARAMS = """\
 global_costmap:
@@ -75,7 +75,7 @@ SCENARIOS_IN_OTHER_UNITS = [
     ("approach_speed: 0.1", "approach_speed: 100", "8: dock.approach_speed: speed 100 is beyond 50 m/s"),
     ("speed: 0.0}", "speed: -100.0}", "10: start.speed: speed -100 is beyond 50 m/s"),
     ("yaw_goal_tolerance: 0.1", "yaw_goal_tolerance: 10", "11: goal_checker.yaw_goal_tolerance: 10 is beyond 2 pi"),
-    ("v_linear_max: 0.4", "v_linear_max: 400", "12: controller.v_linear_max: 400 is beyond 50 m/s"),
+    ("min_speed: 0.4", "min_speed: 400", "12: controller.min_speed: 400 is beyond 50 m/s"),
 ]
 
 

@@ -42,26 +42,6 @@ NAV2 = {
         "direction_estimation_distance": 0.15,
         "fallback_radial_goal_tolerance": None,  # the smaller of the two tolerances
     },
-    "controllers.GracefulController": {
-        "min_lookahead": 0.25,
-        "max_lookahead": 1.0,
-        "k_phi": 2.0,
-        "k_delta": 1.0,
-        "beta": 0.4,
-        "lambda": 2.0,
-        "v_linear_min": 0.1,
-        "v_linear_max": 0.5,
-        "v_angular_max": 1.0,
-        "v_angular_min_in_place": 0.25,
-        "slowdown_radius": 1.5,
-        "deceleration_max": 2.5,
-        "initial_rotation": True,
-        "initial_rotation_tolerance": 0.75,
-        "prefer_final_rotation": True,
-        "rotation_scaling_factor": 0.5,
-        "allow_backward": False,
-        "use_collision_detection": True,
-    },
     "smoothers.SimpleSmoother": {
         "tolerance": 1e-10,
         "max_its": 1000,
@@ -78,13 +58,6 @@ NAV2 = {
         "refinement_num": 2,
         "enforce_path_inversion": True,
     },
-    "layers.InflationLayer": {
-        "inflation_radius": 0.55,
-        "cost_scaling_factor": 10.0,
-        "inflate_unknown": False,
-        "inflate_around_unknown": False,
-        "custom_inscribed_radius": -1.0,
-    },
     "layers.StaticLayer": {
         "track_unknown_space": False,
         "lethal_cost_threshold": 100,
@@ -93,8 +66,6 @@ NAV2 = {
         "inscribed_obstacle_cost_value": 99,
         "use_maximum": False,
     },
-    "behaviors.Undock": {"undock_linear_tolerance": 0.05, "undock_angular_tolerance": 0.05, "cycle_frequency": 50.0}
-    | {"staging_distance": 0.7},
 }
 # The document that the axis checker follows has no such distance; unknown space is an obstacle until it is seen.
 OTHERWISE = {
@@ -104,12 +75,9 @@ OTHERWISE = {
 OWN = {
     "goal_checkers.AdaptiveToleranceGoalChecker": {"required_stagnation_cycles"},
     "goal_checkers.AxisGoalChecker": {"axis_end", "stopped", "trans_stopped_velocity", "rot_stopped_velocity"},
-    "controllers.GracefulController": {"period"},
     "smoothers.SimpleSmoother": {"check_for_collisions"},
     "smoothers.SavitzkyGolaySmoother": {"check_for_collisions"},
-    "layers.InflationLayer": {"enabled"},
     "layers.StaticLayer": {"enabled", "footprint_clearing_enabled"},
-    "behaviors.Undock": {"dock_tolerance", "time_budget", "simulate_ahead_time", "controller"},
 }
 
 

@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.costmap import OccupancyGrid, obstacles_from_costmap
+from optdock.costmap import OccupancyGrid
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
@@ -45,31 +45,6 @@ def built(read, grid=None, described=NAME):
     return costmap, dict(rows)
 
 
-def test_static_layer_and_inflation_are_those_of_the_file(tmp_path):
-    read = params(tmp_path, STATIC, INFLATION)
-    costmap, rows = built(read)
-    inscribed = read.costmaps["global_costmap"].outline.inscribed_radius
-    row = costmap.data[30, :31][::-1].astype(int)
-    distance = SIDE * np.arange(31)
-    expected = np.where(distance <= inscribed, 253, np.floor(252 * np.exp(-3.0 * (distance - inscribed))))
-    expected[distance > 0.7 + 1e-9] = 0
-    expected[0] = 254
-    assert row.tolist() == expected.tolist()
-    assert rows["static_layer"] == "used: StaticLayer(); not read: map_topic"
-    assert rows["inflation"] == "used: InflationLayer(inflation_radius=0.7, cost_scaling_factor=3.0)"
-    assert rows["global_costmap"] == "built in the place and size of the map: 3 m x 3 m, cells of 0.05 m"
-
-
-def test_what_must_not_be_touched_is_what_the_map_says_whatever_is_inflated(tmp_path):
-    bare = obstacles_from_costmap(hall().costmap)
-    for extra in ("", ", inflate_unknown: true", ", inflate_around_unknown: true"):
-        costmap, _ = built(params(tmp_path, STATIC, INFLATION[:-1] + extra + "}"))
-        inflated = obstacles_from_costmap(costmap)
-        assert np.array_equal(inflated.lower, bare.lower)
-        assert np.array_equal(inflated.upper, bare.upper)
-        assert np.count_nonzero((costmap.data > 0) & (costmap.data < 254))
-
-
 @pytest.mark.parametrize(
     ("node", "cost", "said"),
     [
@@ -107,8 +82,7 @@ def test_what_is_said_of_unknown_cells_is_what_the_layer_of_the_map_makes_of_the
     [
         ([STATIC], False),
         ([STATIC[:-1] + ", footprint_clearing_enabled: true}"], True),
-        ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0}"], True),
-        ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0, footprint_clearing_enabled: false}"], False),
+        ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0}"], False),
     ],
 )
 def test_a_layer_that_frees_the_cells_under_the_robot_is_known_by_its_row(tmp_path, layers, frees):
@@ -131,21 +105,25 @@ def test_what_is_skipped_is_said_with_its_reason(tmp_path):
     second = STATIC.replace("static_layer", "other_map")
     voxels = 'voxels: {plugin: "nav2_costmap_2d::VoxelLayer"}'
     seen = 'seen: {plugin: "nav2_costmap_2d::ObstacleLayer", observation_sources: scan, scan: {topic: /scan}}'
+    clouds = 'clouds: {plugin: "stvl::SpatioTemporalVoxelLayer"}'
     keepout = '      filters: [keepout]\n      keepout: {plugin: "nav2_costmap_2d::KeepoutFilter"}\n'
     rolling = "      rolling_window: true\n"
-    _, rows = built(params(tmp_path, STATIC, second, voxels, seen, node=keepout + rolling, local=True))
+    _, rows = built(
+        params(tmp_path, STATIC, second, voxels, seen, INFLATION, clouds, node=keepout + rolling, local=True)
+    )
     assert rows[NAME].endswith("; it does not roll, the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
-    assert rows["voxels"] == "skipped: optdock has no layer of this class"
-    freed = "it frees the cells under the robot at the start"
-    assert rows["seen"] == f"used: ObstacleLayer; nothing has been seen yet; {freed}"
+    assert rows["voxels"] == rows["seen"] == "skipped: nothing has been seen yet"
+    assert rows["inflation"] == "skipped: clearance is proven with the exact footprint, inflated costs change no plan"
+    assert rows["static_layer"] == "used: StaticLayer(); not read: map_topic"
+    assert rows["clouds"] == "skipped: optdock has no layer of this class"
     assert rows["keepout"] == "skipped: optdock has no filters; what it forbids is not in the costmap"
     assert rows["local_costmap"].startswith("skipped: it holds what sensors see")
 
 
 def test_a_layer_that_refuses_its_parameters_is_a_fault_of_the_file(tmp_path):
-    wrong = 'inflation: {plugin: "nav2_costmap_2d::InflationLayer", inflation_radius: -1.0}'
-    with pytest.raises(InvalidFile, match=r"params\.yaml:\d+: inflation: .*inflation_radius"):
+    wrong = 'dock: {plugin: "optdock::DockLayer", contact_margin: -1.0}'
+    with pytest.raises(InvalidFile, match=r"params\.yaml:\d+: dock: .*contact_margin"):
         built(params(tmp_path, STATIC, wrong))
 
 
@@ -162,7 +140,7 @@ def test_a_dock_layer_frees_the_docked_robot(tmp_path):
 def test_a_file_without_nodes_is_one_costmap(tmp_path):
     (tmp_path / "grid.yaml").write_text(f"robot_radius: 0.22\nplugins: [inflation]\n{INFLATION}\n")
     costmap, rows = built(load_nav2_params(tmp_path / "grid.yaml"), described="grid")
-    assert costmap.data[30, 29] == 253
+    assert costmap.data[30, 30] == 254
     assert "inflation" in rows
 
 

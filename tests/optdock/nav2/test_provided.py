@@ -40,58 +40,14 @@ smoother_server:
     assert found["s"].unknown[0].startswith("w_smooth")
 
 
-def test_every_parameter_of_nav2s_graceful_controller_loads_and_those_without_counterpart_are_listed(tmp_path):
-    found = plugins_of(
-        tmp_path,
-        """
-controller_server:
-  ros__parameters:
-    controller_plugins: [FollowPath]
-    FollowPath.plugin: "nav2_graceful_controller::GracefulController"
-    FollowPath.v_linear_max: 0.4
-    FollowPath:
-      {lambda: 2.5, k_phi: 2.0, footprint_scaling_linear_vel: 0.5, footprint_scaling_factor: 0.25,
-       footprint_scaling_step: 0.1, obstacle_cost_margin: 1, final_rotation_search_step: 0.1,
-       in_place_collision_resolution: 0.1, self: 1, 3: 4}
-""",
-    )["FollowPath"]
-    assert (found.plugin.law.v_linear_max, found.plugin.law.lambda_) == (0.4, 2.5)
-    assert {name.split(";")[0] for name in found.unknown} == {
-        *("footprint_scaling_linear_vel", "footprint_scaling_factor", "footprint_scaling_step"),
-        *("obstacle_cost_margin", "final_rotation_search_step", "in_place_collision_resolution", "self", "3"),
-    }
-
-
-def test_a_layer_with_several_sources_is_built(tmp_path):
-    found = plugins_of(
-        tmp_path,
-        """
-local_costmap:
-  local_costmap:
-    ros__parameters:
-      plugins: [obstacles]
-      obstacles:
-        plugin: "nav2_costmap_2d::ObstacleLayer"
-        observation_sources: scan depth
-        scan: {topic: /scan, clearing: true}
-        depth: {topic: /depth, marking: false, colour: red}
-""",
-    )["obstacles"]
-    assert {name: rules.marking for name, rules in found.plugin.parameters.sources.items()} == {
-        "scan": True,
-        "depth": False,
-    }
-    assert found.unknown == ("colour", "topic")
-
-
 def test_behaviors_and_layers_take_from_their_node_what_nav2s_do(tmp_path):
     found = plugins_of(
         tmp_path,
         """
 behavior_server:
   ros__parameters:
-    behavior_plugins: [spin, back, wait]
-    spin: {plugin: "nav2_behaviors::Spin", simulate_ahead_time: 1.5}
+    behavior_plugins: [drive, back, wait]
+    drive: {plugin: "nav2_behaviors::DriveOnHeading", simulate_ahead_time: 1.5}
     back: {plugin: "nav2_behaviors::BackUp"}
     wait: {plugin: "nav2_behaviors::Wait"}
     simulate_ahead_time: 3.0
@@ -102,18 +58,15 @@ global_costmap:
     ros__parameters:
       track_unknown_space: false
       lethal_cost_threshold: 80
-      plugins: [map, scan, inflation]
+      plugins: [map]
       map: {plugin: "nav2_costmap_2d::StaticLayer", lethal_cost_threshold: 90}
-      scan: {plugin: "nav2_costmap_2d::ObstacleLayer"}
-      inflation: {plugin: "nav2_costmap_2d::InflationLayer"}
 """,
     )
-    assert found["spin"].taken == {"simulate_ahead_time": 1.5, "max_rotational_vel": 0.7}
+    assert found["drive"].taken == {"simulate_ahead_time": 1.5}
     assert found["back"].plugin.parameters.simulate_ahead_time == 3.0
-    assert found["wait"].taken == found["inflation"].taken == {}
+    assert found["wait"].reason == "optdock has no behavior of this class"
     assert found["map"].plugin.parameters.lethal_cost_threshold == 90
     assert not found["map"].plugin.parameters.track_unknown_space
-    assert not found["scan"].plugin.parameters.track_unknown_space
 
 
 @pytest.mark.parametrize("value", ["'0.5'", "yes", "[0.5]", "{a: 1}"])
@@ -136,8 +89,8 @@ def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
     assert rows["FollowPath.diff_drive"][3] == "not provided: no list of plugins names it"
-    assert rows["inflation_layer"][3] == "InflationLayer(cost_scaling_factor=3.0, inflation_radius=0.7)"
-    assert rows["obstacle_layer"][3].endswith("; not read: topic, max_obstacle_height, data_type")
+    assert rows["inflation_layer"][3].startswith("not provided: clearance is proven with the exact footprint")
+    assert rows["obstacle_layer"][3] == "not provided: nothing has been seen yet"
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"
     assert rows["simple_smoother"][3].startswith("SimpleSmoother(tolerance=1e-10, max_its=1000, refinement_num=2, ")
     assert nav2_costmap_rows(params) == [

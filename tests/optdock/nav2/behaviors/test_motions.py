@@ -1,7 +1,6 @@
-"""Wait, BackUp, DriveOnHeading and Spin: codes, timeouts, ramps, and a collision check that sees everything ahead."""
+"""BackUp and DriveOnHeading: codes, timeouts, ramps, and a collision check that sees everything ahead."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.nav2.behaviors.drive import BackUp, DriveOnHeading
-from optdock.nav2.behaviors.spin import Spin
-from optdock.nav2.behaviors.wait import Wait
 from optdock.plugins.interfaces import Behavior, BehaviorStatus, CostmapInfoType, PluginContext
 from optdock.plugins.registry import create_plugin
 from optdock.verification import pose_clearance
@@ -62,10 +59,8 @@ def box(x0, y0, x1, y1):
 @pytest.mark.parametrize(
     ("name", "kind", "resource"),
     [
-        ("Wait", Wait, CostmapInfoType.NONE),
         ("BackUp", BackUp, CostmapInfoType.LOCAL),
         ("DriveOnHeading", DriveOnHeading, CostmapInfoType.LOCAL),
-        ("Spin", Spin, CostmapInfoType.LOCAL),
     ],
 )
 def test_every_behavior_is_found_by_nav2s_name_and_says_what_it_needs(name, kind, resource):
@@ -74,19 +69,6 @@ def test_every_behavior_is_found_by_nav2s_name_and_says_what_it_needs(name, kind
     assert behavior.resource_info is resource
     with pytest.raises(BehaviorException, match=f"{name}: on_run must succeed"):
         behavior.on_cycle_update(ORIGIN, Twist2())
-
-
-class TestWait:
-    def test_it_lasts_as_long_as_told(self):
-        world = World()
-        assert world.run(Wait(), {"time": 2.0}).status is SUCCEEDED
-        assert world.time == pytest.approx(102.0, abs=0.11)
-        assert all(twist == Twist2() for twist in world.twists)
-
-    def test_a_command_it_cannot_understand_fails(self):
-        result = World().run(Wait(), {"time": -1.0})
-        assert (result.status, result.error_code) == (FAILED, 740)
-        assert "time" in result.error_msg
 
 
 class TestDriveOnHeading:
@@ -190,33 +172,6 @@ class TestBackUp:
         assert world.run(BackUp(clearance=0.02), {"target": 0.3, "speed": 0.1}).status is SUCCEEDED
 
 
-class TestSpin:
-    @pytest.mark.parametrize("angle", [1.2, -0.7, 2.0 * math.pi, -7.0])
-    def test_it_turns_by_the_angle_also_beyond_half_a_turn(self, angle):
-        world = World(pose=Pose2(0.0, 0.0, 2.5))
-        assert world.run(Spin(), {"target_yaw": angle}).status is SUCCEEDED
-        assert world.pose.yaw - 2.5 == pytest.approx(angle, abs=0.041)
-        rates = np.abs([twist.angular for twist in world.twists])
-        assert rates.max() <= 1.0
-        assert rates.min() >= 0.4
-
-    def test_it_has_its_own_codes(self):
-        assert World().run(Spin(), {"target_yaw": 6.0, "time_allowance": 1.0}).error_code == 701
-        assert World().run(Spin(), {"yaw": 6.0}).error_code == 700
-        assert Spin().on_run({"target_yaw": 1.0}).error_code == 700
-
-    def test_it_stops_before_a_corner_touches_with_code_703(self):
-        world = World(box(0.45, -2.0, 0.6, 2.0))
-        result = world.run(Spin(simulate_ahead_time=0.5), {"target_yaw": 1.5})
-        assert (result.status, result.error_code) == (FAILED, 703)
-        assert min(pose_clearance(pose, BOX, world.obstacles)[0] for pose in world.poses) > 0.0
-
-    def test_a_free_turn_beside_a_wall_succeeds(self):
-        radius = math.hypot(0.4, 0.25)
-        world = World(box(radius + 0.001, -2.0, 0.7, 2.0))
-        assert world.run(Spin(), {"target_yaw": 2.0 * math.pi}).status is SUCCEEDED
-
-
 def test_a_costmap_and_a_footprint_are_enough():
     data = np.zeros((60, 60), dtype=np.uint8)
     data[25:35, 45] = 254
@@ -250,12 +205,9 @@ def asking_for(kind, needs):
     [
         (BackUp, {"target": 1.0, "speed": 0.3}, 714),
         (DriveOnHeading, {"target": 1.0, "speed": 0.3}, 723),
-        (Spin, {"target_yaw": 6.0}, 703),
     ],
 )
 def test_the_local_and_the_global_costmap_are_told_apart(kind, command, code, needs):
-    near = grid(21, 37)  # too near to turn
-    walls = near if kind is Spin else WALLS
     free, problem = FREE, DockingProblem(ORIGIN, Dock(ORIGIN), Robot(BOX, MotionLimits()))
 
     def outcome(local, around, known=None):
@@ -268,18 +220,18 @@ def test_the_local_and_the_global_costmap_are_told_apart(kind, command, code, ne
     blocked_by_local = code if needs in (CostmapInfoType.LOCAL, CostmapInfoType.BOTH) else 0
     blocked_by_global = code if needs in (CostmapInfoType.GLOBAL, CostmapInfoType.BOTH) else 0
     if needs is not CostmapInfoType.NONE:  # which needs something else to check against
-        assert outcome(walls, free) == blocked_by_local
-        assert outcome(free, walls) == blocked_by_global
+        assert outcome(WALLS, free) == blocked_by_local
+        assert outcome(free, WALLS) == blocked_by_global
         assert outcome(free, free) == 0
-        assert outcome(None, walls) == code  # where there is no local one the other serves both
-    assert outcome(walls, None, problem) == blocked_by_local
+        assert outcome(None, WALLS) == code  # where there is no local one the other serves both
+    assert outcome(WALLS, None, problem) == blocked_by_local
     # What a problem says must not be touched counts for everyone, and the global costmap is part of what it says.
-    in_the_way = dataclasses.replace(problem, obstacles=obstacles_from_costmap(walls))
+    in_the_way = dataclasses.replace(problem, obstacles=obstacles_from_costmap(WALLS))
     assert outcome(free, None, in_the_way) == code
-    assert outcome(free, walls, problem) == code
+    assert outcome(free, WALLS, problem) == code
 
 
-@pytest.mark.parametrize(("kind", "code"), [(Wait, 740), (BackUp, 713), (DriveOnHeading, 724), (Spin, 700)])
+@pytest.mark.parametrize(("kind", "code"), [(BackUp, 713), (DriveOnHeading, 724)])
 def test_anything_but_a_command_is_invalid_input(kind, code):
     for command in (None, 3, "target", [("target", 1.0)], {3: 1.0}, {"self": 1}, {"target": "1.0"}):
         result = World().run(kind(), command)

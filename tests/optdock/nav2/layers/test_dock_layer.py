@@ -13,7 +13,6 @@ from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
-from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.raster import fill_footprint
 from optdock.nav2.layers.static import StaticLayer
 
@@ -65,15 +64,6 @@ def test_the_margin_says_how_much_of_the_map_is_cleared():
     cleared = np.argwhere(costmap.update(Pose2(0.0, 0.0, 0.0)).data == 0)
     assert (cleared.min(axis=0) * 0.05).tolist() == pytest.approx([1.1, 1.0])
     assert (cleared.max(axis=0) * 0.05).tolist() == pytest.approx([1.85, 1.95])
-
-
-def test_what_a_sensor_sees_in_the_dock_still_counts():
-    dock = dock_at(1.5, 1.5, 0.0)
-    obstacles = ObstacleLayer()
-    _, costmap = stack(dock, obstacles=obstacles)
-    obstacles.add_points([[1.5, 1.5]], (0.5, 1.5))
-    costs = costmap.update(Pose2(0.5, 1.5, 0.0))
-    assert highest_cost(costs, dock.pose) == 254
 
 
 def test_a_dock_that_moves_leaves_nothing_behind():

@@ -12,8 +12,6 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.nav2.layers.dock import DockLayer
-from optdock.nav2.layers.inflation import InflationLayer
-from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.layers.window import joined
 from optdock.plugins.interfaces import Bounds
@@ -28,19 +26,13 @@ def static():
     return layer
 
 
-def obstacle():
-    layer = ObstacleLayer(clearing=True)
-    layer.add_points(np.random.default_rng(0).uniform(0, 2, (30, 2)), (1.0, 1.0))
-    return layer
-
-
 def dock():
     layer = DockLayer()
     layer.set_dock(Dock(Pose2(1.0, 1.0, 0.3), Footprint.rectangle(0.6, -0.2, 0.5)))
     return layer
 
 
-MAKERS = {"static": static, "obstacle": obstacle, "inflation": InflationLayer, "dock": dock}
+MAKERS = {"static": static, "dock": dock}
 every_layer = pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS.keys())
 poses = st.builds(Pose2, st.floats(-1, 3), st.floats(-1, 3), st.floats(-4, 4))
 indices = st.tuples(st.integers(0, 20), st.integers(0, 20))

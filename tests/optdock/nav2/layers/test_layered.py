@@ -11,8 +11,6 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock import DockLayer
-from optdock.nav2.layers.inflation import InflationLayer
-from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.plugins.interfaces import Bounds, Layer
 from optdock.plugins.lifecycle import LifecycleState
@@ -135,7 +133,7 @@ def test_a_layer_that_writes_outside_of_its_window_is_refused_by_name(cell):
     np.testing.assert_array_equal(costmap.update(HERE).data, before)
 
 
-@pytest.mark.parametrize("kind", [StaticLayer, ObstacleLayer, InflationLayer, DockLayer])
+@pytest.mark.parametrize("kind", [StaticLayer, DockLayer])
 def test_a_costmap_waits_for_a_layer_that_is_said_to_be_out_of_date(kind):
     layer = kind()
     if kind is StaticLayer:
@@ -202,17 +200,9 @@ def test_one_layer_twice_is_refused_before_anything_starts():
     assert stamp.state is LifecycleState.UNCONFIGURED
 
 
-def test_when_one_layer_refuses_none_is_left_running():
-    stamp, inflation = Stamp(), InflationLayer()
-    with pytest.raises(InvalidValue, match="inflation: needs an inscribed radius"):
-        LayeredCostmap({"stamp": stamp, "inflation": inflation})
-    assert stamp.state is LifecycleState.UNCONFIGURED
-    assert inflation.state is LifecycleState.UNCONFIGURED
-
-
 def test_reset_and_clear_and_resize_reach_the_layers():
-    stamp, obstacles = Stamp(), ObstacleLayer()
-    costmap = small({"stamp": stamp, "obstacles": obstacles})
+    stamp, dock = Stamp(), DockLayer()
+    costmap = small({"stamp": stamp, "dock": dock})
     costmap.update(HERE)
     costmap.clear()
     assert stamp.resets == 0
@@ -259,48 +249,6 @@ def test_a_map_gives_its_place_and_size():
     static.set_map(grid)
     costs = LayeredCostmap.of_map(grid, {"static": static}).update(HERE)
     assert (costs.data.shape, costs.resolution, costs.origin) == ((307, 604), 0.05, (-15.1, 3.0))
-
-
-def full_stack(seed, **changes):
-    rng = np.random.default_rng(seed)
-    static = StaticLayer()
-    static.set_map(OccupancyGrid(rng.choice([0, 0, 0, 0, 100, -1], (40, 40)), 0.1, (-2.0, -2.0)))
-    obstacles = ObstacleLayer(clearing=True)
-    inflation = InflationLayer(inflation_radius=0.35, cost_scaling_factor=3.0)
-    costmap = LayeredCostmap(
-        {"static": static, "obstacles": obstacles, "inflation": inflation},
-        ROBOT,
-        **{"width": 3.0, "height": 3.0, "resolution": 0.1, "origin_x": -1.5, "origin_y": -1.5, **changes},
-    )
-    return rng, obstacles, costmap
-
-
-@given(st.integers(0, 2**32 - 1), st.booleans())
-def test_windows_give_what_rewriting_everything_gives(seed, rolling):
-    rng, obstacles, costmap = full_stack(seed, rolling_window=rolling)
-    for _ in range(4):
-        robot = Pose2(*rng.uniform(-0.6, 0.6, 2), rng.uniform(-3, 3))
-        obstacles.add_points(robot.as_array()[:2] + rng.uniform(-2, 2, (5, 2)), (robot.x, robot.y))
-        by_window = costmap.update(robot).data
-        costmap.set_footprint(ROBOT)  # makes everything stale
-        everything = costmap.update(robot).data
-        # A rolling window may still show the inflation of obstacles that have just left it.
-        rim = 3 if rolling else 0
-        inner = (slice(rim, 30 - rim), slice(rim, 30 - rim))
-        np.testing.assert_array_equal(everything[inner], by_window[inner])
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_a_rolling_window_keeps_what_was_seen_where_it_was(seed):
-    rng = np.random.default_rng(seed)
-    obstacles = ObstacleLayer(footprint_clearing_enabled=False)
-    costmap = small({"obstacles": obstacles}, rolling_window=True)
-    obstacles.add_points(rng.uniform(-0.5, 0.5, (10, 2)), (0.0, 0.0))
-    before = costmap.update(Pose2(0.0, 0.0, 0.0))
-    after = costmap.update(Pose2(*rng.uniform(-1.2, 1.2, 2), 0.0))
-    centres = after.centre_of(np.argwhere(np.ones((10, 10), dtype=bool))[:, ::-1])
-    kept = before.contains(centres)
-    np.testing.assert_array_equal(after.cost_at(centres), np.where(kept, before.cost_at(centres), 255))
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))

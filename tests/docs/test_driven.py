@@ -1,0 +1,44 @@
+"""Law: every entry point is run by name, by a snippet of the documentation, an example, an experiment or a server."""
+
+import re
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+from optdock.plugins.registry import INTERFACES
+
+ROOT = Path(__file__).parents[2]
+FENCES = re.compile(r"^```(?:python|sh|yaml)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PLUGINS = sorted((kind, entry.name) for kind in INTERFACES for entry in entry_points(group=f"optdock.{kind}"))
+
+
+def what_runs():
+    """Snippets of the pages, examples, experiments, servers, and what commands and calls use where nobody chooses."""
+    for page in (*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"):
+        yield from FENCES.findall(page.read_text(encoding="utf-8"))
+    for folder, pattern in (
+        ("examples", "*.py"),
+        ("examples", "*.yaml"),
+        ("experiments", "*.py"),
+        ("ros/optdock_ros", "*.py"),
+    ):
+        yield from (path.read_text(encoding="utf-8") for path in (ROOT / folder).rglob(pattern) if path.is_file())
+    defaults = re.compile(r"^(?:DEFAULT\w*|PLAIN_TIMING)[^\n]* = .*$", re.MULTILINE)
+    for path in (ROOT / "optdock").rglob("*.py"):
+        yield from defaults.findall(path.read_text(encoding="utf-8"))
+
+
+RUN = "\n".join(what_runs())
+
+
+@pytest.mark.parametrize(("kind", "name"), PLUGINS, ids=[name for _, name in PLUGINS])
+def test_every_entry_point_is_run_somewhere(kind, name):
+    assert re.search(rf"\b{name}\b", RUN) or (
+        kind == "goal_checkers" and f'"{name.removesuffix("GoalChecker")}"' in RUN
+    )
+
+
+def test_a_name_that_nobody_runs_is_noticed():
+    assert len(PLUGINS) >= 17
+    assert not re.search(r"\bGracefulController\b", RUN)
