@@ -1,0 +1,75 @@
+"""Law: how much code a certificate and a proof of impossibility rest on, and on which libraries."""
+
+import ast
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in (ROOT / "optdock").rglob("*.py")
+}
+IGNORED = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+PAGE = (ROOT / "docs" / "theory" / "certificate.md").read_text(encoding="utf-8")
+
+
+def imported(path):
+    """Everything that a module imports, for its types too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def reached(*begin):
+    """The modules of this project that are reached by imports, and the names of other packages."""
+    found, others, left = set(), set(), list(begin)
+    while left:
+        module = left.pop()
+        if module in found:
+            continue
+        found.add(module)
+        for name in imported(MODULES[module]):
+            home = next((one for one in (name, name.rpartition(".")[0]) if one in MODULES), None)
+            left += [home] if home else []
+            others |= set() if home else {name.partition(".")[0]}
+    return found, others
+
+
+def lines_of_code(path):
+    """Lines that hold more than comments and docstrings."""
+    text, documented, lines = path.read_text(encoding="utf-8"), set(), set()
+    for node in ast.walk(ast.parse(text)):
+        kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+        if isinstance(node, kinds) and ast.get_docstring(node, clean=False) is not None:
+            documented.update(range(node.body[0].lineno, node.body[0].end_lineno + 1))
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in IGNORED:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - documented)
+
+
+@pytest.mark.parametrize(
+    ("begin", "said"),
+    [
+        (("optdock.verification.certify",), r"rests on at most ([\d,]+)\s+lines of code in (\d+) modules"),
+        (
+            ("optdock.impossibility.proof", "optdock.impossibility.blocked_straight"),
+            r"impossibility\]?\S*\s+on ([\d,]+)\s+in\s+(\d+)",
+        ),
+    ],
+    ids=["certificates", "proofs of impossibility"],
+)
+def test_the_page_says_how_much_code_must_be_trusted(begin, said):
+    """And no solver is among it: NumPy, and shapely for the unions of polygons, are."""
+    modules, others = reached(*begin)
+    lines, count = (int(number.replace(",", "")) for number in re.search(said, PAGE).groups())
+    assert lines - 100 < sum(lines_of_code(MODULES[module]) for module in modules) <= lines
+    assert len(modules) == count
+    assert others & {"scipy", "casadi", "ruckig", "matplotlib", "yaml"} == set()
+    assert not [module for module in modules if re.match(r"optdock\.(planners|planning|timing|plugins|io)\b", module)]
