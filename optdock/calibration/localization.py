@@ -14,7 +14,7 @@ import numpy as np
 
 from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, student, unknown
 from optdock.geometry.arrays import readonly
-from optdock.geometry.pose import normalize_angle
+from optdock.geometry.pose import normalize_angle, wrap_angles
 
 if TYPE_CHECKING:
     from optdock.calibration.motion import Motion, Smoothed
@@ -102,7 +102,7 @@ def stored_dock(motion: Motion) -> list[Quantity]:
         return [unknown(name, unit, reason, count) for name, unit in names]
     first = float(rows[0][0, 2])
     poses = np.array(
-        [[*np.mean(one[:, :2], axis=0), first + float(np.mean(_wrapped(one[:, 2] - first)))] for one in rows]
+        [[*np.mean(one[:, :2], axis=0), first + float(np.mean(wrap_angles(one[:, 2] - first)))] for one in rows]
     )
     kept = _without_outliers(poses)
     x, y, yaw = (Quantity(*name, *mean_of(kept[:, k]), count, len(kept)) for k, name in enumerate(names))
@@ -136,7 +136,7 @@ def localization_errors(motion: Motion) -> LocalizationErrors:
         return LocalizationErrors([unknown(name, unit, reason) for name, unit in names], [])
     docks = np.concatenate([one.dock for one in found])
     first = float(docks[0, 2])
-    dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(_wrapped(docks[:, 2] - first)))])
+    dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(wrap_angles(docks[:, 2] - first)))])
     series = [_binned(one, dock, _BIN) for one in found]
     least = _by_drift(series)
     jumps = [_jumps(rows, least) for rows in series]
@@ -177,7 +177,7 @@ def _errors(robot: FloatArray, seen: FloatArray, dock: FloatArray) -> FloatArray
         dock: Where it is in the map, Shape (3,).
     """
     truly = _composed(np.broadcast_to(dock, seen.shape), _seen_from(seen, robot))
-    return np.column_stack((robot[:, :2] - truly[:, :2], _wrapped(robot[:, 2] - truly[:, 2])))
+    return np.column_stack((robot[:, :2] - truly[:, :2], wrap_angles(robot[:, 2] - truly[:, 2])))
 
 
 def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
@@ -192,11 +192,6 @@ def _seen_from(frames: FloatArray, poses: FloatArray) -> FloatArray:
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x, y = poses[:, 0] - frames[:, 0], poses[:, 1] - frames[:, 1]
     return np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - frames[:, 2]))
-
-
-def _wrapped(angles: FloatArray) -> FloatArray:
-    found: FloatArray = np.remainder(angles + math.pi, 2.0 * math.pi) - math.pi
-    return found
 
 
 def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:

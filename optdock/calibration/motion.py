@@ -19,6 +19,7 @@ import numpy as np
 
 from optdock.calibration.statistics import Quantity, student, unknown
 from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import wrap_angles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -215,7 +216,7 @@ class _Problem:
         c, s = math.cos(dock[2]), math.sin(dock[2])
         x, y = poses[:, 0] - dock[0], poses[:, 1] - dock[1]
         rows = np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - dock[2]))
-        rows[:, 2] = np.remainder(rows[:, 2] + math.pi, 2.0 * math.pi) - math.pi
+        rows[:, 2] = wrap_angles(rows[:, 2])
         return Smoothed(self.recording, self.times, rows, solution.seen)
 
     def _solution(self, x: FloatArray, sigmas: FloatArray, noise: Noise) -> _Solution:
@@ -288,7 +289,7 @@ class _Problem:
 
     def _residuals(self, x: FloatArray, sigmas: FloatArray, noise: Noise) -> FloatArray:
         off = self._detected - self._expected(x)[0]
-        off[:, 2] = np.remainder(off[:, 2] + math.pi, 2.0 * math.pi) - math.pi
+        off[:, 2] = wrap_angles(off[:, 2])
         cells = len(self._ways)
         grow = np.sqrt(self._ways)
         return np.concatenate(
@@ -394,7 +395,7 @@ def odometry_quantities(motion: Motion, track_width: float) -> list[Quantity]:
     """Scale of the way, turn per metre and scale of turns; with a track width what they say of wheels and base."""
     ways = [np.diff(one.seen_from_dock, axis=0) for one in motion.of]
     way = sum(float(np.sum(np.hypot(step[:, 0], step[:, 1]))) for step in ways)
-    turned = sum(float(np.sum(np.abs(np.remainder(step[:, 2] + math.pi, 2.0 * math.pi) - math.pi))) for step in ways)
+    turned = sum(float(np.sum(np.abs(wrap_angles(step[:, 2])))) for step in ways)
     scale, drift, turn_scale, delay = motion.values.tolist()
     rows = [
         ("scale of the way", "1", scale, np.eye(4)[:1]),

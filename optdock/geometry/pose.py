@@ -32,6 +32,7 @@ __all__ = [
     "pose_errors",
     "transform_points",
     "unwrap_yaw",
+    "wrap_angles",
 ]
 
 Number = TypeVar("Number", float, "FloatArray")
@@ -61,6 +62,12 @@ def normalize_angle(angle: float) -> float:
     """
     wrapped = math.remainder(angle, 2.0 * math.pi)
     return math.pi if wrapped == -math.pi else wrapped
+
+
+def wrap_angles(angles: FloatArray) -> FloatArray:
+    """The same directions in [-pi, pi), of angles of any shape [rad]."""
+    wrapped: FloatArray = np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi
+    return wrapped
 
 
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:

@@ -16,17 +16,29 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
-import itertools
 import math
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.deadline import Deadline, OutOfTime, never_late
-from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
+from optdock.impossibility.connectivity_graph import (
+    FINEST,
+    GOAL,
+    OPEN,
+    OUTSIDE,
+    ROOM,
+    START,
+    ConnectivityGraph,
+    Grid,
+    PlaceGraph,
+    Tile,
+    by_certainty,
+    by_margin,
+)
+from optdock.impossibility.footprint_discs import DiscCover, disc_cover
 from optdock.impossibility.proof import (
     CELLS,
     SLACK,
@@ -37,26 +49,20 @@ from optdock.impossibility.proof import (
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
-    from scipy.sparse import csr_matrix
 
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.model.problem import DockingProblem
 
-__all__ = ["ImpossibilitySearch", "prepare_footprint", "prove_impossible"]
+__all__ = ["ImpossibilitySearch", "prove_impossible"]
 
-_FINEST = 4  # level of the finest tiles
 _REACH = 0.7  # of a cell's turn: points at this share of the body's reach move as far by it as by half a cell's side
 # Half a cell of level 0, as a share of the largest disc's radius: cells of level 0 must be able to close a thin wall.
 _CELL = 0.27
-_FIT = 0.03  # of the largest disc's radius: how far the body may stick out of its discs
-_SMALLER = 0.6  # from one disc in a corner to the next
 _LARGEST = 6  # levels of unseen tiles above level 0
 _GATHERED = 250_000  # distances read in one go, less than a millisecond
-_OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
 _NODES, _AROUND = 129, 6.0  # of the lattice for a first look; [largest discs] around start and goal
 _STEP = 0.004  # [s]: the longest steps between two looks at the clock take about so long, on a quiet machine
 _FEWEST_HEADINGS = 8  # of level 0
@@ -68,7 +74,6 @@ _POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth 
 _POLISHED_AT = (33, 9, 5)  # places along each axis, where one, two or three of them are open
 _FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
 _CLOSE = 0.01  # [m]: half a cell; so much and a little more a narrow place of a disc may be off
-_ROOM = 1e3  # [m] of clearance that nobody has
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -100,7 +105,9 @@ class ImpossibilitySearch:
 
     def __init__(self, problem: DockingProblem) -> None:
         self.problem = problem
-        self._left: list[_Body] | None = None if len(problem.all_obstacles) else []  # the next one last; None: not made
+        self._left: list[DiscCover] | None = (
+            None if len(problem.all_obstacles) else []
+        )  # the next one last; None: not made
         self._search: _Search | None = None
 
     @property
@@ -124,7 +131,7 @@ class ImpossibilitySearch:
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
             if self._left is None:
-                body = _body(self.problem.robot.footprint, deadline.look)
+                body = disc_cover(self.problem.robot.footprint, deadline.look)
                 self._left = [body, body.largest_disc]
             while len(self._left) > int(only_disc):
                 if self._search is None:
@@ -136,169 +143,6 @@ class ImpossibilitySearch:
                 self._search = None
                 self._left.pop()
         return None
-
-
-class _Body(NamedTuple):
-    """A footprint as discs within it: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
-
-    centre: FloatArray
-    discs: FloatArray
-    reach: float
-
-    @property
-    def largest_disc(self) -> _Body:
-        """The largest of the discs alone, which looks the same at every heading."""
-        x, y, radius = self.discs[0].tolist()
-        return _Body(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
-
-    @property
-    def turns(self) -> bool:
-        """Whether a heading matters."""
-        return bool(self.discs[:, :2].any())
-
-
-_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
-
-
-@functools.lru_cache(maxsize=16)
-def _bodies(footprint: Footprint) -> list[_Body]:  # noqa: ARG001 - the key
-    """A cache cell per footprint: a list with its discs; empty until they are made, also after an interruption."""
-    return []
-
-
-def _body(footprint: Footprint, look: Callable[[], None]) -> _Body:
-    """The discs of a footprint, made once.
-
-    Args:
-        footprint: Of the robot.
-        look: Called every few milliseconds; what it raises is passed on, and nothing is kept.
-    """
-    kept = _bodies(footprint)
-    if not kept:
-        kept.append(_discs_within(footprint, look))
-    return kept[0]
-
-
-def prepare_footprint(footprint: Footprint) -> None:
-    """Make the discs of a footprint now, so that no search for a proof has to: 6 to 40 ms, once per footprint."""
-    _body(footprint, lambda: None)
-
-
-def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:
-    """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
-    outline = footprint.vertices
-    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-    outline = outline - centre
-    reach = float(np.hypot(*outline.T).max())
-    step = np.linspace(-reach, reach, 61)
-    points = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
-    points = np.vstack((points, 0.0 * points[:1]))
-    radius = _depth(points, outline, look)
-    points, radius = points[radius > 0.0], radius[radius > 0.0]
-    if radius.size == 0:  # a sliver between all of them
-        points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
-        radius = _depth(points, outline, look)
-    largest = radius.max()
-    # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
-    inward = np.empty_like(outline)
-    for i, corner in enumerate(outline):
-        look()
-        along = points - corner
-        inward[i] = along[(radius / np.hypot(*along.T)).argmax()]
-    shares = _SMALLER ** np.arange(1, 12)
-    corners = (outline[:, None] + shares[:, None] * inward[:, None]).reshape(-1, 2)
-    points = np.vstack((points, corners))
-    radius = np.concatenate((radius, _depth(corners, outline, look)))
-    points, radius = points[radius > 0.0], radius[radius > 0.0]
-    ends = np.roll(outline, -1, axis=0)
-    per_edge = max(_FEWEST_SAMPLES, -(-_SAMPLES // len(outline)))
-    share = np.linspace(0.0, 1.0, per_edge, endpoint=False)[:, None, None]
-    samples = (outline + share * (ends - outline)).reshape(-1, 2)
-    covers = np.empty((len(samples), len(points)), dtype=np.bool_)
-    for i, sample in enumerate(samples):
-        look()
-        gap = np.hypot(*(sample - points).T) - radius
-        covers[i] = gap <= _FIT * largest
-        covers[i, gap.argmin()] = True
-    chosen = _cover(covers, int(radius.argmax()), look)
-    return frozen(_Body(centre, np.column_stack((points, radius))[chosen], reach))
-
-
-def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
-    """Columns that together are true in every row, greedily: each in as many of the rows that are left as it can be."""
-    chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
-    while True:
-        newly = np.flatnonzero(left & covers[:, chosen[-1]])
-        left[newly] = False
-        for k in range(0, newly.size, _SOME):
-            look()
-            gains -= covers[newly[k : k + _SOME]].sum(axis=0)
-        if not left.any():
-            return chosen
-        chosen.append(int(gains.argmax()))
-
-
-_SOME = 64  # samples of the outline in one go
-_ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
-
-
-def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
-    """How deep points lie in a polygon, Shape (n,) [m]; not above 0 outside."""
-    blocks, step = [], max(1, _ROWS // len(outline))
-    for k in range(0, len(points), step):
-        look()
-        blocks.append(_depth_of_some(points[k : k + step], outline))
-    return np.concatenate(blocks)
-
-
-def _depth_of_some(points: FloatArray, outline: FloatArray) -> FloatArray:
-    start, edge = outline, np.roll(outline, -1, axis=0) - outline
-    to = points[:, None] - start
-    along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
-    distance = np.hypot(*(to - along[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
-    end = np.roll(outline, -1, axis=0)
-    crosses = (start[:, 1] > points[:, 1:]) != (end[:, 1] > points[:, 1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = start[:, 0] + (points[:, 1:] - start[:, 1]) / edge[:, 1] * edge[:, 0]
-    inside = (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
-    found: FloatArray = np.where(inside, distance - 1e-9, -distance)
-    return found
-
-
-class _Grid(NamedTuple):
-    """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
-
-    origin: FloatArray
-    cell: float
-    headings: int
-    above: int
-
-    def half(self, level: int) -> float:
-        return self.cell * 0.5**level
-
-    def side(self, level: int) -> float:
-        return 2.0 * CELLS * self.half(level)
-
-    def count(self, level: int) -> int:
-        return self.headings << level
-
-
-class _Tile(NamedTuple):
-    """One tile of the quadtree; one that nobody has looked at has neither `blocked` nor `margin`.
-
-    `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
-    their middles, likewise [m].
-    """
-
-    level: int
-    column: int
-    row: int
-    blocked: BoolArray | None = None
-    margin: NDArray[np.float32] | None = None
-
-    def split(self) -> list[tuple[int, int, int]]:
-        """Level, column and row of its quarters."""
-        return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
 
 
 class _Obstacles:
@@ -387,235 +231,20 @@ class _Obstacles:
         return points
 
 
-Kinds: TypeAlias = "Callable[[_Tile], tuple[BoolArray, BoolArray]]"
-_ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
-_NONE = readonly(np.zeros((0, 2), dtype=np.int64))
-
-
-def _by_certainty(grid: _Grid) -> Kinds:
-    """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
-
-    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
-        if tile.blocked is None or tile.margin is None:
-            return ~_ONE, _ONE
-        is_open = ~tile.blocked & (tile.margin > grid.half(tile.level))
-        return is_open, ~(tile.blocked | is_open)
-
-    return kinds
-
-
-def _by_margin(low: float, high: float) -> Kinds:
-    """Cells with a margin of at least `high`, and others with at least `low`."""
-
-    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
-        if tile.margin is None:
-            return _ONE, ~_ONE
-        return tile.margin >= high, (tile.margin >= low) & (tile.margin < high)
-
-    return kinds
-
-
-_OUTSIDE, _START, _GOAL = range(3)  # nodes
-
-
-class _Graph:
-    """Tiles beside each other; its nodes are connected cells of one kind in one tile.
-
-    Args:
-        grid: How cells lie.
-        ends: Poses of the centre at start and goal.
-        kinds: Which cells of a tile are open, and which narrow; the others are left out.
-    """
-
-    def __init__(self, grid: _Grid, ends: list[FloatArray], kinds: Kinds) -> None:
-        self.grid, self.ends, self.kinds = grid, ends, kinds
-        self.tiles: list[_Tile] = []  # also such as were removed
-        self.labels: list[IntArray] = []
-        self.tile_at = np.full((2 ** (grid.above + _FINEST),) * 2, -1, dtype=np.int64)
-        self.cost, self.tile_of = [_OPEN] * 3, [-1] * 3
-        self.joints: dict[tuple[int, int], IntArray] = {}
-
-    def add(self, tiles: Iterable[_Tile]) -> None:
-        """Put tiles into the plane, instead of what was there, and join them to what is beside them."""
-        first = len(self.tiles)
-        for tile in tiles:
-            self._label(tile)
-        for key in range(first, len(self.tiles)):
-            rows, columns = self._place(key)
-            self._join(key, 0, 0, columns.start - 1, rows)
-            self._join(key, 0, -1, columns.stop, rows)
-            self._join(key, 1, 0, rows.start - 1, columns)
-            self._join(key, 1, -1, rows.stop, columns)
-
-    def remove(self, keys: set[int]) -> None:
-        """Take tiles out; others must be put where they were."""
-        self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
-
-    def present(self) -> list[int]:
-        """The keys of the tiles that are there."""
-        return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
-
-    def _label(self, tile: _Tile) -> None:
-        from scipy import ndimage
-
-        key = len(self.tiles)
-        is_open, is_narrow = self.kinds(tile)
-        labels = np.full(is_open.shape, -1)
-        both = [
-            (which, cost) for which, cost in ((is_open, _OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
-        ]
-        for which, cost in both:
-            found, count = (which, 1) if which.all() else ndimage.label(which)
-            if count == 1:
-                labels[which] = len(self.cost)
-                self.cost.append(cost)
-                self.tile_of.append(key)
-                continue
-            labels[which] = found[which] + (len(self.cost) - 1)
-            self.cost += [cost] * count
-            self.tile_of += [key] * count
-        self.tiles.append(tile)
-        self.labels.append(labels)
-        self.tile_at[self._place(key)] = key
-        self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
-
-    def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
-        """Join a tile over its lower (0) or upper (-1) side along an axis."""
-        if not 0 <= beyond < len(self.tile_at):
-            nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
-            nodes = nodes[nodes >= 0]
-            known = self.joints.get((key, -1), _NONE)
-            self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, np.full_like(nodes, _OUTSIDE)))))
-            return
-        strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
-        for other in np.unique(strip).tolist():
-            pair = (min(key, other), max(key, other))
-            if other >= 0 and pair not in self.joints:
-                self.joints[pair] = self._met_over(key, other, axis, edge)
-
-    def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
-        """Nodes that meet over a side of a tile, Shape (n, 2)."""
-        if self.labels[key].size == self.labels[other].size == 1:
-            met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
-            return met if met.min() >= 0 else _NONE
-        both = ((key, edge), (other, -1 - edge))
-        sides = tuple((*self.tiles[k][:3], self.labels[k].shape[1], self.labels[k].shape[0], side) for k, side in both)
-        first, second = (
-            self.labels[k].ravel().take(place) for (k, _), place in zip(both, _beside(sides, axis), strict=True)
-        )
-        return _pairs(first, second, len(self.cost))
-
-    def _place(self, key: int) -> tuple[slice, slice]:
-        """Rows and columns of a tile in `tile_at`."""
-        tile = self.tiles[key]
-        size = 2 ** (_FINEST - tile.level)
-        return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
-
-    def _nodes_at(self, pose: FloatArray) -> list[int]:
-        """The nodes of the cells that a pose of the centre is in, or less than `SLACK` from."""
-        found: set[int] = set()
-        size, near = self.grid.side(_FINEST), (-SLACK, SLACK)
-        for dx, dy, turned in itertools.product(near, near, near):
-            x, y, yaw = pose + np.array([dx, dy, turned])
-            i, j = math.floor(x / size), math.floor(y / size)
-            if not (0 <= i < len(self.tile_at) and 0 <= j < len(self.tile_at)):
-                found.add(_OUTSIDE)
-                continue
-            key = int(self.tile_at[j, i])
-            tile, (headings, n, _) = self.tiles[key], self.labels[key].shape
-            side = self.grid.side(tile.level)
-            row, column = (math.floor((v / side - first) * n) for v, first in ((y, tile.row), (x, tile.column)))
-            layer = math.floor(yaw * headings / (2.0 * math.pi)) % headings
-            found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
-        return sorted(found - {-1})
-
-    def _all_joints(self) -> NDArray[np.int32]:
-        """Every two nodes that meet, Shape (n, 2)."""
-        ends = [
-            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
-        ]
-        return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
-
-    def _matrix(self) -> csr_matrix:
-        """Of every two nodes that meet what it costs to go over to the second."""
-        from scipy import sparse
-
-        joints, cost = self._all_joints(), np.array(self.cost)
-        first, second = np.concatenate((joints, joints[:, ::-1])).T
-        return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
-
-    def route(self) -> list[int]:
-        """The nodes of the cheapest route from goal to start; empty where there is none."""
-        from scipy.sparse import csgraph
-
-        spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([_START]), return_predecessors=True)
-        if not np.isfinite(spent[0, _GOAL]):
-            return []
-        route = [_GOAL]
-        while route[-1] != _START:
-            route.append(int(before[0, route[-1]]))
-        return route
-
-    def reached(self, node: int) -> BoolArray:
-        """Which nodes are joined to a node."""
-        from scipy.sparse import csgraph
-
-        component = csgraph.connected_components(self._matrix(), directed=False)[1]
-        found: BoolArray = component == component[node]
-        return found
-
-
-class _Places(_Graph):
-    """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
-
-    Costs are negative where it fits. What nobody has looked at costs less than anything.
-    """
-
-    def _label(self, tile: _Tile) -> None:
-        key, first = len(self.tiles), len(self.cost)
-        if tile.margin is None:
-            labels, cost = np.full((1, 1, 1), first), [-_ROOM]
-        else:
-            best = tile.margin.max(axis=0) + math.sqrt(2.0) * self.grid.half(tile.level)
-            labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
-        self.cost += cost
-        self.tile_of += [key] * len(cost)
-        self.tiles.append(tile)
-        self.labels.append(labels)
-        self.tile_at[self._place(key)] = key
-        self.joints[key, key] = _met_within(labels, kinds=2)
-
-    def route(self) -> list[int]:
-        """The nodes of the route whose dearest node is cheapest: the one through a minimum spanning tree ([Hu1961])."""
-        from scipy import sparse
-        from scipy.sparse import csgraph
-
-        cost = np.maximum(np.array(self.cost), -_ROOM)
-        cost[: _GOAL + 1] = -_ROOM
-        first, second = self._all_joints().T
-        dear = np.maximum(cost[first], cost[second]) + 2.0 * _ROOM  # zero would be no joint
-        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
-        before = csgraph.breadth_first_order(tree, _START, directed=False)[1]
-        route = [_GOAL]
-        while route[-1] != _START:
-            route.append(int(before[route[-1]]))
-        return route
-
-
 class _Search:
     """The tiles so far, and the graph of what may be free in them."""
 
-    def __init__(self, problem: DockingProblem, body: _Body, deadline: Deadline) -> None:
+    def __init__(self, problem: DockingProblem, body: DiscCover, deadline: Deadline) -> None:
         self.problem, self.body, self.deadline = problem, body, deadline
         self.start_clearance = end_clearances(problem).start
         self.grid = self._grid()
         self.obstacles = _Obstacles(problem, self.grid.origin, self._look)
         self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
-        self.known: dict[tuple[int, int, int], _Tile] = {}
-        self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
-        self.graph.add([_Tile(-self.grid.above, 0, 0)])
+        self.known: dict[tuple[int, int, int], Tile] = {}
+        self.graph = ConnectivityGraph(self.grid, self.ends, by_certainty(self.grid))
+        self.graph.add([Tile(-self.grid.above, 0, 0)])
 
-    def _grid(self) -> _Grid:
+    def _grid(self) -> Grid:
         """Tiles that cover both ends, and obstacles as far as they may matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
@@ -629,7 +258,7 @@ class _Search:
         above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
         turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
         headings = turning if self.body.turns else 1
-        return _Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
+        return Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
 
     def _look(self) -> None:
         self.deadline.look()
@@ -665,7 +294,7 @@ class _Search:
             route = self.graph.route()
             if not route:
                 break
-            narrow = {self.graph.tile_of[node] for node in route if self.graph.cost[node] > _OPEN}
+            narrow = {self.graph.tile_of[node] for node in route if self.graph.cost[node] > OPEN}
             if not self._split(self.graph, narrow):
                 return None
         proof = self._around_an_end()
@@ -674,14 +303,14 @@ class _Search:
                 proof = dataclasses.replace(proof, bottleneck=bottleneck)
         return proof
 
-    def _split(self, graph: _Graph, keys: set[int]) -> bool:
+    def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
         """Look at tiles, or at their quarters, as far as they can be split; whether any could."""
-        keys = {key for key in keys if graph.tiles[key].level < _FINEST}
-        new: list[_Tile] = []
+        keys = {key for key in keys if graph.tiles[key].level < FINEST}
+        new: list[Tile] = []
         for key in sorted(keys):
             tile = graph.tiles[key]
             if tile.level < 0:
-                new += [_Tile(*place) for place in tile.split()]
+                new += [Tile(*place) for place in tile.split()]
             else:
                 new += [self._seen(*place) for place in (tile.split() if tile.margin is not None else [tile[:3]])]
         graph.remove(keys)
@@ -691,8 +320,8 @@ class _Search:
     def _around_an_end(self) -> ImpossibilityProof:
         """The proof, once no route is left: around the goal, or around the start where the goal is in the open."""
         graph = self.graph
-        goal = graph.reached(_GOAL)
-        end, reached = ("start", graph.reached(_START)) if goal[_OUTSIDE] else ("goal", goal)
+        goal = graph.reached(GOAL)
+        end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
         tiles, whole = {}, []
         for key in graph.present():
             tile, labels = graph.tiles[key], graph.labels[key]
@@ -722,7 +351,7 @@ class _Search:
 
         Cells promise what their widest place may have, so that every other gap is narrower than what is found.
         """
-        graph, found = _Places(self.grid, self.ends, _by_certainty(self.grid)), None
+        graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
         graph.add([self.graph.tiles[key] for key in self.graph.present()])
         with contextlib.suppress(OutOfTime):
             for _ in range(_ROUNDS_OF_DISC):
@@ -730,7 +359,7 @@ class _Search:
                 route = graph.route()
                 found = max(route, key=lambda node: graph.cost[node])
                 dearest = graph.cost[found]
-                if dearest <= -_ROOM:
+                if dearest <= -ROOM:
                     return
                 half = self.grid.half(graph.tiles[graph.tile_of[found]].level)
                 keys = {graph.tile_of[node] for node in route if graph.cost[node] >= dearest - _SHARP * half}
@@ -741,7 +370,7 @@ class _Search:
             if bottleneck is not None:
                 yield bottleneck
 
-    def _at_place(self, graph: _Graph, node: int) -> Bottleneck | None:
+    def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
         """What is known of a place of the disc, at the heading at which the body has most room.
 
         None where it is in an obstacle, or as near to one as that the cell reaches beyond: then there is no gap at all.
@@ -752,9 +381,9 @@ class _Search:
         (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
         if most + float(self.body.discs[0, 2]) <= 2.0 * half:
             return None
-        body = _body(self.problem.robot.footprint, self.deadline.look)
+        body = disc_cover(self.problem.robot.footprint, self.deadline.look)
         shift = self.body.centre - body.centre
-        whole = _Body(body.centre, body.discs - (*shift, 0.0), body.reach)
+        whole = DiscCover(body.centre, body.discs - (*shift, 0.0), body.reach)
         (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), whole)
         return self._bottleneck((x, y, yaw), most, half)
 
@@ -766,7 +395,7 @@ class _Search:
             low, high = self._widest(tiles, low, high, _SHARP * half)
             graph = self._by_margin(tiles, low, high)
             route = graph.route()
-            narrow = [node for node in route if graph.cost[node] > _OPEN]
+            narrow = [node for node in route if graph.cost[node] > OPEN]
             if not narrow:
                 return
             some = narrow[:: -(-len(narrow) // _PLACES)]  # rough cells may look as narrow as the narrowest
@@ -775,14 +404,14 @@ class _Search:
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
             # What nobody looked at counts as wide, and hides how thick a wall is.
-            passed = {graph.tile_of[node] for node in route if node > _GOAL}
+            passed = {graph.tile_of[node] for node in route if node > GOAL}
             keys |= {key for key in passed if graph.tiles[key].margin is None}
             if not self._split(graph, keys):
                 return
             tiles = [graph.tiles[key] for key in graph.present()]
             low, high = low - half, high + half
 
-    def _widest(self, tiles: list[_Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
+    def _widest(self, tiles: list[Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
         """Margins that leave a route and that leave none, at most `sharp` apart [m]: first found, then bisected."""
         step = high - low
         while self._by_margin(tiles, high, high).route():
@@ -794,7 +423,7 @@ class _Search:
             low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
         return low, high
 
-    def _coarse_tiles(self) -> list[_Tile]:
+    def _coarse_tiles(self) -> list[Tile]:
         """The tiles that were looked at first, and those that never were."""
         present = set(self.graph.present())
         return [
@@ -803,13 +432,13 @@ class _Search:
             if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
         ]
 
-    def _by_margin(self, tiles: list[_Tile], low: float, high: float) -> _Graph:
+    def _by_margin(self, tiles: list[Tile], low: float, high: float) -> ConnectivityGraph:
         self.deadline.look()
-        graph = _Graph(self.grid, self.ends, _by_margin(low, high))
+        graph = ConnectivityGraph(self.grid, self.ends, by_margin(low, high))
         graph.add(tiles)
         return graph
 
-    def _seen(self, level: int, column: int, row: int) -> _Tile:
+    def _seen(self, level: int, column: int, row: int) -> Tile:
         """A tile that was looked at, once."""
         self.deadline.look()
         known = self.known.get((level, column, row))
@@ -844,7 +473,7 @@ class _Search:
             self.deadline.look()
         required = self._required(corner, half, (c, s), turn)
         shape = (count, CELLS, CELLS)
-        tile = self.known[level, column, row] = _Tile(
+        tile = self.known[level, column, row] = Tile(
             level, column, row, (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
         )
         return tile
@@ -861,7 +490,7 @@ class _Search:
         at = x0 + x - (c * mx - s * my), y0 + y - (s * mx + c * my)
         return least_required(self.problem, *at, reach, self.start_clearance)
 
-    def _at_node(self, graph: _Graph, node: int) -> Bottleneck:
+    def _at_node(self, graph: ConnectivityGraph, node: int) -> Bottleneck:
         """What is known of the widest cell of a node."""
         key = graph.tile_of[node]
         tile = graph.tiles[key]
@@ -883,7 +512,9 @@ class _Search:
         body = -2.0 * most
         return Bottleneck(pose.x, pose.y, pose.yaw, body + 2.0 * float(required), body, 4.0 * half, self._between(pose))
 
-    def _best_near(self, pose: FloatArray, reach: FloatArray, body: _Body) -> tuple[tuple[float, float, float], float]:
+    def _best_near(
+        self, pose: FloatArray, reach: FloatArray, body: DiscCover
+    ) -> tuple[tuple[float, float, float], float]:
         """The pose near one of a body's centre that is farthest from obstacles, and how far its discs are there [m].
 
         Args:
@@ -937,48 +568,3 @@ class _Search:
 def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
     """Where a point of the robot is at a pose, seen from an origin, and the heading. Shape (3,)."""
     return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)
-
-
-@functools.lru_cache(maxsize=4096)
-def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
-    """Flat indices of cells of two tiles that share a face, Shape (n,) each.
-
-    Args:
-        sides: Of each level, column, row, cells along a side, headings, and which side: 0 the lower, -1 the upper.
-        axis: Across the side, 0 for x.
-    """
-    finest = max(side[0] for side in sides)
-    size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
-    low = [side[2 - axis] * n for side, n in zip(sides, size, strict=True)]
-    step = min(n // side[3] for side, n in zip(sides, size, strict=True))
-    along = np.arange(max(low), min(first + n for first, n in zip(low, size, strict=True)), step)
-    headings = max(side[4] for side in sides)
-    places = []
-    for side, n, first in zip(sides, size, low, strict=True):
-        across, layer = (along - first) * side[3] // n, np.arange(headings) * side[4] // headings
-        face = np.full_like(across, side[5] % side[3])
-        row, column = (across, face) if axis == 0 else (face, across)
-        places.append(((layer[:, None] * side[3] + row) * side[3] + column).ravel())
-    return readonly(places[0]), readonly(places[1])
-
-
-def _met_within(labels: IntArray, kinds: int) -> IntArray:
-    """Nodes of one tile that meet, Shape (n, 2); those of one kind meet over the full turn only."""
-    most = int(labels.max()) + 1
-    found = [_pairs(labels[0], labels[-1], most)]
-    if kinds > 1:
-        found += [
-            _pairs(labels[:, :, 1:], labels[:, :, :-1], most),
-            _pairs(labels[:, 1:], labels[:, :-1], most),
-            _pairs(labels[1:], labels[:-1], most),
-        ]
-    return np.concatenate(found)
-
-
-def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
-    """Different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
-    met = (first >= 0) & (second >= 0) & (first != second)
-    codes = first[met] * most + second[met]
-    changes = np.ones(codes.size, dtype=np.bool_)
-    changes[1:] = codes[1:] != codes[:-1]
-    return np.column_stack(np.divmod(np.unique(codes[changes]), most))

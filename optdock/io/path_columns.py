@@ -16,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment, TurnSegment
 from optdock.samples.sampled_motion import half_unit
 
@@ -159,7 +159,7 @@ def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, pos
         return False
     numbers = np.fromiter((number for curve in curves for number in _numbers(curve)), dtype=np.float64)
     ends = np.stack((path.start.as_array(), path.end.as_array())) - poses[[0, -1]]
-    ends[:, 2] = np.remainder(ends[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    ends[:, 2] = wrap_angles(ends[:, 2])
     return bool(np.array_equal(np.round(numbers, 6), numbers) and np.max(np.abs(ends)) <= _ROUNDED)
 
 
@@ -207,7 +207,7 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
     if columns.segments:  # they say more exactly how long it must be
         return
-    turn = np.abs(np.remainder(np.diff(poses[:, 2]) + np.pi, 2.0 * np.pi) - np.pi)
+    turn = np.abs(wrap_angles(np.diff(poses[:, 2])))
     # Half a circle over its chord, as one step of a polyline may be; a turn in place may count what it has radians.
     longest = 0.5 * np.pi * chord + turn * (chord <= _STILL) + 2.0 * rounding
     long = np.flatnonzero(np.diff(columns.s) > longest)
@@ -275,7 +275,7 @@ def check_sampled_curvature(columns: PathColumns, name: str) -> None:
         return
     poses = np.column_stack((columns.x, columns.y, columns.yaw))
     given, chord = np.array(columns.curvature), np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    turn = np.remainder(np.diff(poses[:, 2]) + np.pi, 2.0 * np.pi) - np.pi
+    turn = wrap_angles(np.diff(poses[:, 2]))
     moves = chord > _STILL
     with np.errstate(divide="ignore", invalid="ignore"):
         quotient = np.where(moves, turn * np.sinc(0.5 * turn / np.pi) / chord, np.inf)
@@ -346,7 +346,7 @@ def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STI
     """How far samples at `s`, known to `near` [m], are off the curves, Shape (n,) [m] and [rad]."""
     exact = path.poses_at(s)
     apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
-    turned = np.abs(np.remainder(poses[:, 2] - exact[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    turned = np.abs(wrap_angles(poses[:, 2] - exact[:, 2]))
     # Where the robot turns in place many headings share one arc length; positions tell all there.
     turned[_distances_to(_turns_in_place(path), s) <= near] = 0.0
     return apart, turned

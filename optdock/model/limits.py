@@ -279,6 +279,16 @@ class MotionLimits:
         angle: FloatArray = np.arctan(self.wheelbase * curvature)
         return angle
 
+    def steering_per_metre(self, curvature: FloatArray, curvature_rate: FloatArray) -> FloatArray:
+        """How far the wheels turn per metre of the way, |d atan(wheelbase * curvature) / ds|, Shape (n,) [rad/m].
+
+        Args:
+            curvature: Shape (n,) [1/m].
+            curvature_rate: Its derivative along the way, likewise [1/m^2].
+        """
+        turned: FloatArray = self.wheelbase * np.abs(curvature_rate) / (1.0 + (self.wheelbase * curvature) ** 2)
+        return turned
+
     def steering_times(self, curvatures: FloatArray) -> FloatArray:
         """How long the wheels take to turn between curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])

@@ -80,9 +80,8 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     up, down = limits.max_acceleration, limits.max_deceleration
     speed = _speed_bound(limits, np.abs(curvature), forward)
     if np.isfinite(limits.max_steering_rate):
-        steered = limits.wheelbase * np.abs(trajectory.path.curvature_rate_at(samples.s))
-        cap = limits.max_steering_rate * (1.0 + (limits.wheelbase * curvature) ** 2)
-        speed = np.minimum(speed, cap / np.maximum(steered, 1e-12))
+        per_metre = limits.steering_per_metre(curvature, trajectory.path.curvature_rate_at(samples.s))
+        speed = np.minimum(speed, limits.max_steering_rate / np.maximum(per_metre, 1e-12))
     speed = np.where(samples.s > trajectory.path.before_end(zone.distance), np.minimum(speed, zone.speed), speed)
     speed, curvature = np.where(turning, 0.0, speed), np.where(turning, 0.0, curvature)
     accelerations = np.where(forward, -down, -up), np.where(forward, up, down)

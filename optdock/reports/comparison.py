@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import FailedToTimePath
+from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.path import ClothoidSegment, TurnSegment
 from optdock.plugins.registry import timed_by
 from optdock.reports.report import table
@@ -109,7 +110,7 @@ def worst_joint_angle(path: Path) -> float:
 
 
 def _turn(first: float, second: float) -> float:
-    return abs(math.remainder(second - first, 2.0 * math.pi))
+    return abs(normalize_angle(second - first))
 
 
 def _jump_inside(segment: Segment) -> float:
@@ -120,7 +121,7 @@ def _jump_inside(segment: Segment) -> float:
     moving = np.hypot(step[:, 0], step[:, 1]) > 1e-9
     course = np.arctan2(step[moving, 1], step[moving, 0])
     headings = np.concatenate((poses[:1, 2], course, poses[-1:, 2]))
-    jumps = np.abs(np.remainder(np.diff(headings) + np.pi, 2.0 * np.pi) - np.pi)
+    jumps = np.abs(wrap_angles(np.diff(headings)))
     return float(np.max(jumps, initial=0.0))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from optdock import errors
 from optdock.errors import InvalidFile, OptdockError
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.impossibility import BlockedStraight, check_impossibility
 from optdock.io.numbers import is_number
 from optdock.io.plan_file import CERTIFIED, UNKNOWN
@@ -409,7 +409,7 @@ class _Claims:
         if guess is None:
             return
         for what, one, other in (("begins", guess.start, self._path.start), ("ends", guess.end, self._path.end)):
-            apart, turned = one.distance_to(other), abs(math.remainder(one.yaw - other.yaw, 2.0 * math.pi))
+            apart, turned = one.distance_to(other), abs(normalize_angle(one.yaw - other.yaw))
             if not max(apart, turned) <= _SAME_PLACE:
                 yield f"raw_path {what} {apart:.3g} m and {turned:.3g} rad off where the path {what}"
 

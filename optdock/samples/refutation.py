@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.pose import normalize_angle, wrap_angles
 from optdock.model.limits import LIMITS
 from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.samples.sampled_motion import (
@@ -195,7 +196,7 @@ def _ends_of_turns(motion: SampledMotion, path: Path, rounding: Rounding) -> Ite
     """The first sample is at the start of the path, the last at rest at its end, also where it turns there."""
     for name, i, pose, s in (("begin", 0, path.start, 0.0), ("end", -1, path.end, path.length)):
         away = math.hypot(motion.x[i] - pose.x, motion.y[i] - pose.y)
-        turned = abs(math.remainder(float(motion.yaw[i]) - pose.yaw, 2.0 * math.pi))
+        turned = abs(normalize_angle(float(motion.yaw[i]) - pose.yaw))
         if not max(away, turned) <= OFF_PATH:
             message = f"the samples {name} {away:.3g} m and {turned:.3g} rad from where the path does"
             yield Violation("coverage", message, s, max(away, turned))
@@ -235,7 +236,7 @@ def _checked_turn(
 ) -> SampledMotionVerdict:
     """The verdict on the samples of one turn in place, which begins at `begin` [m] on the path."""
     half, sign, whole = 0.5 * abs(turn.turn), math.copysign(1.0, turn.turn), 2.0 * np.pi
-    off = np.unwrap(np.remainder(motion.yaw - turn.pose.yaw + np.pi, whole) - np.pi)
+    off = np.unwrap(wrap_angles(motion.yaw - turn.pose.yaw))
     turned = sign * off
     turned += whole * np.rint((half - 0.5 * (turned[0] + turned[-1])) / whole)
     apart = float(np.max(np.hypot(motion.x - turn.pose.x, motion.y - turn.pose.y)))
@@ -309,7 +310,7 @@ def _turn_in_place(path: Path) -> Violation | None:
 def _judged(motion: SampledMotion, path: Path, problem: DockingProblem, places: Places, rounding: Rounding) -> _Judged:
     poses = places.poses
     apart = np.hypot(motion.x - poses[:, 0], motion.y - poses[:, 1])
-    turned = np.abs(np.remainder(motion.yaw - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    turned = np.abs(wrap_angles(motion.yaw - poses[:, 2]))
     # A pose that is on the path but `ON_PATH` further along it has turned by that much.
     turned = np.maximum(turned - ON_PATH * np.minimum(np.abs(path.curvature_at(places.s)), _STEEPEST), 0.0)
     v, a, j = (places.gear * column for column in (motion.speed, motion.acceleration, motion.jerk))
@@ -379,7 +380,7 @@ class _Sums(NamedTuple):
         """The sums along the travel, speeds `v` and accelerations `a` being positive there."""
         h = np.diff(motion.t)
         steps = step_lengths(motion.t, v, a, limits)
-        turn = np.remainder(np.diff(motion.yaw) + np.pi, 2.0 * np.pi) - np.pi
+        turn = wrap_angles(np.diff(motion.yaw))
         error = np.minimum(0.25 * limits.max_jerk * h**2, (limits.max_acceleration + limits.max_deceleration) * h)
         columns = (steps.length, steps.error, 0.5 * h * (a[:-1] + a[1:]), error, turn, np.abs(turn))
         return cls(*(np.concatenate(([0.0], np.cumsum(column))) for column in columns))
@@ -539,15 +540,9 @@ def _curved(judged: _Judged, limits: MotionLimits, bends: _Bends, v: FloatArray)
         "max_lateral_acceleration": v**2 * k,
         "max_lateral_jerk": sideways,
         "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
-        "max_steering_rate": np.where(exact, v * _steering_rate(limits, most, rate), 0.0),
+        "max_steering_rate": np.where(exact, v * limits.steering_per_metre(most, rate), 0.0),
     }
     yield from _limited(judged, limits, values)
-
-
-def _steering_rate(limits: MotionLimits, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-    """How far the steering angle turns per metre, Shape (n,) [rad/m]."""
-    per_metre: FloatArray = limits.wheelbase * np.abs(rate) / (1.0 + (limits.wheelbase * curvature) ** 2)
-    return per_metre
 
 
 def _turning_rates(judged: _Judged, bends: _Bends, order: int = 1) -> tuple[FloatArray, FloatArray]:
@@ -743,7 +738,7 @@ def _at_knots(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
             "max_lateral_acceleration": v**2 * k,
             "max_lateral_jerk": v * (v**2 * rate - 2.0 * a * k),
             "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
-            "max_steering_rate": v * _steering_rate(limits, k, rate),
+            "max_steering_rate": v * limits.steering_per_metre(k, rate),
         }
         yield from _limited(judged, limits, values, "{} at a knot", at=at)
 
@@ -934,7 +929,7 @@ def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: Doc
         found = getattr(motion, name)
         around = np.array([getattr(samples, name) for samples in (exact, *sides)])
         if name == "yaw":
-            around = found + np.remainder(around - found + np.pi, 2.0 * np.pi) - np.pi
+            around = found + wrap_angles(around - found)
         off = np.maximum(around.min(axis=0) - found, found - around.max(axis=0))
         allowed = rounding.place if name in ("x", "y") else getattr(rounding, name)
         off = off - 4.0 * np.spacing(np.abs(found)) - allowed
@@ -943,7 +938,7 @@ def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: Doc
             message = f"{name} at t = {motion.t[i]:.3f} s is {found[i]:.6g}, by the phases {around[0, i]:.6g}"
             violations.append(Violation("phases", message, float(exact.s[i]), float(off[i] + allowed)))
     apart = float(np.max(np.hypot(motion.x - exact.x, motion.y - exact.y)))
-    turned = float(np.max(np.abs(np.remainder(motion.yaw - exact.yaw + np.pi, 2.0 * np.pi) - np.pi)))
+    turned = float(np.max(np.abs(wrap_angles(motion.yaw - exact.yaw))))
     offset = (apart, turned)
     if not violations and max(offset) > ON_PATH and not _covers(trajectory.path, problem, offset):
         message = (

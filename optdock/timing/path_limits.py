@@ -102,10 +102,7 @@ class SpeedCaps:
 
     def steering_slowness(self, curvature: FloatArray, rate: FloatArray) -> FloatArray:
         """Of the steering rate, at curvatures and their rates. Shape (n,) [s/m]."""
-        wheelbase = self.drive.wheelbase
-        bend = wheelbase * curvature
-        slowness: FloatArray = wheelbase / self.drive.max_steering_rate * np.abs(rate) / (1.0 + bend * bend)
-        return slowness
+        return self.drive.steering_per_metre(curvature, rate) / self.drive.max_steering_rate
 
     def tightest(self, bend: float, rate: float) -> tuple[str, str]:
         """The limit that decides: its name in `MotionLimits`, and that with its value.

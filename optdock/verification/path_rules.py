@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.limits import LIMITS, LimitKind, finite_limits
 from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
@@ -146,7 +146,7 @@ def _steps(segment: PolylineSegment, start: float) -> _Steps:
     step = np.diff(segment.poses, axis=0)
     heading = segment.poses[:-1, 2] + 0.5 * step[:, 2] + (np.pi if segment.direction is Direction.REVERSE else 0.0)
     motion = np.arctan2(step[:, 1], step[:, 0])
-    slip = np.remainder(motion - heading + np.pi, 2.0 * np.pi) - np.pi
+    slip = wrap_angles(motion - heading)
     chord = np.hypot(step[:, 0], step[:, 1])
     return _Steps(start + segment.knots[:-1], chord, np.diff(segment.knots), step[:, 2], motion, slip)
 
@@ -239,7 +239,7 @@ def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     limit = problem.robot.limits.max_curvature
     for _, steps in _polylines(path) if np.isfinite(limit) else ():
         moving = steps.moving()
-        turn = np.abs(np.remainder(np.diff(moving.motion) + np.pi, 2.0 * np.pi) - np.pi)
+        turn = np.abs(wrap_angles(np.diff(moving.motion)))
         between = 0.5 * (moving.arc[:-1] + moving.arc[1:])
         rounding = 2.0 * ROUNDING * (1.0 / moving.chord[:-1] + 1.0 / moving.chord[1:])
         excess = turn - limit * (1.0 + SAMPLED_RTOL) * between - rounding
@@ -362,7 +362,7 @@ def _straight_error(poses: FloatArray, goal: Pose2) -> FloatArray:
     """Larger of cross-track and heading error to the goal axis, Shape (n,) [m or rad]."""
     dx, dy = poses[:, 0] - goal.x, poses[:, 1] - goal.y
     cross = np.abs(dy * np.cos(goal.yaw) - dx * np.sin(goal.yaw))
-    turn = np.abs(np.remainder(poses[:, 2] - goal.yaw + np.pi, 2.0 * np.pi) - np.pi)
+    turn = np.abs(wrap_angles(poses[:, 2] - goal.yaw))
     error: FloatArray = np.maximum(cross, turn)
     return error
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.pose import unwrap_yaw
+from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.trajectory import border_states, braking_phases
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, Reference
@@ -245,7 +245,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
     signs = np.array([int(segment.direction) for segment in path.segments])[basis.interval_gear]
     direction = np.arctan2(signs * chord[:, 1], signs * chord[:, 0])
     yaw = 0.5 * (nodes[left, 2] + nodes[left + 1, 2])
-    turned = np.remainder(direction - yaw + np.pi, 2.0 * np.pi) - np.pi
+    turned = wrap_angles(direction - yaw)
     moved = np.hypot(chord[:, 0], chord[:, 1]) > 1e-6
     return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(nodes[-1, 2]))
 

@@ -25,7 +25,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
-from optdock.impossibility import cell_decomposition, prove_impossible
+from optdock.impossibility import connectivity_graph, footprint_discs, prove_impossible
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
@@ -278,8 +278,8 @@ def test_a_grid_to_write_into_stays_one_when_it_is_copied():
 # What is computed once for everybody: two proofs would share it with whoever asked for it in between.
 SHARED = {
     "mapped_obstacles": lambda: mapped_obstacles(problem().costmap),
-    "_bodies": lambda: cell_decomposition._body(problem().robot.footprint, lambda: None),
-    "_beside": lambda: cell_decomposition._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
+    "_bodies": lambda: footprint_discs.disc_cover(problem().robot.footprint, lambda: None),
+    "_beside": lambda: connectivity_graph._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),

@@ -256,10 +256,8 @@ def test_an_error_says_where():
 
 # Nav2: UNKNOWN, TIMEOUT, COLLISION_AHEAD, INVALID_INPUT; a code that Nav2 lacks is UNKNOWN's.
 BEHAVIOR_CODES = {
-    "SPIN": (700, 701, 703, 700),
     "BACK_UP": (710, 711, 714, 713),
     "DRIVE_ON_HEADING": (720, 721, 723, 724),
-    "WAIT": (740, 741, 740, 740),
 }
 
 
@@ -267,7 +265,3 @@ BEHAVIOR_CODES = {
 def test_behaviors_have_nav2s_codes(name):
     assert tuple(getattr(codes, name)) == BEHAVIOR_CODES[name]
     assert codes.Codes._fields == ("unknown", "timeout", "collision_ahead", "invalid_input")
-
-
-def test_undocking_has_nav2s_docking_codes():
-    assert codes.UNDOCK._asdict() == {"no_way": 903, "control": 905, "timeout": 907, "unknown": 999}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.path import Path
 from optdock.model.segments import Direction, PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
@@ -246,7 +246,7 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     length = np.hypot(dx, dy)
     drives = length > _NOTHING
     heading = np.where(drives, np.arctan2(gear * dy, gear * dx), leaving[i, 2])
-    turns = np.column_stack((_wrapped(heading - leaving[i, 2]), _wrapped(arriving[j, 2] - heading)))
+    turns = np.column_stack((wrap_angles(heading - leaving[i, 2]), wrap_angles(arriving[j, 2] - heading)))
     # The shorter way round, or the other one.
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
@@ -293,11 +293,6 @@ def _saved_by_rounding(
     saved = turning_times(bend, limits.turning) + stopping_cost(limits)
     saved += (2.0 * tangent - effort.radius * bend) / speed
     return saved, _TANGENT_SHARE * tangent <= legs
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    folded: FloatArray = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
-    return folded
 
 
 def _whole(
@@ -414,7 +409,7 @@ def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple
     """Turns and lengths along a polyline of corners in one gear, between two headings."""
     step = np.diff(corners, axis=0)
     heading = np.arctan2(gear * step[:, 1], gear * step[:, 0])
-    turns = _wrapped(np.diff(np.concatenate(([first], heading, [last]))))
+    turns = wrap_angles(np.diff(np.concatenate(([first], heading, [last]))))
     return turns, gear * np.hypot(step[:, 0], step[:, 1])
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.executor import Ending, EndingKind
 from optdock.geometry.pose import Twist2
+from optdock.model.trajectory import braking_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -171,7 +172,7 @@ class ControlLoop:
         in_time = run.done.wait(patience)
         self._aborted = True
         limits = self._robot.limits
-        thread.join(limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk + _SLACK)
+        thread.join(braking_time(limits.max_speed, limits.max_deceleration, limits.max_jerk) + _SLACK)
         if not run.done.is_set():  # it hangs in a cycle; whatever that gives when it comes back is not sent
             is_free = self._sending.acquire(timeout=_SLACK)  # or it hangs in a middleware that takes nothing
             self._silent = True

@@ -35,6 +35,7 @@ from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State
 from optdock.executor.contact_zone import contact_reach
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.problem import DockingProblem
+from optdock.model.trajectory import braking_time
 from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock_ros.dock_plugins import Told
 from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
@@ -227,7 +228,7 @@ class DockingServer(Server[DockingSettings]):
         reason = "the server is being deactivated"
         self._goals.close(reason)
         limits = self.settings.robot.document.limits.value()
-        braking = limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
+        braking = braking_time(limits.max_speed, limits.max_deceleration, limits.max_jerk)
         if self._loop is not None and not self._loop.close(reason, braking + _STOPPING):
             self.get_logger().error("the robot was not stopped by the executor")
         if not self._goals.join(_STOPPING):

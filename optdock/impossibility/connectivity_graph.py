@@ -1,0 +1,344 @@
+"""The connectivity graph of a cell decomposition: connected cells of one kind are a node, cells that touch join two.
+
+Cells lie in tiles of a quadtree of the plane, with all headings ([Brooks1985], [Zhang2008]). A tile that nobody has
+looked at is one cell.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from optdock.impossibility.proof import CELLS, SLACK
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+    from scipy.sparse import csr_matrix
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "FINEST",
+    "GOAL",
+    "OPEN",
+    "OUTSIDE",
+    "ROOM",
+    "START",
+    "ConnectivityGraph",
+    "Grid",
+    "Kinds",
+    "PlaceGraph",
+    "Tile",
+    "by_certainty",
+    "by_margin",
+]
+
+OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+ROOM = 1e3  # [m] of clearance that nobody has
+FINEST = 4  # level of the finest tiles
+
+
+class Grid(NamedTuple):
+    """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
+
+    origin: FloatArray
+    cell: float
+    headings: int
+    above: int
+
+    def half(self, level: int) -> float:
+        """Half the side of a cell [m]."""
+        return self.cell * 0.5**level
+
+    def side(self, level: int) -> float:
+        """Of a tile [m]."""
+        return 2.0 * CELLS * self.half(level)
+
+    def count(self, level: int) -> int:
+        """How many headings its cells have."""
+        return self.headings << level
+
+
+class Tile(NamedTuple):
+    """One tile of the quadtree; one that nobody has looked at has neither `blocked` nor `margin`.
+
+    `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
+    their middles, likewise [m].
+    """
+
+    level: int
+    column: int
+    row: int
+    blocked: BoolArray | None = None
+    margin: NDArray[np.float32] | None = None
+
+    def split(self) -> list[tuple[int, int, int]]:
+        """Level, column and row of its quarters."""
+        return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
+
+
+Kinds: TypeAlias = "Callable[[Tile], tuple[BoolArray, BoolArray]]"
+_ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
+_NONE = readonly(np.zeros((0, 2), dtype=np.int64))
+
+
+def by_certainty(grid: Grid) -> Kinds:
+    """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
+
+    def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.blocked is None or tile.margin is None:
+            return ~_ONE, _ONE
+        is_open = ~tile.blocked & (tile.margin > grid.half(tile.level))
+        return is_open, ~(tile.blocked | is_open)
+
+    return kinds
+
+
+def by_margin(low: float, high: float) -> Kinds:
+    """Cells with a margin of at least `high`, and others with at least `low`."""
+
+    def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.margin is None:
+            return _ONE, ~_ONE
+        return tile.margin >= high, (tile.margin >= low) & (tile.margin < high)
+
+    return kinds
+
+
+OUTSIDE, START, GOAL = range(3)  # nodes
+
+
+class ConnectivityGraph:
+    """Tiles beside each other; its nodes are connected cells of one kind in one tile.
+
+    Args:
+        grid: How cells lie.
+        ends: Poses of the centre at start and goal.
+        kinds: Which cells of a tile are open, and which narrow; the others are left out.
+    """
+
+    def __init__(self, grid: Grid, ends: list[FloatArray], kinds: Kinds) -> None:
+        self.grid, self.ends, self.kinds = grid, ends, kinds
+        self.tiles: list[Tile] = []  # also such as were removed
+        self.labels: list[IntArray] = []
+        self.tile_at = np.full((2 ** (grid.above + FINEST),) * 2, -1, dtype=np.int64)
+        self.cost, self.tile_of = [OPEN] * 3, [-1] * 3
+        self.joints: dict[tuple[int, int], IntArray] = {}
+
+    def add(self, tiles: Iterable[Tile]) -> None:
+        """Put tiles into the plane, instead of what was there, and join them to what is beside them."""
+        first = len(self.tiles)
+        for tile in tiles:
+            self._label(tile)
+        for key in range(first, len(self.tiles)):
+            rows, columns = self._place(key)
+            self._join(key, 0, 0, columns.start - 1, rows)
+            self._join(key, 0, -1, columns.stop, rows)
+            self._join(key, 1, 0, rows.start - 1, columns)
+            self._join(key, 1, -1, rows.stop, columns)
+
+    def remove(self, keys: set[int]) -> None:
+        """Take tiles out; others must be put where they were."""
+        self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
+
+    def present(self) -> list[int]:
+        """The keys of the tiles that are there."""
+        return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
+
+    def _label(self, tile: Tile) -> None:
+        from scipy import ndimage
+
+        key = len(self.tiles)
+        is_open, is_narrow = self.kinds(tile)
+        labels = np.full(is_open.shape, -1)
+        both = [
+            (which, cost) for which, cost in ((is_open, OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
+        ]
+        for which, cost in both:
+            found, count = (which, 1) if which.all() else ndimage.label(which)
+            if count == 1:
+                labels[which] = len(self.cost)
+                self.cost.append(cost)
+                self.tile_of.append(key)
+                continue
+            labels[which] = found[which] + (len(self.cost) - 1)
+            self.cost += [cost] * count
+            self.tile_of += [key] * count
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
+
+    def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
+        """Join a tile over its lower (0) or upper (-1) side along an axis."""
+        if not 0 <= beyond < len(self.tile_at):
+            nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
+            nodes = nodes[nodes >= 0]
+            known = self.joints.get((key, -1), _NONE)
+            self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, np.full_like(nodes, OUTSIDE)))))
+            return
+        strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
+        for other in np.unique(strip).tolist():
+            pair = (min(key, other), max(key, other))
+            if other >= 0 and pair not in self.joints:
+                self.joints[pair] = self._met_over(key, other, axis, edge)
+
+    def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
+        """Nodes that meet over a side of a tile, Shape (n, 2)."""
+        if self.labels[key].size == self.labels[other].size == 1:
+            met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
+            return met if met.min() >= 0 else _NONE
+        both = ((key, edge), (other, -1 - edge))
+        sides = tuple((*self.tiles[k][:3], self.labels[k].shape[1], self.labels[k].shape[0], side) for k, side in both)
+        first, second = (
+            self.labels[k].ravel().take(place) for (k, _), place in zip(both, _beside(sides, axis), strict=True)
+        )
+        return _pairs(first, second, len(self.cost))
+
+    def _place(self, key: int) -> tuple[slice, slice]:
+        """Rows and columns of a tile in `tile_at`."""
+        tile = self.tiles[key]
+        size = 2 ** (FINEST - tile.level)
+        return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
+
+    def _nodes_at(self, pose: FloatArray) -> list[int]:
+        """The nodes of the cells that a pose of the centre is in, or less than `SLACK` from."""
+        found: set[int] = set()
+        size, near = self.grid.side(FINEST), (-SLACK, SLACK)
+        for dx, dy, turned in itertools.product(near, near, near):
+            x, y, yaw = pose + np.array([dx, dy, turned])
+            i, j = math.floor(x / size), math.floor(y / size)
+            if not (0 <= i < len(self.tile_at) and 0 <= j < len(self.tile_at)):
+                found.add(OUTSIDE)
+                continue
+            key = int(self.tile_at[j, i])
+            tile, (headings, n, _) = self.tiles[key], self.labels[key].shape
+            side = self.grid.side(tile.level)
+            row, column = (math.floor((v / side - first) * n) for v, first in ((y, tile.row), (x, tile.column)))
+            layer = math.floor(yaw * headings / (2.0 * math.pi)) % headings
+            found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
+        return sorted(found - {-1})
+
+    def _all_joints(self) -> NDArray[np.int32]:
+        """Every two nodes that meet, Shape (n, 2)."""
+        ends = [
+            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
+        ]
+        return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
+
+    def _matrix(self) -> csr_matrix:
+        """Of every two nodes that meet what it costs to go over to the second."""
+        from scipy import sparse
+
+        joints, cost = self._all_joints(), np.array(self.cost)
+        first, second = np.concatenate((joints, joints[:, ::-1])).T
+        return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
+
+    def route(self) -> list[int]:
+        """The nodes of the cheapest route from goal to start; empty where there is none."""
+        from scipy.sparse import csgraph
+
+        spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([START]), return_predecessors=True)
+        if not np.isfinite(spent[0, GOAL]):
+            return []
+        route = [GOAL]
+        while route[-1] != START:
+            route.append(int(before[0, route[-1]]))
+        return route
+
+    def reached(self, node: int) -> BoolArray:
+        """Which nodes are joined to a node."""
+        from scipy.sparse import csgraph
+
+        component = csgraph.connected_components(self._matrix(), directed=False)[1]
+        found: BoolArray = component == component[node]
+        return found
+
+
+class PlaceGraph(ConnectivityGraph):
+    """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
+
+    Costs are negative where it fits. What nobody has looked at costs less than anything.
+    """
+
+    def _label(self, tile: Tile) -> None:
+        key, first = len(self.tiles), len(self.cost)
+        if tile.margin is None:
+            labels, cost = np.full((1, 1, 1), first), [-ROOM]
+        else:
+            best = tile.margin.max(axis=0) + math.sqrt(2.0) * self.grid.half(tile.level)
+            labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
+        self.cost += cost
+        self.tile_of += [key] * len(cost)
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=2)
+
+    def route(self) -> list[int]:
+        """The nodes of the route whose dearest node is cheapest: the one through a minimum spanning tree ([Hu1961])."""
+        from scipy import sparse
+        from scipy.sparse import csgraph
+
+        cost = np.maximum(np.array(self.cost), -ROOM)
+        cost[: GOAL + 1] = -ROOM
+        first, second = self._all_joints().T
+        dear = np.maximum(cost[first], cost[second]) + 2.0 * ROOM  # zero would be no joint
+        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
+        before = csgraph.breadth_first_order(tree, START, directed=False)[1]
+        route = [GOAL]
+        while route[-1] != START:
+            route.append(int(before[route[-1]]))
+        return route
+
+
+@functools.lru_cache(maxsize=4096)
+def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
+    """Flat indices of cells of two tiles that share a face, Shape (n,) each.
+
+    Args:
+        sides: Of each level, column, row, cells along a side, headings, and which side: 0 the lower, -1 the upper.
+        axis: Across the side, 0 for x.
+    """
+    finest = max(side[0] for side in sides)
+    size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
+    low = [side[2 - axis] * n for side, n in zip(sides, size, strict=True)]
+    step = min(n // side[3] for side, n in zip(sides, size, strict=True))
+    along = np.arange(max(low), min(first + n for first, n in zip(low, size, strict=True)), step)
+    headings = max(side[4] for side in sides)
+    places = []
+    for side, n, first in zip(sides, size, low, strict=True):
+        across, layer = (along - first) * side[3] // n, np.arange(headings) * side[4] // headings
+        face = np.full_like(across, side[5] % side[3])
+        row, column = (across, face) if axis == 0 else (face, across)
+        places.append(((layer[:, None] * side[3] + row) * side[3] + column).ravel())
+    return readonly(places[0]), readonly(places[1])
+
+
+def _met_within(labels: IntArray, kinds: int) -> IntArray:
+    """Nodes of one tile that meet, Shape (n, 2); those of one kind meet over the full turn only."""
+    most = int(labels.max()) + 1
+    found = [_pairs(labels[0], labels[-1], most)]
+    if kinds > 1:
+        found += [
+            _pairs(labels[:, :, 1:], labels[:, :, :-1], most),
+            _pairs(labels[:, 1:], labels[:, :-1], most),
+            _pairs(labels[1:], labels[:-1], most),
+        ]
+    return np.concatenate(found)
+
+
+def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
+    """Different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
+    met = (first >= 0) & (second >= 0) & (first != second)
+    codes = first[met] * most + second[met]
+    changes = np.ones(codes.size, dtype=np.bool_)
+    changes[1:] = codes[1:] != codes[:-1]
+    return np.column_stack(np.divmod(np.unique(codes[changes]), most))

@@ -1,0 +1,148 @@
+"""A footprint as few discs within it: what blocks them blocks the footprint at every heading that is asked."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.arrays import frozen
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.footprint import Footprint
+
+__all__ = ["DiscCover", "disc_cover", "prepare_footprint"]
+
+_FIT = 0.03  # of the largest disc's radius: how far the body may stick out of its discs
+_SMALLER = 0.6  # from one disc in a corner to the next
+
+
+class DiscCover(NamedTuple):
+    """A footprint as discs within it: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
+
+    centre: FloatArray
+    discs: FloatArray
+    reach: float
+
+    @property
+    def largest_disc(self) -> DiscCover:
+        """The largest of the discs alone, which looks the same at every heading."""
+        x, y, radius = self.discs[0].tolist()
+        return DiscCover(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
+
+    @property
+    def turns(self) -> bool:
+        """Whether a heading matters."""
+        return bool(self.discs[:, :2].any())
+
+
+_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
+
+
+@functools.lru_cache(maxsize=16)
+def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
+    """A cache cell per footprint: a list with its discs; empty until they are made, also after an interruption."""
+    return []
+
+
+def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
+    """The discs of a footprint, made once.
+
+    Args:
+        footprint: Of the robot.
+        look: Called every few milliseconds; what it raises is passed on, and nothing is kept.
+    """
+    kept = _bodies(footprint)
+    if not kept:
+        kept.append(_discs_within(footprint, look))
+    return kept[0]
+
+
+def prepare_footprint(footprint: Footprint) -> None:
+    """Make the discs of a footprint now, so that no search for a proof has to: 6 to 40 ms, once per footprint."""
+    disc_cover(footprint, lambda: None)
+
+
+def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
+    """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
+    outline = footprint.vertices
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    outline = outline - centre
+    reach = float(np.hypot(*outline.T).max())
+    step = np.linspace(-reach, reach, 61)
+    points = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
+    points = np.vstack((points, 0.0 * points[:1]))
+    radius = _depth(points, outline, look)
+    points, radius = points[radius > 0.0], radius[radius > 0.0]
+    if radius.size == 0:  # a sliver between all of them
+        points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
+        radius = _depth(points, outline, look)
+    largest = radius.max()
+    # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
+    inward = np.empty_like(outline)
+    for i, corner in enumerate(outline):
+        look()
+        along = points - corner
+        inward[i] = along[(radius / np.hypot(*along.T)).argmax()]
+    shares = _SMALLER ** np.arange(1, 12)
+    corners = (outline[:, None] + shares[:, None] * inward[:, None]).reshape(-1, 2)
+    points = np.vstack((points, corners))
+    radius = np.concatenate((radius, _depth(corners, outline, look)))
+    points, radius = points[radius > 0.0], radius[radius > 0.0]
+    ends = np.roll(outline, -1, axis=0)
+    per_edge = max(_FEWEST_SAMPLES, -(-_SAMPLES // len(outline)))
+    share = np.linspace(0.0, 1.0, per_edge, endpoint=False)[:, None, None]
+    samples = (outline + share * (ends - outline)).reshape(-1, 2)
+    covers = np.empty((len(samples), len(points)), dtype=np.bool_)
+    for i, sample in enumerate(samples):
+        look()
+        gap = np.hypot(*(sample - points).T) - radius
+        covers[i] = gap <= _FIT * largest
+        covers[i, gap.argmin()] = True
+    chosen = _cover(covers, int(radius.argmax()), look)
+    return frozen(DiscCover(centre, np.column_stack((points, radius))[chosen], reach))
+
+
+def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
+    """Columns that together are true in every row, greedily: each in as many of the rows that are left as it can be."""
+    chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
+    while True:
+        newly = np.flatnonzero(left & covers[:, chosen[-1]])
+        left[newly] = False
+        for k in range(0, newly.size, _SOME):
+            look()
+            gains -= covers[newly[k : k + _SOME]].sum(axis=0)
+        if not left.any():
+            return chosen
+        chosen.append(int(gains.argmax()))
+
+
+_SOME = 64  # samples of the outline in one go
+_ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
+
+
+def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
+    """How deep points lie in a polygon, Shape (n,) [m]; not above 0 outside."""
+    blocks, step = [], max(1, _ROWS // len(outline))
+    for k in range(0, len(points), step):
+        look()
+        blocks.append(_depth_of_some(points[k : k + step], outline))
+    return np.concatenate(blocks)
+
+
+def _depth_of_some(points: FloatArray, outline: FloatArray) -> FloatArray:
+    start, edge = outline, np.roll(outline, -1, axis=0) - outline
+    to = points[:, None] - start
+    along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
+    distance = np.hypot(*(to - along[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
+    end = np.roll(outline, -1, axis=0)
+    crosses = (start[:, 1] > points[:, 1:]) != (end[:, 1] > points[:, 1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = start[:, 0] + (points[:, 1:] - start[:, 1]) / edge[:, 1] * edge[:, 0]
+    inside = (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
+    found: FloatArray = np.where(inside, distance - 1e-9, -distance)
+    return found
