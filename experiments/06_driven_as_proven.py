@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from optdock.executor import DockingExecutor, ExecutorSettings
-from optdock.executor.planning import InlinePlanning, Motion, PlanResult
+from optdock.executor.planning import DrivenMotion, InlinePlanning, PlanResult
 from optdock.geometry.arrays import FloatArray
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -78,7 +78,7 @@ class Watched(InlinePlanning):
 
     def __init__(self) -> None:
         super().__init__()
-        self.motions: list[Motion] = []
+        self.motions: list[DrivenMotion] = []
 
     def poll(self, stamp: float) -> PlanResult | None:
         """See `Planning.poll`."""

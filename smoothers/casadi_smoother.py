@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.plugins.lifecycle import PluginContext
-    from smoothers.scp.strategy import Incumbent, Outcome
+    from smoothers.scp.strategy import Incumbent, SearchOutcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
@@ -344,7 +344,7 @@ def covers(path: Path, result: Path) -> bool:
     return bool(inside.all())
 
 
-def _result(best: Incumbent, outcome: Outcome, deadline: Deadline, build: float) -> SmoothingResult:
+def _result(best: Incumbent, outcome: SearchOutcome, deadline: Deadline, build: float) -> SmoothingResult:
     searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
     report = SmoothingReport(
         status=best.given or searched,

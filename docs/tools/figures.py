@@ -25,7 +25,7 @@ from optdock.ros import plan_markers
 from optdock.ros.bag import bag_types
 from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.timing.forward_backward import forward_backward_pass
-from optdock.timing.motion import State
+from optdock.timing.motion import MotionState
 from optdock.timing.path_limits import ReferenceBounds, limits_along
 from optdock.verification import pose_clearances
 
@@ -120,7 +120,7 @@ def draw_speed(axes: Axes, plan: od.DockPlan) -> None:
         raise ValueError("the path has no length")
     curve = 1.0 / limits.maximum_velocity_curve()
     axes.stairs(np.minimum(curve, 1.0), limits.s, color=COLOURS["goal"], baseline=None, label="maximum velocity curve")
-    fast = forward_backward_pass(ReferenceBounds(limits), State())
+    fast = forward_backward_pass(ReferenceBounds(limits), MotionState())
     axes.plot(
         limits.s, np.sqrt(fast.speed_squared), color=COLOURS["raw"], linestyle="--", label="forward-backward pass"
     )

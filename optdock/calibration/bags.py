@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.ros.bag import Recording as Bag
+    from optdock.ros.bag import BagRecording as Bag
     from optdock.ros.messages import Message
 
 __all__ = ["recording_of_bag"]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from optdock.calibration.drive import DriveResponse
     from optdock.calibration.localization import LocalizationErrors
-    from optdock.calibration.motion import Motion
+    from optdock.calibration.motion import RecordedMotion
     from optdock.calibration.recording import Recording
     from optdock.calibration.tube import DrivenTube
     from optdock.geometry.pose import Pose2
@@ -46,7 +46,7 @@ class Calibration(NamedTuple):
     quantities: tuple[Quantity, ...]
     recordings: tuple[Recording, ...]
     response: DriveResponse
-    motion: Motion | None
+    motion: RecordedMotion | None
     localization: LocalizationErrors | None
     tube: DrivenTube
 

@@ -11,7 +11,7 @@ from optdock.calibration.statistics import Quantity, share_of, student, unknown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.calibration.motion import Motion, Noise, Seen, Smoothed
+    from optdock.calibration.motion import Noise, RecordedMotion, Seen, Smoothed
     from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_of"]
@@ -133,7 +133,7 @@ def _sandwich(each: object, z: FloatArray, clusters: IntArray) -> FloatArray:
     return found
 
 
-def detection_quantities(motion: Motion) -> list[Quantity]:
+def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
     """What is said of detections: how late, how exact, how many wrong, and from where on there are none."""
     found = detection_noise([one.seen for one in motion.of])
     count, sources = len(found.wrong), len(motion.of)
@@ -176,7 +176,7 @@ _CHANCE = 0.05
 _AS_NEAR = 0.01  # [m]: who saw the dock from as near as that to where it stopped was not blind
 
 
-def _blind(motion: Motion, wrong: FloatArray) -> Quantity:
+def _blind(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     """The distance of the docked pose within which there are no detections.
 
     It is not above the range of the nearest detection; and it is not below the range at which so many pictures are

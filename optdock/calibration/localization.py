@@ -17,7 +17,7 @@ from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import normalize_angle, wrap_angles
 
 if TYPE_CHECKING:
-    from optdock.calibration.motion import Motion, Smoothed
+    from optdock.calibration.motion import RecordedMotion, Smoothed
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LocalizationErrors", "docks_in_map", "localization_errors", "stored_dock"]
@@ -91,7 +91,7 @@ def docks_in_map(one: Smoothed, delay: float) -> Placed:
     return Placed(stamps[kept], robot, _composed(robot, seen.detected[kept]), np.column_stack(variances))
 
 
-def stored_dock(motion: Motion) -> list[Quantity]:
+def stored_dock(motion: RecordedMotion) -> list[Quantity]:
     """The dock's pose in the map, of the recordings whose dockings succeeded: a mean with Student's interval."""
     names = (("stored dock, x", "m"), ("stored dock, y", "m"), ("stored dock, yaw", "rad"))
     rows = [docks_in_map(one, float(motion.values[3])).dock for one in motion.of if one.recording.docked_at is not None]
@@ -123,7 +123,7 @@ def _without_outliers(poses: FloatArray) -> FloatArray:
 _USUAL = readonly(np.array([0.01, 0.01, 0.01]))
 
 
-def localization_errors(motion: Motion) -> LocalizationErrors:
+def localization_errors(motion: RecordedMotion) -> LocalizationErrors:
     """Spread and jumps of the localization."""
     names = (
         ("localization sigma, position", "m"), ("localization sigma, yaw", "rad"),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from optdock.calibration.recording import Recording
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Motion", "Noise", "Seen", "Smoothed", "odometry_quantities", "smoothed"]
+__all__ = ["Noise", "RecordedMotion", "Seen", "Smoothed", "odometry_quantities", "smoothed"]
 
 _CELL = 0.2  # [s]: no slip is shorter than that by much
 _LEAST_WAY = 1e-3  # [m] in a cell, below which the robot stands and nothing slips
@@ -114,7 +114,7 @@ class Smoothed(NamedTuple):
     seen: Seen
 
 
-class Motion(NamedTuple):
+class RecordedMotion(NamedTuple):
     """What is common to all recordings.
 
     Attributes:
@@ -130,7 +130,7 @@ class Motion(NamedTuple):
     of: tuple[Smoothed, ...]
 
 
-def smoothed(recordings: Sequence[Recording]) -> Motion | None:
+def smoothed(recordings: Sequence[Recording]) -> RecordedMotion | None:
     """Smooth the motion of all recordings that have detections enough; None where none has."""
     from optdock.calibration.detections import noise_of
 
@@ -146,7 +146,7 @@ def smoothed(recordings: Sequence[Recording]) -> Motion | None:
         solutions = [problem.solve(noise, values) for problem in problems]
     values, covariance = _together(solutions)
     found = tuple(problem.smoothed(solution) for problem, solution in zip(problems, solutions, strict=True))
-    return Motion(values, covariance, noise, found)
+    return RecordedMotion(values, covariance, noise, found)
 
 
 _FIRST = Noise()
@@ -391,7 +391,7 @@ def _slip_of(solutions: list[_Solution]) -> dict[str, float]:
     return {"slip": max(along, 1e-3), "slip_yaw": max(yaw, 1e-3)}
 
 
-def odometry_quantities(motion: Motion, track_width: float) -> list[Quantity]:
+def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
     """Scale of the way, turn per metre and scale of turns; with a track width what they say of wheels and base."""
     ways = [np.diff(one.seen_from_dock, axis=0) for one in motion.of]
     way = sum(float(np.sum(np.hypot(step[:, 0], step[:, 1]))) for step in ways)

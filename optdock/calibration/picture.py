@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from optdock.calibration.calibrate import Calibration
-    from optdock.calibration.motion import Motion
+    from optdock.calibration.motion import RecordedMotion
 
 __all__ = ["save_calibration_picture"]
 
@@ -62,7 +62,7 @@ def _draw_response(axes: Axes, calibration: Calibration) -> None:
     axes.legend(fontsize=7, loc="best")
 
 
-def _draw_detections(axes: Axes, motion: Motion | None, index: int) -> None:
+def _draw_detections(axes: Axes, motion: RecordedMotion | None, index: int) -> None:
     """Residuals of x and y together, or of yaw, over the range, and the standard deviations found."""
     name, unit, scale = ("position", "mm", 1e3) if index == 0 else ("yaw", "degrees", 180.0 / np.pi)
     axes.set_title(f"detections: residuals of {name}, and 1 and 2 sigma", fontsize=10)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
     from optdock.model.trajectory import Trajectory
 
-__all__ = ["Progress", "Reference", "ReferenceState", "peaks"]
+__all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
@@ -33,7 +33,7 @@ _LOOK = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which 
 _SAMPLES = 400  # for the nearest point
 
 
-class Progress(NamedTuple):
+class ReferenceProgress(NamedTuple):
     """How far a controller is.
 
     `time`: of the reference, on the clock of the trajectory that was given last [s]; negative until it takes over.
@@ -96,7 +96,7 @@ class _Joint(NamedTuple):
         return min(1.0, before * self.faster) if math.isfinite(self.faster) else 1.0
 
 
-class Reference:
+class TrajectoryReference:
     """Where the robot should be now: `trajectory` at time `time`, which runs at `rate` seconds per second.
 
     The commands are ahead of it by a preview, so that they arrive in time. They are what runs smoothly: where the
@@ -130,12 +130,12 @@ class Reference:
         return self._joints[-1].trajectory if self._joints else self.trajectory
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> ReferenceProgress:
         """On the clock of the trajectory that was given last."""
         if not self._joints:
-            return Progress(self.time, self.rate)
+            return ReferenceProgress(self.time, self.rate)
         left = self._joints[0].time - self.time + sum(joint.time for joint in self._joints[1:])
-        return Progress(-left, self.rate)
+        return ReferenceProgress(-left, self.rate)
 
     @property
     def ends(self) -> FloatArray:

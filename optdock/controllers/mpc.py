@@ -12,12 +12,12 @@ from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter, rate_limited
 from optdock.controllers.finish import Accepted
-from optdock.controllers.moving_reference import Reference, ReferenceState, peaks
+from optdock.controllers.moving_reference import ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
-    Cycle,
+    MpcCycle,
+    MpcWeights,
     TrackingProgram,
-    Weights,
     arcs_between,
     predicted,
     riccati_back,
@@ -220,11 +220,11 @@ class MpcController(TrackingController):
         return (tube.cross, tube.yaw) if held else None
 
     @property
-    def _weights(self) -> Weights:
+    def _weights(self) -> MpcWeights:
         p = self.parameters
         errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
         effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
-        return Weights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
+        return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
 
     def _build(self) -> None:
         p = self.parameters
@@ -242,7 +242,7 @@ class MpcController(TrackingController):
 
     def _wanted(
         self,
-        reference: Reference,
+        reference: TrajectoryReference,
         now: ReferenceState,
         error: Pose2,
         accepted: Accepted,
@@ -270,7 +270,7 @@ class MpcController(TrackingController):
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
-        cycle = Cycle(
+        cycle = MpcCycle(
             prediction=predicted(
                 np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular]), step_matrices(arcs, (lag, lag))
             ),
@@ -309,7 +309,7 @@ class MpcController(TrackingController):
             velocity = Twist2(command.linear + decay * v, command.angular + decay * w)
         return pose, velocity
 
-    def _solved(self, cycle: Cycle) -> FloatArray:
+    def _solved(self, cycle: MpcCycle) -> FloatArray:
         """The next command, Shape (2,); `status` says where it comes from."""
         now = self._clock.now or 0.0
         found = None if self._program is None else self._program.solve(cycle)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
 __all__ = [
-    "Arcs",
     "Prediction",
+    "ReferenceArcs",
     "arcs_between",
     "predicted",
     "riccati_back",
@@ -39,7 +39,7 @@ _SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle befor
 _MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
 
 
-class Arcs(NamedTuple):
+class ReferenceArcs(NamedTuple):
     """Mean motion of the reference over each step.
 
     `v`, `w`: mean velocity of the arc, Shape (n,) [m/s, rad/s]; `h`: its duration, Shape (n,) [s]; `residual`: what the
@@ -52,7 +52,7 @@ class Arcs(NamedTuple):
     residual: FloatArray
 
 
-def arcs_between(poses: FloatArray, times: FloatArray) -> Arcs:
+def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
     """The arcs that lead from each pose to the next.
 
     Args:
@@ -64,10 +64,10 @@ def arcs_between(poses: FloatArray, times: FloatArray) -> Arcs:
     c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
     along, aside = c * dx + s * dy, c * dy - s * dx
     v = along / (h * np.sinc(turn / (2.0 * np.pi)))
-    return Arcs(v, turn / h, h, np.column_stack((np.sin(0.5 * turn) * aside, np.cos(0.5 * turn) * aside)))
+    return ReferenceArcs(v, turn / h, h, np.column_stack((np.sin(0.5 * turn) * aside, np.cos(0.5 * turn) * aside)))
 
 
-def step_matrices(arcs: Arcs, lags: tuple[float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def step_matrices(arcs: ReferenceArcs, lags: tuple[float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5), of every step.
 
     Args:
@@ -125,7 +125,7 @@ def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatAr
     return Prediction(errors, by)
 
 
-def riccati_back(arcs: Arcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
+def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
     """Cost to go of the unbounded problem, backwards from the end: the finite-horizon Riccati recursion.
 
     Without the lag, so over the three errors only.
@@ -154,7 +154,7 @@ def riccati_back(arcs: Arcs, stage: FloatArray, effort: FloatArray, final: Float
     return cost
 
 
-class Weights(NamedTuple):
+class MpcWeights(NamedTuple):
     """What errors and efforts cost, each over one second; `final` and `tube` once.
 
     Attributes:
@@ -206,7 +206,7 @@ class CommandBounds(NamedTuple):
     gear: FloatArray
 
 
-class Cycle(NamedTuple):
+class MpcCycle(NamedTuple):
     """What a cycle is about.
 
     Attributes:
@@ -251,7 +251,7 @@ class TrackingProgram:
         in_tube: Whether the errors are.
     """
 
-    def __init__(self, steps: int, weights: Weights, *, ackermann: bool, in_tube: bool) -> None:
+    def __init__(self, steps: int, weights: MpcWeights, *, ackermann: bool, in_tube: bool) -> None:
         self._steps, self._weights = steps, weights
         steered = steps if ackermann else 0
         counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steered, steered, 4 * steps * in_tube]
@@ -268,7 +268,7 @@ class TrackingProgram:
         self._changes = np.zeros((steps, steps))
         self._effort = np.zeros((2 * steps, 2 * steps))
 
-    def solve(self, cycle: Cycle) -> Solution | None:
+    def solve(self, cycle: MpcCycle) -> Solution | None:
         """The best commands, or None where there are none, or they take too many iterations."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
@@ -313,7 +313,7 @@ class TrackingProgram:
             smooth = self._changes.T @ ((self._weights.change[i] * self._spans)[:, None] * self._changes)
             self._effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
 
-    def _fill_cost(self, cycle: Cycle) -> None:
+    def _fill_cost(self, cycle: MpcCycle) -> None:
         n, program, weights = self._steps, self._program, self._weights
         errors, by = cycle.prediction.errors[:, :3], cycle.prediction.by_commands[:, :3, :]
         heavy = (cycle.h[:, None] * weights.errors)[:, :, None] * by
@@ -327,7 +327,7 @@ class TrackingProgram:
         gradient[:2] -= weights.change / self._spans[0] * beside
         program.g[:-2] = gradient
 
-    def _fill_bounds(self, cycle: Cycle) -> None:
+    def _fill_bounds(self, cycle: MpcCycle) -> None:
         program, bounds, last = self._program, cycle.bounds, cycle.last
         lower, upper, a = program.lba, program.uba, program.a
         for box, speed, yaw_rate in zip((program.lbx, program.ubx), bounds.speed, bounds.yaw_rate, strict=True):

@@ -14,7 +14,7 @@ from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
 from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
-from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
+from optdock.controllers.moving_reference import ReferenceProgress, ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.tracking_law import Gains, delay_bounds, left_after, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.checked import finite_number
@@ -141,7 +141,7 @@ class TrackingController(Controller):
         self._speed_limit: tuple[float, bool] | None = None
         # The reference of the last call, and the robot's lag behind it.
         self._seen: tuple[ReferenceState, float] | None = None
-        self._reference: Reference | None = None
+        self._reference: TrajectoryReference | None = None
         self._starts_at: float | None = None
         self._limits = MotionLimits()
         self._limiter = CommandLimiter()
@@ -173,7 +173,7 @@ class TrackingController(Controller):
         if running is not None and now is not None and start_stamp is not None:
             running.joined_by(trajectory, finite_number(start_stamp, "TrackingController: start_stamp") - now)
         else:
-            self._reference, self._starts_at = Reference(trajectory), start_stamp
+            self._reference, self._starts_at = TrajectoryReference(trajectory), start_stamp
             self._anchored = self._cancelled = False
             self._attempt()
         self._limits = self._limits_for(trajectory)
@@ -212,7 +212,9 @@ class TrackingController(Controller):
             self._limiter.stop()  # what a refusal leaves the robot with
             raise
 
-    def _command(self, reference: Reference, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
+    def _command(
+        self, reference: TrajectoryReference, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None
+    ) -> Twist2:
         p, period = self.parameters, self._clock.elapsed
         told, done = self._limiter.command, velocity
         if self._seen is not None and self._seen[0].gear == 0.0:
@@ -247,7 +249,7 @@ class TrackingController(Controller):
             self._require_free_stop(reference, now, pose, command, before)
         return command
 
-    def _room(self, reference: Reference, now: ReferenceState, error: Pose2) -> float:
+    def _room(self, reference: TrajectoryReference, now: ReferenceState, error: Pose2) -> float:
         """How far the robot may go on when the command takes effect, until it is to rest [m]; infinite at the end.
 
         What it lags behind now comes on top, but for what the commands under way make good.
@@ -259,7 +261,7 @@ class TrackingController(Controller):
         return ahead.to_rest + now.lag_of(error) - gained + _ROOM
 
     def _require_free_stop(
-        self, reference: Reference, now: ReferenceState, pose: Pose2, command: Twist2, before: Twist2
+        self, reference: TrajectoryReference, now: ReferenceState, pose: Pose2, command: Twist2, before: Twist2
     ) -> None:
         """Refuse a command after which the robot could stop neither along its arc nor along its path.
 
@@ -314,7 +316,7 @@ class TrackingController(Controller):
         self._anchored = self._cancelled = False
 
     @property
-    def progress(self) -> Progress | None:
+    def progress(self) -> ReferenceProgress | None:
         """Where the reference is, on the clock of the trajectory given last; None without a path."""
         return None if self._reference is None else self._reference.progress
 
@@ -353,7 +355,7 @@ class TrackingController(Controller):
             max_deceleration=max(limits.max_deceleration, acceleration),
         )
 
-    def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
+    def _anchor(self, reference: TrajectoryReference, pose: Pose2, velocity: Twist2) -> None:
         if self._starts_at is None or self._clock.now is None:
             reference.join(pose, velocity.linear, self._known_delay)
         else:
@@ -361,7 +363,7 @@ class TrackingController(Controller):
         self._seen = None
         self._anchored = True
 
-    def _advanced(self, reference: Reference) -> ReferenceState:
+    def _advanced(self, reference: TrajectoryReference) -> ReferenceState:
         """The reference now; on the first call, where it begins."""
         if self._seen is not None:
             before, lag = self._seen
@@ -383,7 +385,9 @@ class TrackingController(Controller):
                 where={"along": error.x, "cross": error.y, "yaw": error.yaw},
             )
 
-    def _check_progress(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> None:
+    def _check_progress(
+        self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted
+    ) -> None:
         """Refuse to stand for ever: a robot that does not follow, or that cannot reach what is accepted."""
         p, period = self.parameters, self._clock.elapsed
         where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
@@ -403,7 +407,7 @@ class TrackingController(Controller):
                 where=where,
             )
 
-    def _wanted(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
+    def _wanted(self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         wanted = tracking_command(error, now.ahead.twist, self._gains(reference, now, error, accepted))
@@ -431,7 +435,7 @@ class TrackingController(Controller):
         most = _GROWTH * self._yaw_scatter + _LEAST_SCATTER
         self._yaw_scatter += share * (min(0.5 * off.yaw * off.yaw, most) - self._yaw_scatter)
 
-    def _gains(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Gains:
+    def _gains(self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Gains:
         """As the parameters say, as far as the drive's delay allows; where too much would be left at the end, others.
 
         What counts are the errors across and of the heading in units of what is accepted, smoothed and beyond their own
@@ -484,12 +488,12 @@ class TrackingController(Controller):
             0.0 if abs(pushed.angular) < _NOTHING else pushed.angular,
         )
 
-    def _target_rate(self, reference: Reference, lag: float) -> float:
+    def _target_rate(self, reference: TrajectoryReference, lag: float) -> float:
         if self._cancelled:
             return 0.0
         return self._waiting(lag) * min(self._allowed_rate(reference.trajectory), self._rate_of_turns(reference))
 
-    def _rate_of_turns(self, reference: Reference) -> float:
+    def _rate_of_turns(self, reference: TrajectoryReference) -> float:
         """The rate at which the reference leaves feedback its reserve: yaw accelerations grow with its square [1]."""
         most = _STEERED_RATE if self._drive is Drive.ACKERMANN else 1.0
         kept = (1.0 - self.parameters.turn_reserve) * self._limits.max_yaw_acceleration

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor.plan_requests import PlanRequests
-    from optdock.executor.planning import Motion, PlanResult
+    from optdock.executor.planning import DrivenMotion, PlanResult
     from optdock.executor.situation import Situation
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
     from optdock.model.path import Path
     from optdock.plugins.interfaces import Controller, GoalChecker
 
-__all__ = ["Drive"]
+__all__ = ["TrajectoryDrive"]
 
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
@@ -57,7 +57,7 @@ _SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by mic
 _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
 
 
-class Drive:
+class TrajectoryDrive:
     """A motion that is driven; it becomes another one where replanning is worth it.
 
     Args:
@@ -80,7 +80,7 @@ class Drive:
 
     def __init__(  # noqa: PLR0913 - what it joins
         self,
-        motion: Motion,
+        motion: DrivenMotion,
         state: State,
         *,
         situation: Situation,
@@ -112,7 +112,7 @@ class Drive:
         self._give(motion, None)
         self._become(motion)
 
-    def _give(self, motion: Motion, start_stamp: float | None) -> None:
+    def _give(self, motion: DrivenMotion, start_stamp: float | None) -> None:
         """Hand a motion to the controller.
 
         Raises:
@@ -124,7 +124,7 @@ class Drive:
         except ControllerException as error:
             raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"{type(error).__name__}: {error}") from error
 
-    def _become(self, motion: Motion) -> None:
+    def _become(self, motion: DrivenMotion) -> None:
         """What is driven from now on."""
         law, tracking = motion.trajectory.time_law, self._situation.problem.robot.tracking
         self.motion, self._progress = motion, (-math.inf, self._situation.now)
@@ -225,7 +225,7 @@ class Drive:
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 
-    def _configure(self, motion: Motion) -> None:
+    def _configure(self, motion: DrivenMotion) -> None:
         controller = self._controller
         if controller.state is LifecycleState.INACTIVE:
             controller.cleanup()

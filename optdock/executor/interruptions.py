@@ -13,7 +13,7 @@ __all__ = [
     "SHORTER_WAY",
     "TOO_FAR_OFF",
     "AttemptFailed",
-    "Cancelled",
+    "CancelRequested",
     "Interrupted",
     "NoWay",
     "TaskFailed",
@@ -23,7 +23,7 @@ __all__ = [
 HELD, TOO_FAR_OFF, NOT_DOCKED, SHORTER_WAY = "held", "too far off to correct", "not docked", "shorter way"
 
 
-class Cancelled(Exception):
+class CancelRequested(Exception):
     """The caller has cancelled the task."""
 
 

@@ -26,7 +26,7 @@ from optdock.config.writing import problem_document
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.executor.outcomes import Ending, EndingKind, Event, State
-from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.guarded_file import MostBytes, check_json_size, read_text
@@ -53,9 +53,9 @@ __all__ = [
     "DockingLog",
     "LogWriter",
     "LoggedPlanning",
+    "MotionStart",
     "Planned",
     "RecordedPlanning",
-    "Start",
     "Task",
     "plugin_choice",
     "read_log",
@@ -79,7 +79,7 @@ class Task(NamedTuple):
     last_command: Twist2 | None = None
 
 
-class Start(NamedTuple):
+class MotionStart(NamedTuple):
     """Where a planned motion begins: pose, speed and acceleration along the heading, and curvature, None where free."""
 
     pose: Pose2
@@ -101,7 +101,7 @@ class Planned(NamedTuple):
 
     result: PlanResult | None = None
     trajectory: Trajectory | None = None
-    start: Start | None = None
+    start: MotionStart | None = None
     start_relief: float = 0.0
     verdict: Verdict | None = None
 
@@ -293,7 +293,7 @@ class LoggedPlanning:
             self._log.planned(result, self._frame)
         return result
 
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """As the planning."""
         verdict = self._planning.still_holds(motion, costmap, from_time)
         self._log.verdict(verdict)
@@ -335,10 +335,10 @@ class RecordedPlanning:
         if found.trajectory is None or self._job is None:
             return found.result
         return found.result._replace(
-            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
+            motion=DrivenMotion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
         )
 
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
         """What was answered in this cycle.
 
         Raises:
@@ -412,7 +412,7 @@ def _start_values(problem: DockingProblem) -> list[float | None]:
     return [start.x, start.y, start.yaw, problem.start_speed, problem.start_acceleration, problem.start_curvature]
 
 
-def _plan_values(motion: Motion, frame: str) -> object:
+def _plan_values(motion: DrivenMotion, frame: str) -> object:
     trajectory = motion.trajectory
     found = PlanFile(
         status="planned",
@@ -580,7 +580,7 @@ class _PlannedValues(_Line):
             raise InvalidValue("plan: holds no path or no phases")
         x, y, yaw, speed, acceleration, curvature = self.start
         trajectory = Trajectory(found.path, found.time_law)
-        start = Start(Pose2(x, y, yaw), speed, acceleration, curvature)
+        start = MotionStart(Pose2(x, y, yaw), speed, acceleration, curvature)
         return Planned(result, trajectory, start, self.start_relief)
 
 

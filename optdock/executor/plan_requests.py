@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
-    from optdock.executor.planning import Motion, Planning, PlanResult, Verdict
+    from optdock.executor.planning import DrivenMotion, Planning, PlanResult, Verdict
 
 __all__ = ["PlanRequests"]
 
@@ -69,6 +69,6 @@ class PlanRequests:
         self._report(f"plan {result.outcome.value}", detail)
         return result
 
-    def still_holds(self, motion: Motion, costmap: Costmap, time: float) -> Verdict:
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, time: float) -> Verdict:
         """Whether the rest of a motion is free among what a newer costmap shows, see `Planning.still_holds`."""
         return self._planning.still_holds(motion, costmap, time)

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from optdock.model.trajectory import Trajectory
 
 __all__ = [
+    "DrivenMotion",
     "InlinePlanning",
     "Job",
-    "Motion",
     "Outcome",
     "PlanResult",
     "Planning",
@@ -48,7 +48,7 @@ class Outcome(str, Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class DrivenMotion:
     """What is being driven, and what it was proven for.
 
     Args:
@@ -75,7 +75,7 @@ class Motion:
             raise InvalidValue("motion: trajectory and problem must be those that its plan was proven for")
 
     @classmethod
-    def of(cls, plan: DockPlan) -> Motion:
+    def of(cls, plan: DockPlan) -> DrivenMotion:
         """That of a plan."""
         exactly(DockPlan, plan, "plan")
         return cls(plan.trajectory, plan.problem, plan, plan.certificate.start_relief)
@@ -102,7 +102,7 @@ class Job(NamedTuple):
     stamp: float
     problem: DockingProblem
     budget: float
-    running: Motion | None = None
+    running: DrivenMotion | None = None
     time: float = 0.0
     rate: float = 1.0
     pose: Pose2 | None = None
@@ -124,7 +124,7 @@ class PlanResult(NamedTuple):
 
     number: int
     outcome: Outcome
-    motion: Motion | None = None
+    motion: DrivenMotion | None = None
     starts_at: float = 0.0
     reason: str = ""
     code: int = 0
@@ -159,7 +159,7 @@ class Planning(Protocol):
     def poll(self, stamp: float) -> PlanResult | None:
         """The result of the last job once it is there; then None until the next one's."""
 
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """Whether a motion keeps its clearance among the cells of a costmap too, from a time on [s]."""
 
     def close(self) -> None:
@@ -176,7 +176,7 @@ def planned(job: Job) -> PlanResult:
 
 def _from_rest(job: Job) -> PlanResult:
     plan = plan_dock(job.problem, time_budget=job.budget)
-    return PlanResult(job.number, Outcome.NEW, Motion.of(plan))
+    return PlanResult(job.number, Outcome.NEW, DrivenMotion.of(plan))
 
 
 def _replanned(job: Job) -> PlanResult:
@@ -192,12 +192,12 @@ def _replanned(job: Job) -> PlanResult:
     found = replan(plan, job.problem, state, job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
         return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
-    motion = Motion(found.trajectory, job.problem) if found.plan is None else Motion.of(found.plan)
+    motion = DrivenMotion(found.trajectory, job.problem) if found.plan is None else DrivenMotion.of(found.plan)
     outcome = Outcome.NEW if found.outcome is ReplanOutcome.NEW else Outcome.STOP
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
 
 
-def holds(motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+def holds(motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
     """As `Planning.still_holds`."""
     if motion.plan is None:
         return Verdict(holds=True)
@@ -236,7 +236,7 @@ class InlinePlanning:
         result, self._ready = self._ready[1], None
         return result
 
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """At once."""
         return holds(motion, costmap, from_time)
 
@@ -274,7 +274,7 @@ class ThreadPlanning:
         future, self._result = self._result, None
         return future.result()
 
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """At once, in the caller's thread: it takes less than a millisecond or two."""
         return holds(motion, costmap, from_time)
 

@@ -19,7 +19,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.costmap.costmap import Costmap
-from optdock.executor.planning import Job, Motion, Outcome, PlanResult, planned
+from optdock.executor.planning import DrivenMotion, Job, Outcome, PlanResult, planned
 from optdock.planning.pipeline import warm_up
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class _Shared:
 
     def _named(self, value: object) -> object:
         """Name and parts of what is shared; without parts where it has crossed."""
-        if not isinstance(value, Costmap | Motion):
+        if not isinstance(value, Costmap | DrivenMotion):
             return None
         for table in (self._sent, self._received):
             for name, known in table.items():
@@ -213,7 +213,7 @@ class _Shared:
         _keep(self._sent, name, value, _SENT)
         if isinstance(value, Costmap):
             return name, Costmap, (value.data, value.resolution, value.origin)
-        return name, Motion, (value.trajectory, value.problem, value.plan, value.start_relief)
+        return name, DrivenMotion, (value.trajectory, value.problem, value.plan, value.start_relief)
 
     def _found(self, named: tuple[tuple[str, int], Callable[..., object] | None, tuple[object, ...]]) -> object:
         name, kind, parts = named

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from optdock.executor.drive import Drive
+from optdock.executor.drive import TrajectoryDrive
 from optdock.executor.interruptions import (
     HELD,
     NOT_DOCKED,
     SHORTER_WAY,
     TOO_FAR_OFF,
     AttemptFailed,
-    Cancelled,
+    CancelRequested,
     Interrupted,
     NoWay,
     TaskFailed,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from optdock.executor.checked_dock_type import CheckedDockType
     from optdock.executor.perception import Perception
-    from optdock.executor.planning import Motion, Planning
+    from optdock.executor.planning import DrivenMotion, Planning
     from optdock.executor.settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
@@ -132,7 +132,7 @@ class Procedure:
             self._dock_type.reset()
             self.situation.feel()
             kind, reason = yield from self._undock() if undock else self._dock()
-        except Cancelled:
+        except CancelRequested:
             kind, reason = EndingKind.CANCELLED, f"while {self.state.value}"
         except TaskFailed as failure:
             kind, reason = failure.kind, failure.reason
@@ -200,7 +200,7 @@ class Procedure:
         if self._ending:
             return
         if self.cancelled:
-            raise Cancelled
+            raise CancelRequested
         self.situation.feel()
         passed, timeout = self._now - self._began, self._settings.timeout
         if timeout is not None and passed > timeout:
@@ -349,7 +349,7 @@ class Procedure:
             yield from self._wait_for_obstacle(result, since)
         return result
 
-    def _attempt(self, motion: Motion) -> Generator[Wish, None, EndingKind]:
+    def _attempt(self, motion: DrivenMotion) -> Generator[Wish, None, EndingKind]:
         """Drive a motion into the dock, and see that the robot stands in it.
 
         Raises:
@@ -599,7 +599,7 @@ class Procedure:
                 return place
         return None
 
-    def _drive(self, motion: Motion, state: State) -> Generator[Wish, None, EndingKind | None]:
+    def _drive(self, motion: DrivenMotion, state: State) -> Generator[Wish, None, EndingKind | None]:
         """Drive a motion to its end, replanned on the way where that is worth it.
 
         Returns:
@@ -611,7 +611,7 @@ class Procedure:
             TaskFailed: Another drive that takes too long.
         """
         self.state = state
-        drive = Drive(
+        drive = TrajectoryDrive(
             motion,
             state,
             situation=self.situation,

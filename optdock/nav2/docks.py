@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["DockEntry", "DockType", "docked_pose", "load_dock_database", "read_dock", "read_dock_type"]
+__all__ = ["DockEntry", "DockTypeParams", "docked_pose", "load_dock_database", "read_dock", "read_dock_type"]
 
 _DIRECTIONS = (DockDirection.FORWARD.value, DockDirection.BACKWARD.value)
 
@@ -41,7 +41,7 @@ def docked_pose(dock: Pose2, direction: DockDirection) -> Pose2:
 
 
 @dataclass(frozen=True)
-class DockType:
+class DockTypeParams:
     """A dock plugin instance; names and defaults are those of opennav_docking's simple docks.
 
     Args:
@@ -69,7 +69,7 @@ class DockType:
 
 def read_dock_type(
     document: Document, keys: Keys, name: str, values: Mapping[str, object], faults: list[str]
-) -> DockType:
+) -> DockTypeParams:
     """The dock type whose parameters stand at `keys`; faults are added to `faults`."""
     read = NumberReader(document, keys, values, faults)
     direction = read.text("dock_direction", _DIRECTIONS[0])
@@ -80,7 +80,7 @@ def read_dock_type(
         direction = _DIRECTIONS[0]
     if values.get("rotate_to_dock") is True and direction != DockDirection.BACKWARD.value:
         read.fault("rotate_to_dock", "needs dock_direction: backward")
-    return DockType(
+    return DockTypeParams(
         name=name,
         dock_direction=DockDirection(direction),
         staging_x_offset=read.number("staging_x_offset", -0.7),

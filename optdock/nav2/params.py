@@ -15,7 +15,7 @@ from optdock.errors import InvalidFile
 from optdock.io.faults import listed
 from optdock.io.yaml_lines import load_yaml
 from optdock.nav2.costmap_params import CostmapParams, read_costmap
-from optdock.nav2.docks import DockEntry, DockType, read_dock, read_dock_type
+from optdock.nav2.docks import DockEntry, DockTypeParams, read_dock, read_dock_type
 from optdock.nav2.plugin_lists import PARAMETERS, NodeBlock, PluginInstance, checked_names, plugin_instances
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ from optdock.io.yaml_lines import Document, Keys
 
 __all__ = ["Nav2Params", "PluginInstance", "load_nav2_params", "with_nested_names"]
 
-N = TypeVar("N", CostmapParams, DockType, DockEntry)
+N = TypeVar("N", CostmapParams, DockTypeParams, DockEntry)
 
 _COSTMAP_KEYS = ("footprint", "robot_radius", "rolling_window", "inflation_radius")
 
@@ -48,7 +48,7 @@ class Nav2Params:
     nodes: Mapping[str, Mapping[str, object]]
     plugins: tuple[PluginInstance, ...]
     costmaps: Mapping[str, CostmapParams]
-    dock_types: Mapping[str, DockType]
+    dock_types: Mapping[str, DockTypeParams]
     docks: Mapping[str, DockEntry]
 
     def node(self, name: str) -> Mapping[str, object]:

@@ -17,7 +17,7 @@ from optdock.model.dock import Dock
 from optdock.model.limits import LIMIT_UNITS, MotionLimits, SpeedZone
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.nav2.docks import DockEntry, DockType, load_dock_database
+from optdock.nav2.docks import DockEntry, DockTypeParams, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
 from optdock.plugins.parameters import closest
@@ -122,14 +122,14 @@ def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> Do
     raise DockNotInDB(f"{wanted}; its docks: {listed}")
 
 
-def _type_of(dock: DockEntry, params: Nav2Params) -> DockType:
+def _type_of(dock: DockEntry, params: Nav2Params) -> DockTypeParams:
     known = params.dock_types
     if known and dock.type not in known:
         raise DockNotValid(
             f"{params.source}: has no dock type {dock.type!r}, which {dock.name} is of{closest(dock.type, known)}; its "
             f"dock types: {', '.join(known)}"
         )
-    return known.get(dock.type, DockType(dock.type))
+    return known.get(dock.type, DockTypeParams(dock.type))
 
 
 def _global_costmap(params: Nav2Params) -> CostmapParams:
@@ -202,7 +202,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
     return sign * value
 
 
-def _approach(params: Nav2Params, dock_type: DockType) -> SpeedZone:
+def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
     """The docking controller's speed, from the staging pose on."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"

@@ -54,7 +54,7 @@ from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
-from optdock.timing.motion import DriveBounds, State
+from optdock.timing.motion import DriveBounds, MotionState
 from optdock.timing.start_states import full_stop
 from optdock.verification import (
     TOLERANCE,
@@ -655,7 +655,7 @@ class _Replanning:
     def _braking(self, joint: _Joint) -> tuple[Trajectory, TrajectoryCertificate]:
         """The quickest certified braking from a joint, or the quickest of all."""
         limits = self.world.robot.limits
-        state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
+        state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
         still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
         if joint.rest is None or joint.rests:
             return still, certify_trajectory(still, limits, SpeedZone())

@@ -14,8 +14,8 @@ from optdock.ros.markers import delete_markers, path_markers, plan_markers
 from optdock.ros.messages import Message, MessageTypes, imported, seconds, stamp
 from optdock.ros.motion import (
     MOST_TILTED,
-    Odometry,
     StampedFootprint,
+    StampedOdometry,
     StampedPose,
     StampedPoses,
     StampedTwist,
@@ -39,9 +39,9 @@ __all__ = [
     "InvalidMessage",
     "Message",
     "MessageTypes",
-    "Odometry",
     "StampedCostmap",
     "StampedFootprint",
+    "StampedOdometry",
     "StampedPose",
     "StampedPoses",
     "StampedTwist",

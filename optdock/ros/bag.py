@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from optdock.ros.messages import Message
 
-__all__ = ["BagMessage", "Recording", "bag_types", "open_bag", "write_bag"]
+__all__ = ["BagMessage", "BagRecording", "bag_types", "open_bag", "write_bag"]
 
 # What rosbags does not bring: the fields of Nav2's costmap messages in their order, for recordings of releases that
 # wrote no definitions into them.
@@ -182,7 +182,7 @@ def _latched() -> Any:  # noqa: ANN401 - a tuple of rosbags
 
 
 @contextmanager
-def open_bag(source: str | Path) -> Iterator[Recording]:
+def open_bag(source: str | Path) -> Iterator[BagRecording]:
     """A recording to read: an `.mcap` or `.db3` file, or the folder of one.
 
     Raises:
@@ -200,7 +200,7 @@ def open_bag(source: str | Path) -> Iterator[Recording]:
     try:
         if not reader.message_count:
             raise InvalidFile(f"{source}: holds no message")
-        yield Recording(source, reader)
+        yield BagRecording(source, reader)
     finally:
         reader.close()
 
@@ -234,7 +234,7 @@ def _told(source: Path, topic: str = "") -> Iterator[None]:
         raise InvalidFile(f"{where}: is damaged or no recording: {reason}") from error
 
 
-class Recording:
+class BagRecording:
     """An open recording.
 
     Args:

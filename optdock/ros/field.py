@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from optdock.costmap.costmap import Costmap
     from optdock.costmap.costs import OccupancyRule
-    from optdock.ros.bag import Recording
+    from optdock.ros.bag import BagRecording
     from optdock.ros.messages import Message
 
-__all__ = ["Drive", "FieldDocking", "FieldOptions", "FieldTopics", "field_docking", "kept_poses"]
+__all__ = ["FieldDocking", "FieldOptions", "FieldTopics", "RecordedDrive", "field_docking", "kept_poses"]
 
 _PATH = ("nav_msgs/msg/Path",)
 _GRID = ("nav2_msgs/msg/Costmap", "nav_msgs/msg/OccupancyGrid")
@@ -71,7 +71,7 @@ class FieldTopics(NamedTuple):
         return self._replace(**{kind: (topic,) for kind, topic in asked.items() if topic})  # type: ignore[arg-type]
 
 
-class Drive(NamedTuple):
+class RecordedDrive(NamedTuple):
     """Where the robot was: times, Shape (n,), since the beginning of the recording [s], and poses, Shape (n, 3).
 
     `kept` are the rows that make a path of it.
@@ -98,7 +98,7 @@ class FieldDocking(NamedTuple):
     costmap: Costmap
     footprint: Footprint
     path: FloatArray | None
-    drive: Drive | None
+    drive: RecordedDrive | None
     rows: tuple[tuple[str, str], ...]
 
 
@@ -120,7 +120,7 @@ class FieldOptions(NamedTuple):
     until: float = math.inf
 
 
-def field_docking(bag: Recording, topics: FieldTopics, options: FieldOptions) -> FieldDocking:
+def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> FieldDocking:
     """What a recording tells of a docking.
 
     Path, costmap and outline are the last ones in the stretch that is asked for; the costmap with its updates.
@@ -140,7 +140,7 @@ def field_docking(bag: Recording, topics: FieldTopics, options: FieldOptions) ->
 class _Reader:
     """Reads one recording; every fault is said with file and topic."""
 
-    def __init__(self, bag: Recording, topics: FieldTopics, options: FieldOptions) -> None:
+    def __init__(self, bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> None:
         self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
         self._stretch = bag.begin + options.since, bag.begin + options.until
         self._rows: list[tuple[str, str]] = []
@@ -256,7 +256,7 @@ class _Reader:
         self._rows.append(("path", f"{topic}: {len(found.poses)} poses, received at {self._ago(last[0])}"))
         return readonly(transform_poses(moved, found.poses))
 
-    def _drive(self, topic: str, frame: str) -> Drive:
+    def _drive(self, topic: str, frame: str) -> RecordedDrive:
         """Where the robot was at the times of the odometry, as far as transforms reach."""
         rows, length = list[tuple[float, ...]](), len(self._times)
         for received, stamp in self._times:
@@ -270,7 +270,7 @@ class _Reader:
         span = f"{table[0, 0]:.3f} s to {table[-1, 0]:.3f} s"
         self._rows.append(("drive", f"{topic}: {len(rows)} poses of {self._base!r}, {span}{left_out}"))
         poses = readonly(np.array(table[:, 1:]))
-        return Drive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
+        return RecordedDrive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
 
     def _in_frame(self, target: str, source: str, stamp: float) -> Pose2:
         if target == source:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 __all__ = [
     "MOST_TILTED",
     "QUATERNION_NORM",
-    "Odometry",
     "StampedFootprint",
+    "StampedOdometry",
     "StampedPose",
     "StampedPoses",
     "StampedTwist",
@@ -81,7 +81,7 @@ class StampedTwist(NamedTuple):
     twist: Twist2
 
 
-class Odometry(NamedTuple):
+class StampedOdometry(NamedTuple):
     """Pose of the frame `child_frame` in `frame`, and its body velocity, at `stamp` [s]."""
 
     frame: str
@@ -135,7 +135,7 @@ def pose(message: Message, *, most_tilted: float = MOST_TILTED) -> StampedPose:
     return StampedPose(frame, stamp, plain_pose(message, message.pose, "pose", most_tilted))
 
 
-def odometry(message: Message) -> Odometry:
+def odometry(message: Message) -> StampedOdometry:
     """A `nav_msgs/Odometry`; heights and what is not of the plane are left out, covariances too.
 
     Raises:
@@ -145,7 +145,7 @@ def odometry(message: Message) -> Odometry:
     frame, stamp = stamped_frame(message)
     at = plain_pose(message, message.pose.pose, "pose.pose")
     moves = _plain_twist(message, message.twist.twist, "twist.twist")
-    return Odometry(frame, str(message.child_frame_id), stamp, at, moves)
+    return StampedOdometry(frame, str(message.child_frame_id), stamp, at, moves)
 
 
 def twist(message: Message) -> StampedTwist:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.motion import Motion, Phases, State
+from optdock.timing.motion import Motion, MotionState, Phases
 from optdock.timing.path_limits import KEPT, Worst, motion_ratios, worst_ratio
 from optdock.timing.settings import SAMPLING
 
@@ -74,7 +74,7 @@ def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> S
     return plan._replace(status=TimingStatus.FAIL, reason=worst.words(limits.begin), limit=worst.limit, s=s)
 
 
-def checked_plan(limits: PathLimits, start: State, phases: Phases, how: str) -> SegmentPlan:
+def checked_plan(limits: PathLimits, start: MotionState, phases: Phases, how: str) -> SegmentPlan:
     """As `judged_plan`, after the dense check."""
     motion = Motion.of(start, phases)
     return judged_plan(limits, motion, worst_ratio(limits, motion) if phases else Worst(0.0, 0.0, 0.0, 0.0), how)

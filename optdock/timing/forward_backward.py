@@ -13,7 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.timing.motion import State
+    from optdock.timing.motion import MotionState
     from optdock.timing.path_limits import ReferenceBounds
 
 __all__ = ["SpeedProfile", "forward_backward_pass"]
@@ -28,7 +28,7 @@ class SpeedProfile(NamedTuple):
     time: FloatArray
 
 
-def forward_backward_pass(bounds: ReferenceBounds, start: State) -> SpeedProfile:
+def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
     """The fastest v^2 under caps, acceleration and deceleration alone, turning limits as caps at a = 0."""
     limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
     for limit, most in zip(limits.turning, bounds.turning, strict=True):

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["DriveBounds", "Motion", "Phases", "State", "braking_slack", "duration_of", "state_after", "stretched"]
+__all__ = ["DriveBounds", "Motion", "MotionState", "Phases", "braking_slack", "duration_of", "state_after", "stretched"]
 
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
 
 
-class State(NamedTuple):
+class MotionState(NamedTuple):
     """Distance [m], speed [m/s], acceleration [m/s^2] along the travel."""
 
     s: float = 0.0
@@ -37,9 +37,9 @@ class DriveBounds(NamedTuple):
     jerk: float
 
 
-def state_after(state: State, duration: float, jerk: float) -> State:
+def state_after(state: MotionState, duration: float, jerk: float) -> MotionState:
     """The state after one phase."""
-    return State(*constant_jerk(duration, *state, jerk))
+    return MotionState(*constant_jerk(duration, *state, jerk))
 
 
 def duration_of(phases: Phases) -> float:
@@ -55,7 +55,7 @@ def stretched(phases: Phases, factor: float) -> Phases:
     return tuple((duration * factor, jerk / factor**3) for duration, jerk in phases)
 
 
-def braking_slack(state: State, jerk: float) -> float:
+def braking_slack(state: MotionState, jerk: float) -> float:
     """Speed left when the acceleration has been led back to 0 from below; < 0: it will roll backwards [m/s]."""
     return state.v - 0.5 * state.a * state.a / jerk if state.a < 0.0 else state.v
 
@@ -76,7 +76,7 @@ class Motion(NamedTuple):
     states: FloatArray
 
     @classmethod
-    def of(cls, start: State, phases: Iterable[tuple[float, float]]) -> Motion:
+    def of(cls, start: MotionState, phases: Iterable[tuple[float, float]]) -> Motion:
         """From a start state and phases; phases of no duration are left out."""
         table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
         durations, jerks = table[:, 0], table[:, 1]
@@ -84,9 +84,9 @@ class Motion(NamedTuple):
         return cls(durations, jerks, times, border_states(durations, jerks, start))
 
     @property
-    def start(self) -> State:
+    def start(self) -> MotionState:
         """The state at the start."""
-        return State(*(float(value) for value in self.states[:, 0]))
+        return MotionState(*(float(value) for value in self.states[:, 0]))
 
     @property
     def phases(self) -> Phases:
@@ -99,9 +99,9 @@ class Motion(NamedTuple):
         return float(self.times[-1])
 
     @property
-    def end(self) -> State:
+    def end(self) -> MotionState:
         """The state at the end."""
-        return State(*(float(value) for value in self.states[:, -1]))
+        return MotionState(*(float(value) for value in self.states[:, -1]))
 
     def at(self, t: FloatArray) -> FloatArray:
         """Distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
@@ -129,7 +129,7 @@ class Motion(NamedTuple):
             t = np.clip(t - np.clip(step, -0.01, 0.01), 0.0, self.duration)
         return t
 
-    def cut(self, t: float) -> tuple[Phases, State]:
+    def cut(self, t: float) -> tuple[Phases, MotionState]:
         """The phases before time `t` [s], and the state then."""
         kept: list[tuple[float, float]] = []
         state, left = self.start, t

@@ -24,13 +24,13 @@ from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_ca
 from optdock.plugins.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
 from optdock.timing.interior_point import load_lapack
-from optdock.timing.motion import DriveBounds, Motion, Phases, State, duration_of, stretched
+from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, duration_of, stretched
 from optdock.timing.path_limits import KEPT, ReferenceBounds, Tightening, Worst, worst_ratio
 from optdock.timing.reference_program import solve_reference, spline_phases
 from optdock.timing.ruckig_moves import Move, load_ruckig, move, split_into_moves
 from optdock.timing.settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.start_states import Braking
-from optdock.timing.strategy import Start, time_path
+from optdock.timing.strategy import TimingStart, time_path
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
@@ -89,17 +89,17 @@ class NearOptimal(TimeParameterizer):
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        start = Start(start_speed, start_acceleration, start_wait)
+        start = TimingStart(start_speed, start_acceleration, start_wait)
         return time_path(path, limits, zone, start, self._plans, deadline)
 
-    def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+    def _plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         chosen = self.parameters
         settings = replace(NEAR_OPTIMAL, step=chosen.step, smooth=chosen.smooth)
         return near_optimal_plans(limits, start, deadlines, settings)
 
 
 def near_optimal_plans(
-    limits: PathLimits, start: State, deadlines: Deadlines, settings: NearOptimalSettings = NEAR_OPTIMAL
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: NearOptimalSettings = NEAR_OPTIMAL
 ) -> Iterator[SegmentPlan]:
     """Plans of one segment from a state from which the speed caps can be kept: every method, in order.
 
@@ -124,19 +124,19 @@ def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
     return (plan,) if plan.status is TimingStatus.OK else ()
 
 
-def _single_moves(limits: PathLimits, start: State, settings: NearOptimalSettings) -> Iterator[SegmentPlan]:
+def _single_moves(limits: PathLimits, start: MotionState, settings: NearOptimalSettings) -> Iterator[SegmentPlan]:
     """One move over a short segment; on a tiny one the shortest of some, stretched until it keeps every limit."""
     strategy = settings.strategy
     if limits.length >= strategy.single_move_below:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
-    end = State(limits.length)
+    end = MotionState(limits.length)
     phases = move(start, end, full)
     plan = checked_plan(limits, start, phases, "one move") if phases else None
     if plan is not None and plan.status is TimingStatus.OK:
         yield plan
         return
-    if limits.length >= strategy.tiny or start != State():
+    if limits.length >= strategy.tiny or start != MotionState():
         return
     shares = (
         DriveBounds(speed * full.speed, drive * full.acceleration, drive * full.deceleration, full.jerk)
@@ -173,7 +173,9 @@ class ReferenceMotion(NamedTuple):
         return bool(self.moves) and not self.bad
 
 
-def reference_motion(bounds: ReferenceBounds, start: State, deadline: Deadline = ENDLESS) -> ReferenceMotion | None:
+def reference_motion(
+    bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
+) -> ReferenceMotion | None:
     """The motion under `bounds` from `start` along a reference; None where there is no reference.
 
     Raises:
@@ -197,7 +199,7 @@ class _Tried(NamedTuple):
 
 
 def _references(
-    limits: PathLimits, start: State, deadline: Deadline, settings: NearOptimalSettings, tried: list[_Tried]
+    limits: PathLimits, start: MotionState, deadline: Deadline, settings: NearOptimalSettings, tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
     """References, each tighter than the last, as they are or stretched a little; `tried` gets those refused."""
     margins, strategy = settings.margins, settings.strategy
@@ -223,7 +225,7 @@ def _repaired(
     limits: PathLimits, motion: Motion, tried: _Tried, settings: NearOptimalSettings, how: str
 ) -> Iterator[SegmentPlan]:
     """Plans where the dense check is passed, or passed once time is stretched a little."""
-    worst, check, rests = tried.worst, settings.margins.check, motion.start == State()
+    worst, check, rests = tried.worst, settings.margins.check, motion.start == MotionState()
     if not tried.motion.sound:
         if worst.ratio <= KEPT and worst.path <= 1.0 - 0.5 * check:
             yield from _if_ok(judged_plan(limits, motion, worst, how))
@@ -236,7 +238,7 @@ def _repaired(
 
 def _stretched_plan(limits: PathLimits, tried: _Tried, settings: NearOptimalSettings, how: str) -> SegmentPlan:
     factor = max(tried.worst.path + 0.5 * settings.margins.check, tried.worst.drive)
-    return checked_plan(limits, State(), stretched(tried.motion.phases, factor), f"{how}, stretched")
+    return checked_plan(limits, MotionState(), stretched(tried.motion.phases, factor), f"{how}, stretched")
 
 
 def _tightened(tried: _Tried, settings: NearOptimalSettings) -> tuple[Tightening, ...]:
@@ -251,10 +253,10 @@ def _tightened(tried: _Tried, settings: NearOptimalSettings) -> tuple[Tightening
 
 
 def _last_resort(
-    limits: PathLimits, start: State, deadlines: Deadlines, settings: NearOptimalSettings, tried: list[_Tried]
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: NearOptimalSettings, tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
     """The best reference stretched in time, which only a start at rest allows, and windows; the quicker one first."""
-    best = min(tried, key=lambda one: one.worst.stretch, default=None) if start == State() else None
+    best = min(tried, key=lambda one: one.worst.stretch, default=None) if start == MotionState() else None
     slow = _stretched_plan(limits, best, settings, "reference") if best is not None else None
     if best is None or slow is None or slow.status is not TimingStatus.OK:
         yield from windowed_plans(limits, start, deadlines)

@@ -27,7 +27,7 @@ import numpy as np
 from optdock.deadline import ENDLESS
 from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
-from optdock.timing.motion import Phases, State, state_after
+from optdock.timing.motion import MotionState, Phases, state_after
 
 if TYPE_CHECKING:
     from optdock.deadline import Deadline
@@ -38,7 +38,7 @@ __all__ = [
     "Arc",
     "Grid",
     "LimitRows",
-    "Reference",
+    "ReferenceStates",
     "Spline",
     "coefficients_of",
     "grid_of",
@@ -57,7 +57,7 @@ class Arc(NamedTuple):
     """Phases at one end of the reference, and the state where it meets the reference."""
 
     phases: Phases
-    state: State
+    state: MotionState
 
 
 def stop_arc(bounds: ReferenceBounds) -> Arc:
@@ -65,10 +65,10 @@ def stop_arc(bounds: ReferenceBounds) -> Arc:
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_deceleration, 0.0, 0.0, at_end=True)
     time = a / jerk
-    return Arc(((time, jerk),), State(bounds.limits.length - jerk * time**3 / 6.0, 0.5 * jerk * time * time, -a))
+    return Arc(((time, jerk),), MotionState(bounds.limits.length - jerk * time**3 / 6.0, 0.5 * jerk * time * time, -a))
 
 
-def launch_arc(bounds: ReferenceBounds, start: State) -> Arc:
+def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
     """Constant +J from rest or from a crawl; nothing where the start is fast enough already."""
     jerk, settings = bounds.jerk, bounds.settings.arcs
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
@@ -90,7 +90,7 @@ def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float,
     """
     limits, jerk, settings = bounds.limits, bounds.jerk, bounds.settings.arcs
     top = max(settings.drive_share * drive, a)
-    reach = max(state_after(State(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
+    reach = max(state_after(MotionState(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
     cells = _cells_within(limits, reach, at_end=at_end)
     bend, rate = float(np.abs(limits.curvature[cells]).max()), float(limits.steepest[cells].max())
     caps = math.sqrt(float(bounds.speed_squared[cells].min())), *(limit.fastest(rate) for limit in limits.turning)
@@ -137,7 +137,7 @@ class Grid(NamedTuple):
     time: FloatArray
 
 
-def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: State, last: State) -> Grid:
+def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
     """Knots from `first` to `last`, a step of pseudo time apart, wider where the robot cruises, on every large jump."""
     limits, step, settings = bounds.limits, bounds.settings.step, bounds.settings.knots
     clock = _cruise_clock(bounds, profile)
@@ -172,7 +172,9 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
     return spread
 
 
-def _breaks(bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[State, State], jumps: IntArray) -> FloatArray:
+def _breaks(
+    bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[MotionState, MotionState], jumps: IntArray
+) -> FloatArray:
     """Where a knot must be: both ends, the zone start; the largest jumps of the rate that are far enough apart."""
     limits, settings, (first, last) = bounds.limits, bounds.settings.knots, ends
     gap = settings.least_step * bounds.settings.step
@@ -305,7 +307,7 @@ def spline_of(steps: FloatArray) -> Spline:
     return Spline(right_value, right_slope, centre_value, 0.5 * (left_slope + right_slope), curve, right_share)
 
 
-def coefficients_of(steps: FloatArray, guess: FloatArray, first: State, last: State) -> FloatArray:
+def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
     """Coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
@@ -380,7 +382,9 @@ def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
     return bands
 
 
-def initial_guess(grid: Grid, bounds: ReferenceBounds, profile: SpeedProfile, first: State, last: State) -> FloatArray:
+def initial_guess(
+    grid: Grid, bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState
+) -> FloatArray:
     """Where the interior point starts: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
     The acceleration-limited profile, averaged over the time that jerk needs to swing from one drive limit to the other,
@@ -414,7 +418,7 @@ def _box_mean(values: FloatArray, half: int) -> FloatArray:
     return mean
 
 
-class Reference(NamedTuple):
+class ReferenceStates(NamedTuple):
     """States at the knots of the spline, and the arcs on both its sides.
 
     Attributes:
@@ -444,7 +448,9 @@ class Reference(NamedTuple):
         return durations
 
 
-def solve_reference(bounds: ReferenceBounds, start: State, deadline: Deadline = ENDLESS) -> Reference | None:
+def solve_reference(
+    bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
+) -> ReferenceStates | None:
     """The fastest spline under `bounds` from a start state to rest, with its arcs.
 
     None where launch and stop leave no room for it, and where no spline keeps the limits.
@@ -474,7 +480,7 @@ def solve_reference(bounds: ReferenceBounds, start: State, deadline: Deadline = 
     v = np.sqrt(np.maximum(x, 1e-12))
     np.clip(a, -limits.drive.max_deceleration, limits.drive.max_acceleration, out=a)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
-    found = Reference(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
+    found = ReferenceStates(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
     longest = settings.strategy.hopeless * max(limits.duration_estimate, float(profile.time[-1]))
     return found if float(np.sum(found.durations)) <= longest else None
 

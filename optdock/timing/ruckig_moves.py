@@ -21,7 +21,7 @@ import numpy as np
 from optdock.deadline import ENDLESS
 from optdock.errors import PluginError
 from optdock.model.trajectory import constant_jerk
-from optdock.timing.motion import DriveBounds, Phases, State, duration_of
+from optdock.timing.motion import DriveBounds, MotionState, Phases, duration_of
 from optdock.timing.reference_program import spline_phases
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.deadline import Deadline
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.timing.path_limits import ReferenceBounds
-    from optdock.timing.reference_program import Reference
+    from optdock.timing.reference_program import ReferenceStates
 
 __all__ = ["Move", "load_ruckig", "move", "split_into_moves"]
 
@@ -39,7 +39,7 @@ _STILL = 1e-9  # [m/s]: rounding below zero that does not count as driving backw
 _CRAWL = 1e-3  # [m/s]: speeds below it break no limit
 
 
-def move(start: State, target: State, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
+def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
     """The time-optimal motion between two states; None where there is none without driving backwards.
 
     The speed bound is raised to what the two states make inevitable; whoever needs it kept checks the result.
@@ -58,7 +58,7 @@ def move(start: State, target: State, bounds: DriveBounds, longest: float = math
     return phases if _drives_forward(start, phases) else None
 
 
-def _drives_forward(start: State, phases: Phases | None) -> bool:
+def _drives_forward(start: MotionState, phases: Phases | None) -> bool:
     if phases is None:
         return False
     _s, v, a = start
@@ -83,7 +83,7 @@ class _Tool:
         self.error: type[Exception] = ruckig.RuckigError
 
     def position_move(
-        self, start: State, target: State, bounds: DriveBounds, speed: float, longest: float
+        self, start: MotionState, target: MotionState, bounds: DriveBounds, speed: float, longest: float
     ) -> Phases | None:
         """The phases from state to state, brake phases first; None where ruckig finds none.
 
@@ -157,9 +157,9 @@ class _Nodes(NamedTuple):
     jerk: list[float]
     zone: int
 
-    def state(self, i: int) -> State:
+    def state(self, i: int) -> MotionState:
         """The state at node `i`."""
-        return State(self.s[i], self.v[i], self.a[i])
+        return MotionState(self.s[i], self.v[i], self.a[i])
 
 
 class _Piece(NamedTuple):
@@ -197,7 +197,7 @@ class Move(NamedTuple):
 
 
 def split_into_moves(
-    reference: Reference, bounds: ReferenceBounds, start: State, deadline: Deadline = ENDLESS
+    reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> list[Move]:
     """The moves that drive the reference within the checked limits, wherever there are such.
 
@@ -213,7 +213,7 @@ def split_into_moves(
     Raises:
         OutOfTime: The deadline passed.
     """
-    nodes = _nodes_of(reference, start, State(bounds.limits.length))
+    nodes = _nodes_of(reference, start, MotionState(bounds.limits.length))
     active = _first_pieces(nodes, bounds)
     done: list[_Piece] = []
     while active:
@@ -227,7 +227,7 @@ def split_into_moves(
     return [Move(nodes.s[piece.first], nodes.s[piece.last], piece.phases, piece.excess) for piece in sorted(done)]
 
 
-def _nodes_of(reference: Reference, start: State, end: State) -> _Nodes:
+def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) -> _Nodes:
     """_Nodes of a reference between the start and the end of the segment."""
     s, v, a, zone = reference.s, reference.v, reference.a, reference.grid.zone
     jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
@@ -358,7 +358,7 @@ class _Samples(NamedTuple):
         return speed, acceleration
 
 
-def _evaluate(bounds: ReferenceBounds, moves: list[tuple[State, Phases]]) -> list[tuple[float, float]]:
+def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
     """Largest excess of every move and where it is; all moves at once."""
     if not moves:
         return []
@@ -383,7 +383,7 @@ def _evaluate(bounds: ReferenceBounds, moves: list[tuple[State, Phases]]) -> lis
     return list(zip(worst.tolist(), place.tolist(), strict=True))
 
 
-def _phase_rows(moves: list[tuple[State, Phases]], period: float) -> tuple[FloatArray, FloatArray]:
+def _phase_rows(moves: list[tuple[MotionState, Phases]], period: float) -> tuple[FloatArray, FloatArray]:
     """Duration, jerk, s, v, a and number of samples of every phase, and the number of phases of every move."""
     rows: list[tuple[float, float, float, float, float, int]] = []
     for start, phases in moves:

@@ -19,7 +19,7 @@ __all__ = [
     "InteriorPoint",
     "Knots",
     "Margins",
-    "Moves",
+    "MoveSettings",
     "NearOptimalSettings",
     "Strategy",
     "WindowedSettings",
@@ -206,7 +206,7 @@ class InteriorPoint:
 
 
 @dataclass(frozen=True)
-class Moves:
+class MoveSettings:
     """ruckig's moves along the reference.
 
     Attributes:
@@ -307,7 +307,7 @@ class NearOptimalSettings:
     knots: Knots = field(default_factory=Knots)
     guess: InitialGuess = field(default_factory=InitialGuess)
     interior_point: InteriorPoint = field(default_factory=InteriorPoint)
-    moves: Moves = field(default_factory=Moves)
+    moves: MoveSettings = field(default_factory=MoveSettings)
     strategy: Strategy = field(default_factory=Strategy)
 
 

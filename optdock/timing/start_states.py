@@ -15,7 +15,7 @@ from optdock.model.limits import LIMITS
 from optdock.model.trajectory import braking_phases
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.checks import SegmentPlan
-from optdock.timing.motion import DriveBounds, Motion, Phases, State, braking_slack
+from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, braking_slack
 from optdock.timing.path_limits import KEPT, worst_ratio
 from optdock.timing.settings import SAMPLING
 from optdock.timing.turning_limits import turning_ratio
@@ -30,7 +30,7 @@ __all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]
 NO_DISTANCE = 1e-9  # [m]: nothing is left to plan
 
 
-def full_stop(start: State, bounds: DriveBounds) -> Phases:
+def full_stop(start: MotionState, bounds: DriveBounds) -> Phases:
     """Full braking to rest, wherever that is; see `braking_phases`."""
     return braking_phases(start.v, start.a, bounds.deceleration, bounds.jerk)
 
@@ -56,7 +56,7 @@ class Braking:
         ratios: The larger of both, Shape (n,).
     """
 
-    def __init__(self, limits: PathLimits, start: State) -> None:
+    def __init__(self, limits: PathLimits, start: MotionState) -> None:
         self.motion = Motion.of(start, full_stop(start, limits.drive_bounds))
         inside = limits.s[(limits.s > 0.0) & (limits.s < self.motion.end.s)]
         grid = self.motion.sample_times(SAMPLING.braking_period)
@@ -95,13 +95,13 @@ class StartVerdict(NamedTuple):
     """
 
     refusal: SegmentPlan | None
-    ways_on: tuple[tuple[Phases, State], ...] = ()
+    ways_on: tuple[tuple[Phases, MotionState], ...] = ()
 
     def __bool__(self) -> bool:
         return self.refusal is None
 
 
-def judge_start(limits: PathLimits, start: State) -> StartVerdict:
+def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
     """Whether the limits of a segment can be kept from a moving start; every impossible one told by its name."""
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot rolls backwards whatever is done"
@@ -121,7 +121,7 @@ def judge_start(limits: PathLimits, start: State) -> StartVerdict:
         return StartVerdict(
             SegmentPlan(status, brake.phases, ratio, needed - left, "brake", reason, limit, begin + left, arrives=False)
         )
-    stopped = brake.phases, State(needed)
+    stopped = brake.phases, MotionState(needed)
     broken = np.flatnonzero(braking.ratios > KEPT)
     if broken.size == 0:
         return StartVerdict(None, (stopped,))

@@ -35,7 +35,7 @@ from optdock.model.segments import TURN_RADIUS
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plugins.interfaces import TimingReport, TimingResult, TimingStatus
 from optdock.timing.checks import SegmentPlan, end_slack
-from optdock.timing.motion import DriveBounds, Motion, Phases, State
+from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases
 from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.timing.settings import CLOCK, SAMPLING
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from optdock.timing.start_states import StartVerdict
     from optdock.verification import Violation
 
-__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "Start", "best_of", "segment_plans", "time_path"]
+__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "TimingStart", "best_of", "segment_plans", "time_path"]
 
 
 class Deadlines(NamedTuple):
@@ -80,7 +80,7 @@ class Deadlines(NamedTuple):
 NO_DEADLINES = Deadlines()
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: wheels that need no more than that do not wait
 
-SegmentPlanner: TypeAlias = "Callable[[PathLimits, State, Deadlines], Iterator[SegmentPlan]]"
+SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
 """A method: plans one segment from a state whose full braking keeps the speed caps.
 
 Yields plans of status OK, best first, the next one made only when the one before was refused; at last perhaps one of
@@ -88,7 +88,7 @@ status FAIL, which says why there is none.
 """
 
 
-class Start(NamedTuple):
+class TimingStart(NamedTuple):
     """How a motion begins: speed [m/s], acceleration [m/s^2]; how long it rests first while wheels turn [s]."""
 
     speed: float
@@ -100,7 +100,7 @@ def time_path(
     path: Path,
     drive: MotionLimits,
     zone: SpeedZone,
-    start: Start,
+    start: TimingStart,
     method: SegmentPlanner,
     deadline: Deadline | None = None,
 ) -> TimingResult:
@@ -130,7 +130,7 @@ class _Asked(NamedTuple):
 
     drive: MotionLimits
     zone: SpeedZone
-    start: Start
+    start: TimingStart
 
 
 def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -> TimingResult:
@@ -148,7 +148,7 @@ def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -
     # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting, plans = [], []
-    state = State(0.0, start.speed, start.acceleration)
+    state = MotionState(0.0, start.speed, start.acceleration)
     for segment, begin, limits in zip(path.segments, path.segment_starts.tolist(), segments, strict=False):
         if isinstance(segment, TurnSegment):
             waiting.append(turn_plans(segment, drive, state, begin))
@@ -157,7 +157,7 @@ def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -
         plans.append(best_of(waiting[-1]))
         if plans[-1].status >= TimingStatus.FAIL or not plans[-1].arrives:
             break
-        state = State() if plans[-1].phases else state
+        state = MotionState() if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
     return _proven(path, asked, (plans, waiting), whole)
 
@@ -193,7 +193,7 @@ def _proven(
         plans[i] = best_of(itertools.chain(waiting[i], [_refused(plans[i], first)]))
 
 
-def _check_numbers(start: Start, whole: Deadline) -> None:
+def _check_numbers(start: TimingStart, whole: Deadline) -> None:
     if not all(math.isfinite(value) for value in start[:2]):
         raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
     if not (math.isfinite(start.wait) and start.wait >= 0.0):
@@ -272,7 +272,7 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 
 
 def segment_plans(
-    limits: PathLimits | None, start: State, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
+    limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
     """Plans of one segment from any start state, best first; every impossible start told by its name.
 
@@ -305,7 +305,7 @@ def segment_plans(
     yield _braked_plan(limits, start, verdict, method, deadlines)
 
 
-def turn_plans(turn: TurnSegment, drive: MotionLimits, start: State, begin: float) -> Iterator[SegmentPlan]:
+def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin: float) -> Iterator[SegmentPlan]:
     """The plan of a turn in place: one move from rest to rest, the fastest under the limits of turning.
 
     Args:
@@ -319,19 +319,19 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: State, begin: floa
         needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
         reason = f"the path turns in place at s = {begin:.6g} m, and nothing limits that: it takes {needed}"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
-    elif start != State():
+    elif start != MotionState():
         reason = f"the path turns in place at s = {begin:.6g} m, where the robot moves at {start.v:.6g} m/s"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
     elif turn.length / rate > SAMPLING.longest_motion:
         reason = f"a turn by {turn.turn:.6g} rad takes more than {SAMPLING.longest_motion:.0f} s"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
     else:
-        phases = move(start, State(turn.length), DriveBounds(rate, acceleration, acceleration, jerk))
+        phases = move(start, MotionState(turn.length), DriveBounds(rate, acceleration, acceleration, jerk))
         yield SegmentPlan(TimingStatus.OK if phases else TimingStatus.FAIL, phases or (), how="turn in place")
 
 
 def _braked_plan(
-    limits: PathLimits, start: State, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
+    limits: PathLimits, start: MotionState, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
 ) -> SegmentPlan:
     """Braking, then a plan: always drivable, a violation only where braking itself has one."""
     phases = _resumed(limits, verdict, method, deadlines if verdict.refusal is None else deadlines.refused)
@@ -355,7 +355,7 @@ def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, 
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue
-        found = best_of(method(limits.after(state.s), State(0.0, max(state.v, 0.0), state.a), deadlines))
+        found = best_of(method(limits.after(state.s), MotionState(0.0, max(state.v, 0.0), state.a), deadlines))
         if found.status is TimingStatus.OK and found.phases:
             return phases + found.phases
     return verdict.ways_on[-1][0]

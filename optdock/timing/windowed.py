@@ -17,10 +17,10 @@ from optdock.deadline import Deadline
 from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
 from optdock.plugins.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan
-from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
+from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, state_after
 from optdock.timing.ruckig_moves import load_ruckig, move
 from optdock.timing.settings import WINDOWED, WindowedSettings
-from optdock.timing.strategy import Start, time_path
+from optdock.timing.strategy import TimingStart, time_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -86,10 +86,10 @@ class Windowed(TimeParameterizer):
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        start = Start(start_speed, start_acceleration, start_wait)
+        start = TimingStart(start_speed, start_acceleration, start_wait)
         return time_path(path, limits, zone, start, self._plans, deadline)
 
-    def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+    def _plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))
 
 
@@ -102,7 +102,7 @@ class Window(NamedTuple):
 
 
 def windowed_plans(
-    limits: PathLimits, start: State, deadlines: Deadlines, settings: WindowedSettings = WINDOWED
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: WindowedSettings = WINDOWED
 ) -> Iterator[SegmentPlan]:
     """Windows over one segment, one plan.
 
@@ -129,7 +129,7 @@ def windowed_plans(
     for window, v0, v1 in zip(windows, speeds[:-1], speeds[1:], strict=True):
         deadlines.last.look()
         length = window.right - window.left
-        found = move(State(0.0, v0), State(length, v1), window.bounds)
+        found = move(MotionState(0.0, v0), MotionState(length, v1), window.bounds)
         if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre; cruising is one
             found = ((length / v0, 0.0),)
         if found is None:

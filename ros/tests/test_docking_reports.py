@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from optdock_ros.docking_reports import Reports
 
 from optdock.costmap.costmap import Costmap
-from optdock.executor.planning import Motion
+from optdock.executor.planning import DrivenMotion
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
@@ -50,7 +50,7 @@ def test_a_certificate_without_a_costmap_says_so(costmap: Costmap | None, level:
     robot = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits())
     problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap, frame="odom")
     ears = Ears()
-    Reports(ears, "odom").motion(Motion.of(plan_dock(problem)), "what is not seen", 1.0)  # type: ignore[arg-type]
+    Reports(ears, "odom").motion(DrivenMotion.of(plan_dock(problem)), "what is not seen", 1.0)  # type: ignore[arg-type]
     (told,) = [one for message in ears.said if isinstance(message, DiagnosticArray) for one in message.status]
     assert told.level == level
     assert {item.value for item in told.values if item.key == "does not count"} == {"what is not seen"}

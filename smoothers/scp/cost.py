@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from smoothers.scp.basis import Basis
     from smoothers.scp.rollout import Rollout, Sensitivity, Variables
 
-__all__ = ["CostModel", "Quadratic", "Reference", "Weights"]
+__all__ = ["CostModel", "InputNodes", "Quadratic", "Weights"]
 
 
 class Weights(NamedTuple):
@@ -38,7 +38,7 @@ class Weights(NamedTuple):
     tracking: float = 0.3
 
 
-class Reference(NamedTuple):
+class InputNodes(NamedTuple):
     """The input path at the nodes: positions (n, 2) [m] and unit normals (n, 2)."""
 
     positions: FloatArray
@@ -68,7 +68,7 @@ class CostModel:
     basis: Basis
     weights: Weights
     scales: tuple[float, float]
-    reference: Reference
+    reference: InputNodes
     turning_at_cusps: float = 0.0
     easing: FloatArray | None = None
 

@@ -20,7 +20,7 @@ from smoothers.scp.rollout import Variables, roll_out
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.basis import Basis
-    from smoothers.scp.problem import Bounds, Ends, NonlinearProgram
+    from smoothers.scp.problem import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GoalProjectionSettings
 
@@ -52,7 +52,7 @@ def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[V
 
 
 def onto_goal(
-    basis: Basis, variables: Variables, ends: Ends, bounds: Bounds, settings: GoalProjectionSettings
+    basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
 ) -> Variables:
     """Some Newton steps of least norm; a step that does not contract the error is not taken.
 
@@ -86,7 +86,7 @@ def _largest(error: FloatArray) -> float:
     return float(max(abs(error[0]), abs(error[1]), abs(error[2])))
 
 
-def _bounded_inverse(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: Bounds) -> FloatArray:
+def _bounded_inverse(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: VariableBounds) -> FloatArray:
     """The matrix whose product with an error is the least change of the variables that makes up for it.
 
     Variables that would leave their bounds on the way are frozen, once.
@@ -150,7 +150,7 @@ def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> Fl
     return out
 
 
-def clipped(variables: Variables, bounds: Bounds) -> Variables:
+def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
     """Variables moved into their box."""
     knots = variables.curvature.size
     return Variables(
@@ -159,7 +159,7 @@ def clipped(variables: Variables, bounds: Bounds) -> Variables:
     )
 
 
-def limit_rate(basis: Basis, variables: Variables, bounds: Bounds) -> Variables:
+def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Variables:
     """Curvatures moved as little as needed so that the rate keeps its bound; fixed ones stay.
 
     The mean of the largest rate-bounded function below and the smallest above: the identity where the bound holds.
@@ -178,7 +178,7 @@ def limit_rate(basis: Basis, variables: Variables, bounds: Bounds) -> Variables:
     return Variables(curvature, variables.lengths)
 
 
-def rate_is_kept(basis: Basis, variables: Variables, bounds: Bounds) -> bool:
+def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> bool:
     """Whether the curvature rate keeps its bound."""
     slopes = basis.span_slopes @ variables.curvature
     return bool(np.all(np.abs(slopes) <= bounds.rate * variables.lengths[basis.span_gear] * (1.0 + 1e-12)))

@@ -22,7 +22,7 @@ from smoothers.scp.collision.linearization import ClearanceRows, linearized_clea
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.collision.scene import body_at_nodes
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
-from smoothers.scp.qp_step import Penalties, Step, Subproblem, solve_step, trusted_nodes, zone_of
+from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
 from smoothers.scp.visibility import linearized_view, view_along
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
-    from smoothers.scp.initial_guess import Guess
+    from smoothers.scp.initial_guess import InitialGuess
     from smoothers.scp.problem import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
@@ -92,7 +92,7 @@ class Progress(NamedTuple):
 
 def search(
     nlp: NonlinearProgram,
-    guess: Guess,
+    guess: InitialGuess,
     pool: ProgramPool,
     max_iterations: int = 60,
     is_late: Callable[[], bool] = never_late,
@@ -201,7 +201,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 
-def _improved(nlp: NonlinearProgram, current: Iterate, step: Step | None, state: _State) -> Iterate | None:
+def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
     """The iterate after a step if its merit is lower; adapts trust region and proximal weight."""
     if step is None:
         state.reject(state.trust_region)
@@ -230,7 +230,7 @@ class _State:
     found: bool = False
 
     @classmethod
-    def at(cls, guess: Guess, settings: LoopSettings) -> _State:
+    def at(cls, guess: InitialGuess, settings: LoopSettings) -> _State:
         """The state in which a search begins."""
         penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
         return cls(settings, guess.trust_region, guess.proximal, guess.patience, penalties)

@@ -20,7 +20,7 @@ import numpy as np
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
 from optdock.model.trajectory import border_states, braking_phases
 from smoothers.scp.basis import basis_for
-from smoothers.scp.cost import CostModel, Reference
+from smoothers.scp.cost import CostModel, InputNodes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
     from smoothers.scp.visibility import ViewBound
 
-__all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "formulate", "free_lengths"]
+__all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
 
 # Least share that the curvature rate counts: splines want to stay smooth where the robot stands, too.
 _BRAKING_ROOM = 1.02  # times the braking distance: a timing needs a little to spare
@@ -69,7 +69,7 @@ class Ends:
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class VariableBounds:
     """Bounds of the variables and of the curvature rate.
 
     Args:
@@ -117,8 +117,8 @@ class NonlinearProgram:
 
     basis: Basis
     ends: Ends
-    bounds: Bounds
-    inner_bounds: Bounds
+    bounds: VariableBounds
+    inner_bounds: VariableBounds
     cost: CostModel
     scene: Scene
     traced: TracedInput
@@ -203,7 +203,7 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
     middles = 0.5 * (node[basis.left] + node[basis.left + 1])
     headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
     traced = TracedInput(positions, headings, nlp.traced.end_yaw)
-    cost = replace(nlp.cost, basis=basis, reference=Reference(positions, normals))
+    cost = replace(nlp.cost, basis=basis, reference=InputNodes(positions, normals))
     return replace(nlp, basis=basis, cost=cost, traced=traced)
 
 
@@ -250,14 +250,14 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
     return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(nodes[-1, 2]))
 
 
-def _reference_of(traced: TracedInput, basis: Basis) -> Reference:
+def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
     """Positions, and normals at the nodes from the mean of the neighbouring headings."""
     heading = np.empty(basis.num_nodes)
     heading[basis.left] = traced.headings
     heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
     inner = basis.left[basis.fraction[basis.left] > 0.0]
     heading[inner] = 0.5 * (heading[inner] + heading[inner - 1])
-    return Reference(traced.positions, np.column_stack((-np.sin(heading), np.cos(heading))))
+    return InputNodes(traced.positions, np.column_stack((-np.sin(heading), np.cos(heading))))
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
@@ -325,7 +325,7 @@ def _braking_distance(problem: DockingProblem) -> float:
 
 def _variable_bounds(
     basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
-) -> tuple[Bounds, Bounds]:
+) -> tuple[VariableBounds, VariableBounds]:
     """Exact bounds, and the inner ones that steps aim at."""
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
@@ -339,5 +339,5 @@ def _variable_bounds(
             lower[0] = upper[0] = problem.start_curvature
         if problem.dock.final_straight > 0.0:
             lower[basis.num_knots - 1] = upper[basis.num_knots - 1] = 0.0
-        found.append(Bounds(lower, upper, rate_inside * limits.max_curvature_rate))
+        found.append(VariableBounds(lower, upper, rate_inside * limits.max_curvature_rate))
     return found[0], found[1]

@@ -36,7 +36,7 @@ __all__ = [
     "Blocks",
     "Penalties",
     "ProgramPool",
-    "Step",
+    "QpStep",
     "Subproblem",
     "blocks_for",
     "pool_of_this_thread",
@@ -54,7 +54,7 @@ class Penalties(NamedTuple):
     goal: float
 
 
-class Step(NamedTuple):
+class QpStep(NamedTuple):
     """Change of the variables, Shape (size,), and how much the model says the cost falls."""
 
     change: FloatArray
@@ -156,7 +156,7 @@ def solve_step(
     trust_region: float,
     proximal: float,
     penalties: Penalties,
-) -> Step | None:
+) -> QpStep | None:
     """The best step within the trust region, or None.
 
     Args:
@@ -187,7 +187,7 @@ def solve_step(
         return None
     change, model = solution[blocks.path], around.quadratic
     gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
-    return Step(change, gain)
+    return QpStep(change, gain)
 
 
 def _fill_cost(

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.collision.scene import Scene
-    from smoothers.scp.initial_guess import Guess
+    from smoothers.scp.initial_guess import InitialGuess
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
@@ -53,8 +53,8 @@ __all__ = [
     "Call",
     "Given",
     "Incumbent",
-    "Outcome",
     "Search",
+    "SearchOutcome",
     "Solver",
     "direct_line",
     "earlier_answer",
@@ -135,7 +135,7 @@ class Search(NamedTuple):
         relieved: Under the weaker rule of clearance near the start; for robots that start too close to something.
     """
 
-    guess: Callable[[InitialGuesses], Guess | None]
+    guess: Callable[[InitialGuesses], InitialGuess | None]
     thoroughly: bool = False
     after_the_goal: bool = False
     relieved: bool = False
@@ -222,7 +222,7 @@ class Incumbent(NamedTuple):
 
 
 @dataclass
-class Outcome:
+class SearchOutcome:
     """What was found.
 
     Attributes:
@@ -263,7 +263,7 @@ class Solver:
     deadline: Deadline
     cancelled: Callable[[], bool]
     settings: Settings
-    outcome: Outcome = field(default_factory=Outcome)
+    outcome: SearchOutcome = field(default_factory=SearchOutcome)
     call: Call = field(init=False)
     _nlp: NonlinearProgram = field(init=False)
     _guesses: InitialGuesses = field(init=False)
@@ -430,7 +430,7 @@ class Solver:
             self.outcome.incumbent = Incumbent(path, certificate, cost, status)
             self.outcome.first_certified = self.deadline.elapsed
 
-    def _search_and_repair(self, nlp: NonlinearProgram, guess: Guess) -> None:
+    def _search_and_repair(self, nlp: NonlinearProgram, guess: InitialGuess) -> None:
         """Search, and search again more cautiously where the certificate refuses the result."""
         chosen = self.settings.anytime
         for _ in range(chosen.repairs + 1):
@@ -448,7 +448,7 @@ class Solver:
         step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
         return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))
 
-    def _search(self, nlp: NonlinearProgram, guess: Guess) -> None:
+    def _search(self, nlp: NonlinearProgram, guess: InitialGuess) -> None:
         self.outcome.converged = False
         expected = _expected_iteration(nlp, self.settings.anytime)
         before = self.deadline.elapsed

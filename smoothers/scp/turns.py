@@ -24,7 +24,7 @@ from optdock.planning.plan import PartialPlan
 from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path
 from smoothers.scp.refusals import refuse_certificate, refuse_turns
-from smoothers.scp.strategy import Call, Incumbent, Outcome, Solver, straight_line
+from smoothers.scp.strategy import Call, Incumbent, SearchOutcome, Solver, straight_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -66,7 +66,7 @@ class TurningSolver:
     deadline: Deadline
     cancelled: Callable[[], bool]
     settings: Settings
-    outcome: Outcome = field(default_factory=Outcome)
+    outcome: SearchOutcome = field(default_factory=SearchOutcome)
 
     def follow_strategy(self, call: Call) -> Incumbent:
         """A certified path; straight pieces are kept as they are where the whole can be certified with them.

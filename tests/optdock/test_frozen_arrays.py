@@ -202,7 +202,7 @@ def modules():
 
 # Made and dropped within one call of a solver; nobody else is handed one.
 OF_ONE_CALL = {
-    "Bounds",
+    "VariableBounds",
     "CostModel",
     "Ends",
     "ViewBound",

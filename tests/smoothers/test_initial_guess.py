@@ -21,7 +21,7 @@ from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import clipped, limit_rate, rate_is_kept
 from smoothers.scp.initial_guess import InitialGuesses, pure_pursuit, rest_of_earlier_result
-from smoothers.scp.problem import Bounds, Ends, Formulation, formulate, shape_for, trace
+from smoothers.scp.problem import Ends, Formulation, VariableBounds, formulate, shape_for, trace
 from smoothers.scp.rollout import Variables, roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
@@ -34,7 +34,7 @@ LENGTHS = np.array([1.5, 0.8])
 def bounds_of(basis, limit, rate):
     lower = np.concatenate((np.full(basis.num_knots, -limit), np.full(basis.num_gears, 0.05)))
     upper = np.concatenate((np.full(basis.num_knots, limit), np.full(basis.num_gears, 20.0)))
-    return Bounds(lower, upper, rate)
+    return VariableBounds(lower, upper, rate)
 
 
 curvatures = st.lists(st.floats(-3.0, 3.0), min_size=BASIS.num_knots, max_size=BASIS.num_knots).map(np.array)

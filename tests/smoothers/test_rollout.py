@@ -10,9 +10,9 @@ from experiments.benchmarks.ipopt_reference import cost_expression, model_for
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from smoothers.scp.basis import basis_for
-from smoothers.scp.cost import CostModel, Reference, Weights
+from smoothers.scp.cost import CostModel, InputNodes, Weights
 from smoothers.scp.goal_projection import end_pose, end_sensitivity, onto_goal
-from smoothers.scp.problem import Bounds, Ends
+from smoothers.scp.problem import Ends, VariableBounds
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
@@ -95,7 +95,7 @@ def test_the_cheap_end_is_the_end(cases, seed):
 def random_cost(basis, rng):
     positions = rng.uniform(-1.0, 1.0, (basis.num_nodes, 2))
     yaw = rng.uniform(-3.0, 3.0, basis.num_nodes)
-    reference = Reference(positions, np.column_stack((-np.sin(yaw), np.cos(yaw))))
+    reference = InputNodes(positions, np.column_stack((-np.sin(yaw), np.cos(yaw))))
     return CostModel(basis, Weights(1.0, 0.4, 0.15, 0.3), (1.5, 6.0), reference)
 
 
@@ -161,7 +161,7 @@ def test_projection_reaches_a_goal_nearby_inside_the_bounds(cases, seed):
     target = rollout.poses[-1] + np.random.default_rng(seed).uniform(-0.1, 0.1, 3)
     free = np.concatenate((np.full(basis.num_knots, 3.0), np.full(basis.num_gears, 5.0)))
     lower = np.concatenate((np.full(basis.num_knots, -3.0), np.full(basis.num_gears, 0.1)))
-    bounds = Bounds(lower, free, np.inf)
+    bounds = VariableBounds(lower, free, np.inf)
     closed = onto_goal(basis, variables, Ends(start, target, signs), bounds, PROJECTION)
     driven = roll_out(basis, closed, start, signs)
     assert np.abs(driven.poses[-1] - target).max() < 1e-7
@@ -176,7 +176,7 @@ def test_projection_leaves_fixed_variables_alone(cases):
     lower, upper = flat - 1.0, flat + 1.0
     lower[0] = upper[0] = flat[0]
     ends = Ends(start, rollout.poses[-1] + 0.05, signs)
-    closed = onto_goal(basis, variables, ends, Bounds(lower, upper, np.inf), PROJECTION)
+    closed = onto_goal(basis, variables, ends, VariableBounds(lower, upper, np.inf), PROJECTION)
     assert closed.curvature[0] == flat[0]
 
 
@@ -184,7 +184,7 @@ def test_projection_never_makes_an_unreachable_goal_worse(cases):
     basis, variables, start, signs = cases.random_path(2)
     rollout = roll_out(basis, variables, start, signs)
     flat = np.concatenate(variables)
-    bounds = Bounds(flat - 0.01, flat + 0.01, np.inf)
+    bounds = VariableBounds(flat - 0.01, flat + 0.01, np.inf)
     ends = Ends(start, rollout.poses[-1] + np.array([2.0, 2.0, 0.5]), signs, reach=9.0)
     driven = roll_out(basis, onto_goal(basis, variables, ends, bounds, PROJECTION), start, signs)
     assert np.abs(ends.error(driven)).max() <= np.abs(ends.error(rollout)).max()

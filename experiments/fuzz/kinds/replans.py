@@ -24,7 +24,7 @@ from experiments.fuzz.oracle.timing import judged, state_at
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
-from optdock.executor.planning import Job, Motion, planned
+from optdock.executor.planning import DrivenMotion, Job, planned
 from optdock.geometry.pose import Pose2
 from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock, warm_up
@@ -34,8 +34,8 @@ from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
+    from experiments.fuzz.oracle.motion import DrivenMotion as OracleMotion
     from experiments.fuzz.oracle.motion import Floats
-    from experiments.fuzz.oracle.motion import Motion as OracleMotion
     from experiments.fuzz.oracle.sweep import Sweep
     from optdock.executor.planning import PlanResult
     from optdock.model.problem import DockingProblem
@@ -255,7 +255,7 @@ def _about_the_answer(
     try:
         if case["question"] == "decide":
             lead = budget if case["lead"] is None else case["lead"]
-            job = Job(1, 0.0, later, budget, Motion.of(plan), now, case["rate"], pose, lead, by)
+            job = Job(1, 0.0, later, budget, DrivenMotion.of(plan), now, case["rate"], pose, lead, by)
             found = _Answer.decided(planned(job), plan)
         else:
             state = DriveState(now, case["rate"], pose, by)

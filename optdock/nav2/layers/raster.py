@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
 
-__all__ = ["CellList", "cells_of_polygons", "corners_of", "fill_footprint"]
+__all__ = ["CellList", "cells_of_lines", "cells_of_polygons", "corners_of", "fill_footprint"]
 
 _BLOCK = 2_000_000  # cells looked at together; bounds the memory
 _SLACK = 1e-9  # in cells; what touches counts as met in spite of rounding
@@ -27,6 +27,26 @@ class CellList(NamedTuple):
 
     cells: IntArray
     owner: IntArray
+
+
+def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
+    """The cells of Bresenham lines, both ends included, from start to end (Nav2: `LineIterator`).
+
+    Args:
+        starts: Shape (n, 2), cells (i, j).
+        ends: Shape (n, 2).
+    """
+    move = ends - starts
+    size, sign = np.abs(move), np.sign(move)
+    steps = size.max(axis=1, initial=0)
+    counts = steps + 1
+    owner = np.repeat(np.arange(len(starts)), counts)
+    t = np.arange(owner.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    minor_size = size.min(axis=1, initial=np.iinfo(np.int64).max)
+    minor = (steps[owner] // 2 + t * minor_size[owner]) // np.maximum(steps[owner], 1)
+    is_x_major = (size[:, 0] >= size[:, 1])[owner]
+    offset = np.column_stack((np.where(is_x_major, t, minor), np.where(is_x_major, minor, t)))
+    return CellList(starts[owner] + sign[owner] * offset, owner)
 
 
 def cells_of_polygons(vertices: FloatArray) -> CellList:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Connections",
-    "Nodes",
     "PairWords",
+    "TreeNodes",
     "all_pairs",
     "cheapest_words",
     "connections",
@@ -75,14 +75,14 @@ class Connections(NamedTuple):
         return cls(*columns).rows(np.argsort(columns[0], kind="stable"))
 
 
-class Nodes(NamedTuple):
+class TreeNodes(NamedTuple):
     """Some nodes of a tree."""
 
     tree: ArcTree
     rows: IntArray
 
 
-def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
+def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
     """The cheapest words of every pair of a node of the start's tree and one of the goal's, both of as many rows.
 
     Nobody has looked yet whether they are free.
@@ -91,15 +91,15 @@ def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, p
     for k in range(0, exits.rows.size, _PAIRS):
         space.poll()
         some = slice(k, k + _PAIRS)
-        leaving, arriving = Nodes(exits.tree, exits.rows[some]), Nodes(entries.tree, entries.rows[some])
+        leaving, arriving = TreeNodes(exits.tree, exits.rows[some]), TreeNodes(entries.tree, entries.rows[some])
         blocks.append(_cheapest(leaving, arriving, radius, space.problem, per_pair))
     return Connections.merged(blocks)
 
 
-def all_pairs(exits: Nodes, entries: Nodes) -> tuple[Nodes, Nodes]:
+def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
     """Every node of the one with every node of the other."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
-    return Nodes(exits.tree, i), Nodes(entries.tree, j)
+    return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
 
 
 class PairWords(NamedTuple):
@@ -131,7 +131,9 @@ def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, robot: R
     return PairWords(pair, driven[form, pair], words[form, pair], TURNS[form] / radius)
 
 
-def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
+def _cheapest(
+    exits: TreeNodes, entries: TreeNodes, radius: float, problem: DockingProblem, per_pair: int
+) -> Connections:
     """The cheapest words of as many pairs."""
     robot = problem.robot
     (leaving, i), (arriving, j) = exits, entries

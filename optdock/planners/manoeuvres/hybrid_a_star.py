@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.planners.manoeuvres.connections import Connections, Nodes, connections, free_manoeuvres, promising
+from optdock.planners.manoeuvres.connections import Connections, TreeNodes, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.tree import Moves
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ class PoseGrid:
 
 
 def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
-    exits: Nodes,
-    entries: Nodes,
+    exits: TreeNodes,
+    entries: TreeNodes,
     space: FreeSpace,
     effort: Effort,
     wavefront: Wavefront,
@@ -108,7 +108,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     fresh, nodes = growing.rows, 0
     most = worthwhile()
     while fresh.size and worthwhile() >= most:
-        aimed, shooting = _pairs(aims, Nodes(tree, fresh))
+        aimed, shooting = _pairs(aims, TreeNodes(tree, fresh))
         pairs = (shooting, aimed) if from_start else (aimed, shooting)
         words = connections(*pairs, radius, space, _WORDS_PER_NODE)
         shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
@@ -134,14 +134,14 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         yield from free_manoeuvres(rest, exits.tree, entries.tree, space, effort, worthwhile)
 
 
-def _pairs(aims: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:
+def _pairs(aims: TreeNodes, fresh: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
     """The first aim and every node, and every node and one of the other aims."""
     first, others = aims.rows[:1], aims.rows[1:]
     aimed, shooting = np.repeat(first, fresh.rows.size), fresh.rows
     if others.size:
         aimed = np.concatenate((aimed, others[fresh.rows % others.size]))
         shooting = np.concatenate((shooting, shooting))
-    return Nodes(aims.tree, aimed), Nodes(fresh.tree, shooting)
+    return TreeNodes(aims.tree, aimed), TreeNodes(fresh.tree, shooting)
 
 
 def _bounds(tree: ArcTree, rows: IntArray, cheapest: FloatArray, speed: float, wavefront: Wavefront) -> FloatArray:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.planners.manoeuvres.connections import Nodes
+    from optdock.planners.manoeuvres.connections import TreeNodes
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 __all__ = ["elastic_band", "roadmap_ways"]
@@ -65,8 +65,8 @@ class _Label(NamedTuple):
 
 
 def roadmap_ways(
-    exits: Nodes,
-    entries: Nodes,
+    exits: TreeNodes,
+    entries: TreeNodes,
     space: FreeSpace,
     effort: Effort,
     route: FloatArray,
@@ -96,7 +96,9 @@ class _LazySearch:
     Vertices are the exits, then poses along the route, then the entries.
     """
 
-    def __init__(self, exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, route: FloatArray) -> None:
+    def __init__(
+        self, exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, route: FloatArray
+    ) -> None:
         self._exits, self._entries = exits.tree, entries.tree
         self._out, self._into = exits.rows[:_MOST_ENDS], entries.rows[:_MOST_ENDS]
         self._space, self._effort = space, effort

@@ -13,7 +13,7 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
+from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
@@ -64,7 +64,7 @@ _SAMPLING = 40.0  # poses of a path per turning radius
 class _Exits(NamedTuple):
     """Ways out of the start by some curvatures, and the mean length of the first arcs that is free [m]."""
 
-    nodes: Nodes
+    nodes: TreeNodes
     bends: tuple[float, ...]
     room: float
 
@@ -168,12 +168,12 @@ class Stages:
                     known.add(path.digest)
                     yield Guess(path, "turn and drive")
 
-    def _straight_exits(self, effort: Effort, more: FloatArray) -> Nodes:
+    def _straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
         """The start, and straight runs out of it; `more` as of `_staging`."""
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
-        return Nodes(tree, np.arange(len(tree)))
+        return TreeNodes(tree, np.arange(len(tree)))
 
     @property
     def _start_gears(self) -> tuple[float, ...]:
@@ -199,10 +199,10 @@ class Stages:
         }
 
     @functools.cached_property
-    def _start(self) -> Nodes:
-        return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
+    def _start(self) -> TreeNodes:
+        return TreeNodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
 
-    def _staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> Nodes:
+    def _staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
 
         Args:
@@ -217,7 +217,7 @@ class Stages:
             stations = np.concatenate(([straight], stations))
         rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
-        return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
+        return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
         """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
@@ -225,22 +225,24 @@ class Stages:
         if key in self._exits_by_effort:
             return self._exits_by_effort[key]
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
-        rows, room = self._grown(Nodes(tree, root), self._start_gears, effort, bends)
-        found = _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
+        rows, room = self._grown(TreeNodes(tree, root), self._start_gears, effort, bends)
+        found = _Exits(TreeNodes(tree, np.concatenate((root, rows))), bends, room)
         self._exits_by_effort[key] = found
         return found
 
-    def _entries(self, effort: Effort) -> Nodes:
+    def _entries(self, effort: Effort) -> TreeNodes:
         """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
         tree, rows = self._staging(effort)
         if self.problem.dock.final_straight > 0.0:
-            return Nodes(tree, rows)
+            return TreeNodes(tree, rows)
         arcs = Moves.of(tuple(-gear for gear in self._gears), (1.0 / effort.radius, -1.0 / effort.radius))
         stations = self.radius * _RUNS[1:]
-        return Nodes(tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort)))
+        return TreeNodes(
+            tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort))
+        )
 
     def _grown(
-        self, end: Nodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
+        self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
     ) -> tuple[IntArray, float]:
         """Arcs and lines out of the nodes of an end, more of them one after another where hardly any is free.
 
@@ -298,7 +300,7 @@ class Stages:
         return float(np.abs(tree.lengths).sum()) / moves.signs.size
 
     @functools.cached_property
-    def _staging_with_margin(self) -> Nodes:
+    def _staging_with_margin(self) -> TreeNodes:
         """Staging poses for words, of whatever radius."""
         return self._staging(self._efforts[0])
 
@@ -340,7 +342,7 @@ class Stages:
         wave = self.space.wavefront(start[:2], radius)
         for effort in self._efforts[:2]:
             exits, (tree, rows) = self._exits(effort).nodes, self._staging(effort)
-            entries = Nodes(tree, rows[rows > 0])
+            entries = TreeNodes(tree, rows[rows > 0])
             if entries.rows.size == 0:
                 return
             target = tree.poses[entries.rows[0], :2]
@@ -364,7 +366,7 @@ class Stages:
         there = sharpest_arcs(entries, rows, entries.signs[rows], self.space, effort)
         if len(exits) - 1 == away.size and len(entries) - before == there.size:
             return  # full lock is free at once
-        pairs = all_pairs(Nodes(exits, np.append(0, away)), Nodes(entries, np.concatenate((rows, there))))
+        pairs = all_pairs(TreeNodes(exits, np.append(0, away)), TreeNodes(entries, np.concatenate((rows, there))))
         found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
         ways = free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
         yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # they share the arcs beside the walls
@@ -388,7 +390,7 @@ class Stages:
             from_start = exits.room < self._room_before_dock(effort)
             if from_start:
                 more, _ = self._grown(entries, _BOTH, effort)
-                entries = Nodes(entries.tree, np.append(entries.rows, more))
+                entries = TreeNodes(entries.tree, np.append(entries.rows, more))
             ways = hybrid_a_star(
                 exits.nodes,
                 entries,

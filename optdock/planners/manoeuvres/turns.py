@@ -20,7 +20,7 @@ from optdock.geometry.pose import Pose2, wrap_angles
 from optdock.model.path import Path
 from optdock.model.segments import Direction, PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
-from optdock.planners.manoeuvres.connections import Nodes
+from optdock.planners.manoeuvres.connections import TreeNodes
 from optdock.planners.manoeuvres.price import driving_prices, stopping_cost, turning_times
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> Flo
 
 
 def turns_and_drives(
-    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
+    exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[TurnsAndDrives]:
     """Manoeuvres that are free, the cheapest first: a straight run, a turn, a line, a turn, a straight run.
 
@@ -232,7 +232,7 @@ class _Lines(NamedTuple):
         return _Lines(*which, self.turns[keep], self.lengths[keep], self.rounded[keep])
 
 
-def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _Lines:
+def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort) -> _Lines:
     """Every line in both gears, every turn either way round, that turning may allow; the cheapest first."""
     limits = space.problem.robot.limits
     leaving, arriving = exits.tree.poses[exits.rows], entries.tree.poses[entries.rows]
@@ -296,7 +296,7 @@ def _saved_by_rounding(
 
 
 def _whole(
-    exits: Nodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: Nodes, entry_row: int
+    exits: TreeNodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: TreeNodes, entry_row: int
 ) -> TurnsAndDrives:
     """A run out of the start, turns and drives, of which the last has no drive, and a run into the dock."""
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
@@ -342,7 +342,7 @@ def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
 
 
 def routes(
-    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
+    exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[TurnsAndDrives]:
     """Manoeuvres around obstacles, turning in place at the corners of the way.
 
@@ -360,7 +360,7 @@ def routes(
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
     driving = 0.5 * space.footprint.width + kept
     for radius, out in itertools.product((space.footprint.circumscribed_radius + kept, driving), ways_out):
-        found = list(_around(exits, out, Nodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
+        found = list(_around(exits, out, TreeNodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
         # A long way is smoothed in a tenth of a second, or in vain: what needs no smoothing comes first.
         offered = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in _KINDS]
         yield from (one[1] for one in offered if one is not None and one[0] < worthwhile())
@@ -369,7 +369,7 @@ def routes(
 
 
 def _around(
-    exits: Nodes, out: int, entries: Nodes, space: FreeSpace, radii: tuple[float, float]
+    exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
     """Ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
@@ -394,11 +394,13 @@ def _cheapest_free(
     return next((one for one in ordered if _is_free(one[1], space, effort)), None)
 
 
-TurnSearch: TypeAlias = "Callable[[Nodes, Nodes, FreeSpace, Effort, Callable[[], float]], Iterator[TurnsAndDrives]]"
+TurnSearch: TypeAlias = (
+    "Callable[[TreeNodes, TreeNodes, FreeSpace, Effort, Callable[[], float]], Iterator[TurnsAndDrives]]"
+)
 """`turns_and_drives` or `routes`."""
 
 
-def _spread(nodes: Nodes, count: int) -> list[int]:
+def _spread(nodes: TreeNodes, count: int) -> list[int]:
     """Some of the nodes, from the cheapest to the dearest."""
     order = np.argsort(nodes.tree.prices[nodes.rows], kind="stable")
     picked = order[np.unique(np.linspace(0.0, max(order.size - 1, 0), min(count, order.size)).astype(np.int64))]

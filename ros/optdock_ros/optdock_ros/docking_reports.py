@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from optdock.executor import Step
-    from optdock.executor.planning import Motion
+    from optdock.executor.planning import DrivenMotion
     from optdock.geometry.pose import Pose2
     from optdock_ros.control_loop import CycleTimes
 
@@ -46,7 +46,7 @@ class Reports:
             name: node.create_publisher(PoseStamped, name, _LATCHED)
             for name in ("staging_pose", "dock_pose", "filtered_dock_pose")
         }
-        self._told: Motion | None = None
+        self._told: DrivenMotion | None = None
 
     def close(self) -> None:
         """End the publishers."""
@@ -57,7 +57,7 @@ class Reports:
         """`staging_pose`, `dock_pose` or `filtered_dock_pose`."""
         self._poses[name].publish(ros.pose_message(ros.imported, pose, frame or self._frame, now))
 
-    def motion(self, motion: Motion, exempt: str, now: float) -> None:
+    def motion(self, motion: DrivenMotion, exempt: str, now: float) -> None:
         """What is driven; said once.
 
         Args:
@@ -76,7 +76,7 @@ class Reports:
             self._markers.publish(ros.plan_markers(ros.imported, motion.plan, self._frame, now))
             self._certificate(motion, exempt, now)
 
-    def _certificate(self, motion: Motion, exempt: str, now: float) -> None:
+    def _certificate(self, motion: DrivenMotion, exempt: str, now: float) -> None:
         plan = motion.plan
         assert plan is not None
         found, proof = plan.certificate, plan.trajectory_certificate

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor import Event, ExecutorSettings, Step
-    from optdock.executor.planning import Motion, PlanResult
+    from optdock.executor.planning import DrivenMotion, PlanResult
     from optdock.geometry.footprint import Footprint
     from optdock.model.measurements import Measurements
     from optdock.nav2.docks import DockEntry
@@ -101,7 +101,7 @@ class _WatchedPlanning(ThreadPlanning):
 
     def __init__(self, process: PlanningProcess) -> None:
         super().__init__(process.planned)
-        self.motion: Motion | None = None
+        self.motion: DrivenMotion | None = None
 
     def poll(self, stamp: float) -> PlanResult | None:
         """The result, once it is there."""

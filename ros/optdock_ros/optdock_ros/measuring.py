@@ -168,7 +168,7 @@ class Measuring:
             return None
         return self._twist[1]
 
-    def _robot_by_odometry(self, told: ros.Odometry, faults: dict[str, str]) -> OdometryPose | None:
+    def _robot_by_odometry(self, told: ros.StampedOdometry, faults: dict[str, str]) -> OdometryPose | None:
         """The pose of the base, of which the odometry may tell that of another frame of the robot."""
         child, base = told.child_frame, self._rules.base_frame
         if child in ("", base):

@@ -8,7 +8,7 @@ import pytest
 
 from checkers.dock import DockGoalChecker
 from optdock.controllers.control_clock import ControlClock
-from optdock.controllers.moving_reference import Progress, Reference
+from optdock.controllers.moving_reference import ReferenceProgress, TrajectoryReference
 from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
@@ -171,7 +171,7 @@ def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
     for k, (following, moved, there) in enumerate(plain):
         if k == max(1, int((at - 0.15) / 0.02)):
             joined.set_path(newer, start_stamp=50.0 + at)
-            assert joined.progress == Progress(pytest.approx(stamp - 0.02 - 50.0 - at), 1.0)
+            assert joined.progress == ReferenceProgress(pytest.approx(stamp - 0.02 - 50.0 - at), 1.0)
         here = joined.compute_velocity_commands(pose, twist, None, stamp=stamp)
         assert max(abs(here.linear - there.linear), abs(here.angular - there.angular)) <= 2e-5
         stamp, pose, twist = following, moved, there
@@ -180,7 +180,7 @@ def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
 
 def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
     trajectory = straight_drive(START)
-    reference = Reference(trajectory)
+    reference = TrajectoryReference(trajectory)
     reference.time, reference.rate = 2.0, 0.5
     begin = trajectory.at(2.05)
     slower = Trajectory(straight_drive(begin.pose).path, TimeLaw(np.array([1.0, 9.0]), np.zeros(2), 0.0, 0.2))
@@ -201,7 +201,7 @@ def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
 
 def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_have():
     first, second, third = (straight_drive(START) for _ in range(3))
-    reference = Reference(first)
+    reference = TrajectoryReference(first)
     reference.joined_by(second, 1.0)
     reference.joined_by(third, 2.0)
     assert reference.progress.time == pytest.approx(-2.0)
@@ -219,7 +219,7 @@ def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_
     assert early.progress.time == pytest.approx(100.38 - 100.5)
     late.set_path(trajectory, start_stamp=98.0)
     late.compute_velocity_commands(trajectory.at(2.0).pose, trajectory.at(2.0).twist, None, stamp=100.0)
-    assert late.progress == Progress(pytest.approx(2.0), 1.0)
+    assert late.progress == ReferenceProgress(pytest.approx(2.0), 1.0)
 
 
 def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusal():
@@ -257,7 +257,7 @@ def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
 
 def test_a_reference_at_its_end_stays_there_however_the_period_jitters():
     """On a real machine no period is as long as the one before; whoever waits for the end must see it once for all."""
-    reference = Reference(straight_drive(START))
+    reference = TrajectoryReference(straight_drive(START))
     reference.time = reference.trajectory.duration
     for period in (0.020, 0.0201, 0.0199, 0.035, 0.02):
         reference.advance(reference.state(), period, 1.0, ROBOT.limits, 0.2)

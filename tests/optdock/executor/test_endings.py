@@ -14,7 +14,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
 from optdock.executor.log import RecordedPlanning
-from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import Detection, Measurements
@@ -61,7 +61,7 @@ class StraightPlanning(RecordedPlanning):
         if self.most < 0:
             return PlanResult(job.number, Outcome.FAILED, reason="no other way")
         drive = rest_to_rest([clothoid(job.problem.start, [0.0, self.length], [0.0, 0.0])], speed=0.3)
-        return PlanResult(job.number, Outcome.NEW, Motion(drive, job.problem))
+        return PlanResult(job.number, Outcome.NEW, DrivenMotion(drive, job.problem))
 
     def still_holds(self, motion, costmap, from_time):
         return Verdict(holds=True)
@@ -308,7 +308,7 @@ class Answering(Recording):
         if len(self.waiting) < self.polls:
             return None
         self.job, self.waiting = None, []
-        motion = Motion(job.running.trajectory, job.problem)
+        motion = DrivenMotion(job.running.trajectory, job.problem)
         return PlanResult(job.number, Outcome.NEW, motion, job.time + self.begins)
 
     def still_holds(self, motion, costmap, from_time):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optdock.errors import InvalidValue
-from optdock.executor.planning import Job, Motion, Outcome, planned
+from optdock.executor.planning import DrivenMotion, Job, Outcome, planned
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -45,7 +45,7 @@ def decided(world, aside, moved=None, budget=1e-9):
     law = plan.trajectory.time_law
     t = np.linspace(0.0, law.duration, 4000)
     time = float(np.interp(1.3, law.at(t)[:, 0], t))
-    running = Motion.of(plan)
+    running = DrivenMotion.of(plan)
     job = Job(1, 0.0, world, budget, running, time, 1.0, Pose2(1.8, aside, 0.0), 0.0, moved)
     return planned(job)
 
@@ -88,16 +88,16 @@ def test_a_new_motion_begins_at_the_robot_and_ends_at_the_dock():
 
 def test_a_motion_is_that_of_its_plan():
     plan = plan_of()
-    assert Motion.of(plan).trajectory is plan.trajectory
+    assert DrivenMotion.of(plan).trajectory is plan.trajectory
     other = Trajectory(plan.path.moved(Pose2(0.0, 0.3, 0.0)), plan.trajectory.time_law)
     for parts in ((other, plan.problem, plan), (plan.trajectory, among((2.6, -0.2)), plan), (other, PROBLEM, object())):
         with pytest.raises(InvalidValue):
-            Motion(*parts)
+            DrivenMotion(*parts)
 
 
 def test_nothing_follows_what_is_no_plan():
     plan = plan_of()
-    job = Job(1, 0.0, PROBLEM, 0.1, Motion(plan.trajectory, PROBLEM), 1.0, 1.0, None, 0.0)
+    job = Job(1, 0.0, PROBLEM, 0.1, DrivenMotion(plan.trajectory, PROBLEM), 1.0, 1.0, None, 0.0)
     found = planned(job)
     assert found.outcome is Outcome.FAILED
     assert "no plan" in found.reason

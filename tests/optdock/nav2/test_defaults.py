@@ -6,7 +6,7 @@ A table holds what Nav2's documents give; a parameter of ours that is not in it 
 import dataclasses
 
 from optdock.nav2.costmap_params import CostmapParams
-from optdock.nav2.docks import DockType
+from optdock.nav2.docks import DockTypeParams
 from optdock.nav2.layered_costmap import LayeredCostmapParameters
 from optdock.nav2.scenario import nav2_scenario
 from optdock.plugins.interfaces import GoalChecker
@@ -99,7 +99,7 @@ def test_every_goal_checker_of_nav2_is_in_the_table():
 
 
 def test_simple_docks_have_nav2s_defaults():
-    found = dataclasses.asdict(DockType("dock"))
+    found = dataclasses.asdict(DockTypeParams("dock"))
     assert found == {
         "name": "dock",
         "dock_direction": "forward",

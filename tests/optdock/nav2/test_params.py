@@ -6,7 +6,7 @@ import pytest
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
-from optdock.nav2.docks import DockType
+from optdock.nav2.docks import DockTypeParams
 from optdock.nav2.params import load_nav2_params
 
 
@@ -93,7 +93,7 @@ def test_dock_types_and_docks_of_a_server_file_are_read(real):
 
 
 def test_the_staging_pose_lies_behind_the_dock_in_its_own_frame():
-    staging = DockType("d", staging_x_offset=-0.7, staging_yaw_offset=math.pi).staging_pose(
+    staging = DockTypeParams("d", staging_x_offset=-0.7, staging_yaw_offset=math.pi).staging_pose(
         Pose2(1.0, 2.0, math.pi / 2)
     )
     np.testing.assert_allclose(staging.as_array(), [1.0, 1.3, 1.5 * math.pi], atol=1e-12)
@@ -102,7 +102,7 @@ def test_the_staging_pose_lies_behind_the_dock_in_its_own_frame():
 @pytest.mark.parametrize("direction", list(DockDirection)[:2])
 def test_a_robot_comes_into_its_dock_from_the_staging_pose_in_its_gear(direction):
     """Nav2's docks look the way in, whichever end of the robot goes in first."""
-    kind = DockType("d", direction)
+    kind = DockTypeParams("d", direction)
     dock = Pose2(1.0, 2.0, 0.4)
     seen = kind.staging_pose(dock).in_frame_of(kind.docked_pose(dock))
     gear = 1.0 if direction is DockDirection.FORWARD else -1.0

@@ -18,7 +18,7 @@ from optdock.cli import app
 from optdock.executor import Ending, EndingKind, Event, ExecutorSettings, State
 from optdock.executor.log import LogWriter, Task
 from optdock.executor.outcomes import Feedback, FeedbackState, Step
-from optdock.executor.planning import Motion, Outcome, PlanResult
+from optdock.executor.planning import DrivenMotion, Outcome, PlanResult
 from optdock.geometry.pose import transform_points
 from optdock.io.plan_file import load_plan
 from optdock.model.measurements import Detection, Measurements
@@ -74,7 +74,7 @@ def planned(tmp_path_factory):
     with LogWriter(folder / "dock.log") as log:
         choice = PluginChoice("TrackingController"), PluginChoice("DockGoalChecker")
         log.begin(Task(problem, ExecutorSettings(), "dock", *choice))
-        log.planned(PlanResult(1, Outcome.NEW, Motion.of(plan)), "map")
+        log.planned(PlanResult(1, Outcome.NEW, DrivenMotion.of(plan)), "map")
         seen = (Detection(0.95, od.Pose2(2.0, 0.2, 0.0), 0.01, 0.01),)
         grid = od.Costmap(np.zeros((3, 4), dtype=np.uint8), 0.1)
         measured = Measurements(1.0, od.Pose2(0.0, 0.0, 0.0), od.Twist2(0.1), seen, costmap=grid)

@@ -6,24 +6,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.model.trajectory import TimeLaw
-from optdock.timing.motion import Motion, State, braking_slack, state_after, stretched
+from optdock.timing.motion import Motion, MotionState, braking_slack, state_after, stretched
 
 PHASES = ((0.4, 1.0), (0.3, 0.0), (0.5, -0.8), (0.7, 0.2))
 
 
 def test_agrees_with_the_time_law():
     law = TimeLaw([p[0] for p in PHASES], [p[1] for p in PHASES], 0.1, 0.2, 0.05)
-    motion = Motion.of(State(0.1, 0.2, 0.05), PHASES)
+    motion = Motion.of(MotionState(0.1, 0.2, 0.05), PHASES)
     t = np.linspace(0.0, law.duration, 77)
     np.testing.assert_allclose(motion.at(t), law.at(t)[:, :3].T, rtol=0, atol=1e-13)
 
 
 def test_phases_of_no_duration_are_left_out():
-    assert Motion.of(State(), ((0.0, 5.0), *PHASES)).phases == PHASES
+    assert Motion.of(MotionState(), ((0.0, 5.0), *PHASES)).phases == PHASES
 
 
 def test_state_after_is_the_border_state():
-    state = State(0.1, 0.2, 0.05)
+    state = MotionState(0.1, 0.2, 0.05)
     motion = Motion.of(state, PHASES)
     for n, phase in enumerate(PHASES):
         state = state_after(state, *phase)
@@ -31,20 +31,20 @@ def test_state_after_is_the_border_state():
 
 
 def test_crossing_times_invert_the_distance():
-    motion = Motion.of(State(0.0, 0.3), PHASES)
+    motion = Motion.of(MotionState(0.0, 0.3), PHASES)
     s = np.linspace(0.0, motion.end.s, 50)
     np.testing.assert_allclose(motion.at(motion.crossing_times(s))[0], s, atol=1e-9)
 
 
 @given(factor=st.floats(1.0, 3.0))
 def test_stretching_time_from_rest_keeps_the_distance_and_scales_the_rest(factor):
-    motion, slow = Motion.of(State(), PHASES), Motion.of(State(), stretched(PHASES, factor))
+    motion, slow = Motion.of(MotionState(), PHASES), Motion.of(MotionState(), stretched(PHASES, factor))
     t = np.linspace(0.0, motion.duration, 40)
     s, v, a = motion.at(t)
     np.testing.assert_allclose(slow.at(t * factor), np.stack((s, v / factor, a / factor**2)), atol=1e-12)
 
 
 def test_braking_slack_is_the_speed_left_when_acceleration_is_back_at_zero():
-    state = State(0.0, 0.3, -0.5)
+    state = MotionState(0.0, 0.3, -0.5)
     assert braking_slack(state, 2.0) == pytest.approx(state_after(state, 0.25, 2.0).v)
-    assert braking_slack(State(0.0, 0.3, 0.5), 2.0) == 0.3
+    assert braking_slack(MotionState(0.0, 0.3, 0.5), 2.0) == 0.3

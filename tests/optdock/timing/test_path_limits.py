@@ -9,7 +9,7 @@ import pytest
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.timing.motion import DriveBounds, Motion, State
+from optdock.timing.motion import DriveBounds, Motion, MotionState
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits, worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.verification import certify_trajectory
@@ -117,7 +117,7 @@ def test_the_limit_that_decides_has_its_name(make, limit, value):
 
 
 def _driven(along, box):
-    return Motion.of(State(), move(State(), State(along.length), box))
+    return Motion.of(MotionState(), move(MotionState(), MotionState(along.length), box))
 
 
 def test_a_spike_between_two_time_samples_is_found(make):
@@ -159,7 +159,7 @@ def test_stretching_by_what_the_check_says_cures_every_limit(make, all_limits):
     motion = _driven(along, DriveBounds(0.6, 0.8, 0.9, 3.0))
     worst = worst_ratio(along, motion)
     assert worst.ratio > 1.2
-    cured = worst_ratio(along, Motion.of(State(), stretched(motion.phases, worst.stretch)))
+    cured = worst_ratio(along, Motion.of(MotionState(), stretched(motion.phases, worst.stretch)))
     assert cured.ratio <= 1.0 + 1e-3
-    barely = worst_ratio(along, Motion.of(State(), stretched(motion.phases, worst.stretch * 0.98)))
+    barely = worst_ratio(along, Motion.of(MotionState(), stretched(motion.phases, worst.stretch * 0.98)))
     assert barely.ratio > 1.0

@@ -8,7 +8,7 @@ import pytest
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.timing.forward_backward import forward_backward_pass
-from optdock.timing.motion import State, state_after
+from optdock.timing.motion import MotionState, state_after
 from optdock.timing.path_limits import ReferenceBounds, limits_along
 from optdock.timing.reference_program import (
     applied,
@@ -22,7 +22,7 @@ from optdock.timing.reference_program import (
 )
 from optdock.timing.settings import NEAR_OPTIMAL
 
-REST = State()
+REST = MotionState()
 
 
 def _solved(make, all_limits, seed, start=REST):
@@ -49,7 +49,7 @@ def test_the_stop_arc_ends_at_rest_at_the_end(make, all_limits):
     _bounds, found = _solved(make, all_limits, 1)
     launch, stop = found.launch, found.stop
     assert state_after(stop.state, *stop.phases[0]) == pytest.approx((3.0, 0.0, 0.0), abs=1e-12)
-    assert state_after(State(), *launch.phases[0]) == pytest.approx(tuple(launch.state), abs=1e-15)
+    assert state_after(MotionState(), *launch.phases[0]) == pytest.approx(tuple(launch.state), abs=1e-15)
 
 
 def test_stencils_are_value_slope_and_curvature_of_one_spline():
@@ -67,7 +67,7 @@ def test_stencils_are_value_slope_and_curvature_of_one_spline():
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("start", [State(), State(0.0, 0.15, 0.1)])
+@pytest.mark.parametrize("start", [MotionState(), MotionState(0.0, 0.15, 0.1)])
 def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, start):
     _bounds, found = _solved(make, all_limits, seed, start)
     grid, launch, stop = found.grid, found.launch, found.stop

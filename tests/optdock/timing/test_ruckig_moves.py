@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from optdock.errors import PluginError
 from optdock.model.limits import SpeedZone
 from optdock.timing import ruckig_moves
-from optdock.timing.motion import DriveBounds, Motion, State
+from optdock.timing.motion import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import reference_motion
 from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along, worst_ratio
 from optdock.timing.ruckig_moves import move
@@ -30,72 +30,72 @@ def assert_reaches(start, target, phases):
 
 
 def test_a_target_too_near_would_need_reversing_and_counts_as_none():
-    assert move(State(0.0, 0.4), State(0.01), BOX) is None
+    assert move(MotionState(0.0, 0.4), MotionState(0.01), BOX) is None
 
 
 def test_the_loop_that_returns_to_its_own_moving_state_is_refused():
-    assert move(State(0.0, 0.3), State(0.0, 0.3), BOX) is None
+    assert move(MotionState(0.0, 0.3), MotionState(0.0, 0.3), BOX) is None
 
 
 def test_dipping_below_zero_inside_a_phase_counts_as_reversing():
     # The speed is positive at both ends of the only phases but negative between them.
-    assert not ruckig_moves._drives_forward(State(0.0, 0.1, -0.6), ((1.0, 1.0),))
-    assert ruckig_moves._drives_forward(State(0.0, 0.2, -0.6), ((1.0, 1.0),))
+    assert not ruckig_moves._drives_forward(MotionState(0.0, 0.1, -0.6), ((1.0, 1.0),))
+    assert ruckig_moves._drives_forward(MotionState(0.0, 0.2, -0.6), ((1.0, 1.0),))
 
 
 def test_a_start_beyond_the_speed_bound_keeps_its_brake_phases():
-    start, target = State(0.0, 0.7), State(2.0)
+    start, target = MotionState(0.0, 0.7), MotionState(2.0)
     phases = move(start, target, BOX)
     assert_reaches(start, target, phases)
 
 
 def test_a_start_beyond_the_acceleration_bound_keeps_its_brake_phases():
-    start, target = State(0.0, 0.1, 0.9), State(2.0)
+    start, target = MotionState(0.0, 0.1, 0.9), MotionState(2.0)
     phases = move(start, target, BOX)
     assert_reaches(start, target, phases)
 
 
-@pytest.mark.parametrize("target", [State(1.0, 0.5, -0.2), State(1.0, 0.5 + 1e-13, 0.0)])
+@pytest.mark.parametrize("target", [MotionState(1.0, 0.5, -0.2), MotionState(1.0, 0.5 + 1e-13, 0.0)])
 def test_a_legal_target_at_the_speed_bound_is_not_refused(target):
     # ruckig itself refuses vf > V, and vf = V with af < 0, because it must have been faster before.
-    phases = move(State(), target, BOX)
-    assert_reaches(State(), target, phases)
+    phases = move(MotionState(), target, BOX)
+    assert_reaches(MotionState(), target, phases)
 
 
 def test_a_state_that_is_no_number_is_none():
-    assert move(State(), State(math.nan), BOX) is None
+    assert move(MotionState(), MotionState(math.nan), BOX) is None
 
 
 def test_longer_motions_than_asked_for_are_none():
-    assert move(State(), State(1.0), BOX, 10.0) is not None
-    assert move(State(), State(1.0), BOX, 1.0) is None
+    assert move(MotionState(), MotionState(1.0), BOX, 10.0) is not None
+    assert move(MotionState(), MotionState(1.0), BOX, 1.0) is None
 
 
 def test_phases_survive_the_next_calculation():
-    first = move(State(), State(1.0), BOX)
+    first = move(MotionState(), MotionState(1.0), BOX)
     kept = list(first)
-    move(State(), State(2.0), BOX)
+    move(MotionState(), MotionState(2.0), BOX)
     assert list(first) == kept
 
 
 def test_no_move_has_no_phases():
-    assert move(State(), State(), BOX) == ()
+    assert move(MotionState(), MotionState(), BOX) == ()
 
 
 def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
-    phases = full_stop(State(0.0, 0.9), BOX)
-    end = Motion.of(State(0.0, 0.9), phases).end
+    phases = full_stop(MotionState(0.0, 0.9), BOX)
+    end = Motion.of(MotionState(0.0, 0.9), phases).end
     # v^2 / (2 D) + v D / (2 J) for a stop that reaches D.
     assert end.s == pytest.approx(0.81 / 1.2 + 0.9 * 0.6 / 3.0, rel=1e-12)
     assert (end.v, end.a) == pytest.approx((0.0, 0.0), abs=1e-12)
-    assert_reaches(State(), State(1.0), move(State(), State(1.0), BOX))
+    assert_reaches(MotionState(), MotionState(1.0), move(MotionState(), MotionState(1.0), BOX))
 
 
 @settings(max_examples=200)
 @given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
 def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, acceleration, jerk, start):
     box = DriveBounds(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
-    state = State(0.0, 10.0**speed, start)
+    state = MotionState(0.0, 10.0**speed, start)
     assume(start >= 0.0 or state.v > 1.001 * start * start / (2.0 * box.jerk))
     given, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
     given.control_interface = ruckig.ControlInterface.Velocity
@@ -111,7 +111,7 @@ def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, a
 
 
 def test_stopping_with_too_much_acceleration_leads_it_back_first():
-    start = State(0.0, 0.2, 0.8)
+    start = MotionState(0.0, 0.2, 0.8)
     motion = Motion.of(start, full_stop(start, BOX))
     assert motion.jerks[0] == pytest.approx(-1.5)
     assert (motion.end.v, motion.end.a) == pytest.approx((0.0, 0.0), abs=1e-12)
@@ -119,9 +119,9 @@ def test_stopping_with_too_much_acceleration_leads_it_back_first():
 
 def test_threads_do_not_share_ruckig_objects():
     lengths = [0.1 * n for n in range(1, 60)]
-    alone = [move(State(), State(length), BOX) for length in lengths]
+    alone = [move(MotionState(), MotionState(length), BOX) for length in lengths]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda length: move(State(), State(length), BOX), lengths * 5))
+        together = list(pool.map(lambda length: move(MotionState(), MotionState(length), BOX), lengths * 5))
     assert together == alone * 5
 
 
@@ -131,7 +131,7 @@ def test_intermediate_positions_are_never_set():
         node.attr for node in ast.walk(ast.parse(inspect.getsource(ruckig_moves))) if isinstance(node, ast.Attribute)
     ]
     assert "intermediate_positions" not in names
-    move(State(), State(1.0), BOX)
+    move(MotionState(), MotionState(1.0), BOX)
     assert list(ruckig_moves._tool().input.intermediate_positions) == []
 
 
@@ -152,7 +152,7 @@ STATES = st.tuples(st.floats(0.0, 0.5), st.floats(-0.6, 0.4))
 
 @given(first=STATES, last=STATES, length=st.floats(0.01, 3.0))
 def test_moves_reach_their_target_within_the_bounds(first, last, length):
-    start, target = State(0.0, *first), State(length, *last)
+    start, target = MotionState(0.0, *first), MotionState(length, *last)
     phases = move(start, target, BOX)
     assume(phases is not None)
     motion = Motion.of(start, phases)
@@ -178,8 +178,8 @@ def _bounds(make, all_limits, seed, **more):
 @pytest.mark.parametrize("seed", range(5))
 def test_moves_join_to_one_motion_over_the_segment(make, all_limits, seed):
     bounds = _bounds(make, all_limits, seed)
-    found = reference_motion(bounds, State())
-    motion = Motion.of(State(), found.phases)
+    found = reference_motion(bounds, MotionState())
+    motion = Motion.of(MotionState(), found.phases)
     assert tuple(motion.end) == pytest.approx((3.0, 0.0, 0.0), abs=1e-9)
     assert len(found.moves) >= 2  # always split at the zone
     assert found.sound
@@ -187,9 +187,9 @@ def test_moves_join_to_one_motion_over_the_segment(make, all_limits, seed):
 
 
 def test_tightening_a_stretch_slows_it_down(make, all_limits):
-    free = Motion.of(State(), reference_motion(_bounds(make, all_limits, 4), State()).phases)
+    free = Motion.of(MotionState(), reference_motion(_bounds(make, all_limits, 4), MotionState()).phases)
     tight = _bounds(make, all_limits, 4, tightenings=(Tightening(1.0, 1.5, 0.8),))
-    slow = Motion.of(State(), reference_motion(tight, State()).phases)
+    slow = Motion.of(MotionState(), reference_motion(tight, MotionState()).phases)
     s = np.linspace(1.05, 1.45, 9)
     fast_v, slow_v = (motion.at(motion.crossing_times(s))[1] for motion in (free, slow))
     assert np.all(slow_v < fast_v)
@@ -199,14 +199,16 @@ def test_tightening_a_stretch_slows_it_down(make, all_limits):
 def test_a_reference_needs_room_between_launch_and_stop(make, all_limits):
     along = limits_along(make.random_path(np.random.default_rng(0), length=3.0), all_limits, SpeedZone())[0]
     short = ReferenceBounds(along.after(along.length - 1e-3))
-    assert tuple(Motion.of(State(), reference_motion(short, State()).phases).end) == pytest.approx((1e-3, 0.0, 0.0))
-    assert reference_motion(short, State(0.0, 0.0, 0.4)) is None  # leading this acceleration back takes more
+    assert tuple(Motion.of(MotionState(), reference_motion(short, MotionState()).phases).end) == pytest.approx(
+        (1e-3, 0.0, 0.0)
+    )
+    assert reference_motion(short, MotionState(0.0, 0.0, 0.4)) is None  # leading this acceleration back takes more
 
 
 def test_a_cell_without_a_move_is_driven_as_the_reference_drives_it(make, all_limits, monkeypatch):
     bounds = _bounds(make, all_limits, 2)
     monkeypatch.setattr(ruckig_moves, "move", lambda *_: None)
-    found = reference_motion(bounds, State())
-    motion = Motion.of(State(), found.phases)
+    found = reference_motion(bounds, MotionState())
+    motion = Motion.of(MotionState(), found.phases)
     assert tuple(motion.end) == pytest.approx((3.0, 0.0, 0.0), abs=1e-8)
     assert worst_ratio(bounds.limits, motion).stretch <= 1.02

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.motion import Motion, State, braking_slack
+from optdock.timing.motion import Motion, MotionState, braking_slack
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
 from optdock.timing.start_states import Braking
@@ -33,7 +33,7 @@ def along(make):
 )
 def test_no_control_is_slower_anywhere_than_full_braking(along, v, a, jerks):
     # da/ds = j / v: with the least jerk from the same state nothing gets below, as long as a >= -D.
-    start = State(0.0, v, a)
+    start = MotionState(0.0, v, a)
     assume(braking_slack(start, STRAIGHT_LIMITS.max_jerk) > 0.01)
     brake, other = Braking(along, start).motion, Motion.of(start, jerks)
     t = np.linspace(0.0, other.duration, 200)
@@ -50,15 +50,15 @@ def test_ratios_are_one_exactly_at_the_caps(make):
     limits = MotionLimits(max_yaw_rate=0.5, max_deceleration=0.6, max_jerk=2.0)
     segment = make.spline([0.2, 1.0], [1.0, 1.0, 1.0])
     along = limits_along(Path((segment,)), limits, SpeedZone())[0]
-    assert Braking(along, State(0.0, 0.5)).path_ratios.max() == pytest.approx(1.0)
-    assert Braking(along, State(0.0, 0.45)).path_ratios.max() == pytest.approx(0.9)
+    assert Braking(along, MotionState(0.0, 0.5)).path_ratios.max() == pytest.approx(1.0)
+    assert Braking(along, MotionState(0.0, 0.45)).path_ratios.max() == pytest.approx(0.9)
 
 
 def test_the_yaw_cap_is_the_speed_no_acceleration_can_save(make):
     # v^2 k' - D k <= al while braking with D.
     limits = MotionLimits(max_speed=2.0, max_yaw_acceleration=0.5, max_deceleration=0.5, max_jerk=100.0)
     along = limits_along(Path((make.spline([0.2, 2.0], [0.0, 0.4, 0.4]),)), limits, SpeedZone())[0]
-    braking = Braking(along, State(0.0, 0.7))
+    braking = Braking(along, MotionState(0.0, 0.7))
     s, v, _a = braking.states
     rising = (s > 0.0) & (s < 0.2 - 1e-9)
     fastest = np.sqrt((0.5 + 2.0 * s[rising] * 0.5) / 2.0)
@@ -68,10 +68,10 @@ def test_the_yaw_cap_is_the_speed_no_acceleration_can_save(make):
 def test_tight_length_ends_where_braking_leaves_room(make):
     limits = MotionLimits(max_yaw_rate=0.5, max_deceleration=0.6, max_jerk=2.0)
     along = limits_along(Path((make.spline([3.0], [1.0, 1.0]),)), limits, SpeedZone())[0]
-    assert Braking(along, State(0.0, 0.3)).tight_length(0.01, 0.95) == 0.0
-    length = Braking(along, State(0.0, 0.5)).tight_length(0.01, 0.95)
+    assert Braking(along, MotionState(0.0, 0.3)).tight_length(0.01, 0.95) == 0.0
+    length = Braking(along, MotionState(0.0, 0.5)).tight_length(0.01, 0.95)
     assert 0.0 < length < 0.1
-    assert Braking(along, State(0.0, 0.5)).tight_length(0.1, 0.95) > length
+    assert Braking(along, MotionState(0.0, 0.5)).tight_length(0.1, 0.95) > length
 
 
 METHODS = (NearOptimal(), Windowed())
@@ -182,9 +182,9 @@ def test_braking_for_days_needs_no_memory(speed, make):
 
 
 def test_samples_of_a_motion_of_a_year_are_bounded():
-    motion = Motion.of(State(0.0, 0.0, 0.0), [(1.0, 1e-3), (3e7, 0.0), (1.0, -1e-3)])
+    motion = Motion.of(MotionState(0.0, 0.0, 0.0), [(1.0, 1e-3), (3e7, 0.0), (1.0, -1e-3)])
     times = motion.sample_times(0.008)
     assert times.size < 50_000
     assert set(motion.times) <= set(times)
-    short = Motion.of(State(), [(1.0, 1.0), (1.0, -1.0)]).sample_times(0.008)
+    short = Motion.of(MotionState(), [(1.0, 1.0), (1.0, -1.0)]).sample_times(0.008)
     assert np.diff(short).max() <= 0.008 + 1e-12

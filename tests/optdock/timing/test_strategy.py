@@ -13,11 +13,11 @@ from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Path
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.checks import SegmentPlan
-from optdock.timing.motion import DriveBounds, Motion, State
+from optdock.timing.motion import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import NearOptimal, near_optimal_plans
 from optdock.timing.path_limits import limits_along
 from optdock.timing.ruckig_moves import move
-from optdock.timing.strategy import NO_DEADLINES, Deadlines, Start, best_of, segment_plans, time_path
+from optdock.timing.strategy import NO_DEADLINES, Deadlines, TimingStart, best_of, segment_plans, time_path
 from optdock.timing.windowed import Windowed, windowed_plans
 from optdock.verification import certify_trajectory
 
@@ -32,7 +32,7 @@ def never(along, start, deadlines):
 
 
 def only_from_rest(along, start, deadlines):
-    return windowed_plans(along, start, deadlines) if start == State() else never(along, start, deadlines)
+    return windowed_plans(along, start, deadlines) if start == MotionState() else never(along, start, deadlines)
 
 
 def first_plan(along, start, plan):
@@ -40,31 +40,31 @@ def first_plan(along, start, plan):
 
 
 def test_a_moving_start_without_a_plan_stops_and_goes(along):
-    found = first_plan(along, State(0.0, 0.4, 0.1), only_from_rest)
+    found = first_plan(along, MotionState(0.0, 0.4, 0.1), only_from_rest)
     assert (found.status, found.how) == (TimingStatus.OK, "stop and go")
-    motion = Motion.of(State(0.0, 0.4, 0.1), found.phases)
+    motion = Motion.of(MotionState(0.0, 0.4, 0.1), found.phases)
     assert tuple(motion.end) == pytest.approx((2.0, 0.0, 0.0), abs=1e-9)
     inner = motion.states[1, 1:-1]
     assert inner.min() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_no_plan_at_all_is_a_failure(along):
-    assert first_plan(along, State(), never).status is TimingStatus.FAIL
-    found = first_plan(along, State(0.0, 0.4), never)
+    assert first_plan(along, MotionState(), never).status is TimingStatus.FAIL
+    found = first_plan(along, MotionState(0.0, 0.4), never)
     assert (found.status, found.reason) == (TimingStatus.FAIL, "no plan from rest after full braking")
 
 
 def test_braking_is_cut_short_once_every_limit_holds(along):
-    found = first_plan(along, State(0.0, 0.7), windowed_plans)
+    found = first_plan(along, MotionState(0.0, 0.7), windowed_plans)
     assert (found.status, found.arrives) == (TimingStatus.START_INFEASIBLE, True)
-    motion = Motion.of(State(0.0, 0.7), found.phases)
+    motion = Motion.of(MotionState(0.0, 0.7), found.phases)
     s, v, _a = motion.states
     assert v[s < 1.0].min() > 0.3
 
 
 def test_braking_to_rest_is_all_there_is_where_nothing_can_be_planned(make, all_limits):
     gears = make.spline([2.0], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)
-    result = time_path(Path(gears), all_limits, SpeedZone(), Start(0.7, 0.0), never)
+    result = time_path(Path(gears), all_limits, SpeedZone(), TimingStart(0.7, 0.0), never)
     assert result.status is TimingStatus.START_INFEASIBLE
     assert result.trajectory.path.segments == gears[:1]
     end = result.trajectory.time_law.states[-1]
@@ -78,7 +78,7 @@ def test_a_later_gear_without_a_plan_fails_the_whole(make, all_limits):
     def first_only(along, start, deadlines):
         return (windowed_plans if along.caps.direction > 0 else never)(along, start, deadlines)
 
-    result = time_path(Path(gears), all_limits, SpeedZone(), Start(0.7, 0.0), first_only)
+    result = time_path(Path(gears), all_limits, SpeedZone(), TimingStart(0.7, 0.0), first_only)
     assert (result.status, result.trajectory, result.reason) == (TimingStatus.FAIL, None, "no plan")
 
 
@@ -112,7 +112,7 @@ def reckless(along, start, deadlines):
     """Plans that ignore the turning limits: refused wherever these bind."""
     limits = along.drive
     box = DriveBounds(limits.max_speed, limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
-    yield SegmentPlan(TimingStatus.OK, move(start, State(along.length), box), how="reckless")
+    yield SegmentPlan(TimingStatus.OK, move(start, MotionState(along.length), box), how="reckless")
 
 
 def reckless_then_careful(along, start, deadlines):
@@ -128,7 +128,7 @@ def gears(make):
 
 
 def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all_limits):
-    result = time_path(gears, all_limits, SpeedZone(), Start(0.0, 0.0), reckless_then_careful)
+    result = time_path(gears, all_limits, SpeedZone(), TimingStart(0.0, 0.0), reckless_then_careful)
     assert result.status is TimingStatus.OK
     assert result.report.gears == ("reckless", "windowed")
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone()).certified
@@ -136,13 +136,13 @@ def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all
 
 
 def test_a_gear_whose_last_plan_is_refused_fails_with_what_is_broken_and_where(gears, all_limits):
-    result = time_path(gears, all_limits, SpeedZone(), Start(0.0, 0.0), reckless)
+    result = time_path(gears, all_limits, SpeedZone(), TimingStart(0.0, 0.0), reckless)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
     assert "the last method, reckless, is not certified: speed " in result.reason
     assert result.limit == ""  # of a gear, or of the zone
     assert 1.0 < result.at_s < 2.0
     turning = MotionLimits(max_speed=0.6, max_reverse_speed=2.0, max_yaw_acceleration=0.2)
-    result = time_path(gears, turning, SpeedZone(), Start(0.0, 0.0), reckless)
+    result = time_path(gears, turning, SpeedZone(), TimingStart(0.0, 0.0), reckless)
     assert "is not certified: yaw acceleration " in result.reason
     assert (result.status, result.limit) == (TimingStatus.FAIL, "max_yaw_acceleration")
 
@@ -151,9 +151,9 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
     path = Path((make.spline([1.5, 0.3, 0.3], [0.0, 0.0, 1.5, 0.0]),))
 
     def careful_from_rest(along, start, deadlines):
-        return (windowed_plans if start == State() else reckless)(along, start, deadlines)
+        return (windowed_plans if start == MotionState() else reckless)(along, start, deadlines)
 
-    result = time_path(path, all_limits, SpeedZone(), Start(0.4, 0.0), careful_from_rest)
+    result = time_path(path, all_limits, SpeedZone(), TimingStart(0.4, 0.0), careful_from_rest)
     assert (result.status, result.report.gears) == (TimingStatus.OK, ("stop and go",))
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone(), start_speed=0.4).certified
 
@@ -182,7 +182,7 @@ def test_no_more_than_a_few_looks_after_the_deadline(ticks, planner, make, all_l
     path = make.random_path(np.random.default_rng(7), gears=2, length=2.5)
     clock = Ticking()
     deadline = Deadline(1e-3 * (ticks + 0.5), clock)
-    result = time_path(path, all_limits, ZONE, Start(0.0, 0.0), planner, deadline)
+    result = time_path(path, all_limits, ZONE, TimingStart(0.0, 0.0), planner, deadline)
     assert clock.now / clock.tick - ticks <= 25
     if result.status is TimingStatus.OK:
         assert certify_trajectory(result.trajectory, all_limits, ZONE).certified
@@ -196,7 +196,7 @@ def test_more_time_gives_nothing_then_windows_then_the_reference(make, all_limit
     found = []
     for ticks in np.geomspace(2, 3000, 40):
         deadlines = Deadlines.of(Deadline(1e-3 * ticks, Ticking()), lookup=0.02)
-        found.append(best_of(near_optimal_plans(along, State(), deadlines)).how)
+        found.append(best_of(near_optimal_plans(along, MotionState(), deadlines)).how)
     order = ["none", "windowed", "reference"]
     ranks = [order.index(how) for how in found]
     assert ranks == sorted(ranks)
@@ -221,7 +221,7 @@ def test_an_impossible_start_is_answered_even_without_time_for_the_rest(make, al
     path = make.random_path(np.random.default_rng(3), gears=1, length=3.0)
     for ticks in range(2, 40):
         deadline = Deadline(1e-3 * ticks, Ticking())
-        result = time_path(path, all_limits, ZONE, Start(0.9, 0.0), PLANNERS["near-optimal"], deadline)
+        result = time_path(path, all_limits, ZONE, TimingStart(0.9, 0.0), PLANNERS["near-optimal"], deadline)
         assert result.status in (TimingStatus.START_INFEASIBLE, TimingStatus.TIMED_OUT)
         if result.status is TimingStatus.START_INFEASIBLE:
             assert result.trajectory.time_law.states[-1, 1] == pytest.approx(0.0, abs=1e-9)
