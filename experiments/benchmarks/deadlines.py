@@ -1,7 +1,7 @@
 """When `plan_dock` returns: lateness of whole calls against their budgets, on a quiet and on a busy machine.
 
-python -m experiments.benchmarks deadlines                                        # recorded kinds, wall clock
-python -m experiments.benchmarks deadlines --among-walls --cpu-clock --calls 2000   # every robot new to the call
+With `--among-walls --cpu-clock --calls 2000` every call has a footprint that no call before it had, and CPU seconds
+count: what is late then is late because of the library, not of the machine.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import shapely
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile, yardstick
 from experiments.cpu_budgets import count_cpu
 from experiments.families import FEASIBLE_FAMILIES, instance
+from experiments.manoeuvres.cases import rectangle
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.costmap.costmap import Costmap
 from optdock.errors import OptdockError
@@ -73,8 +74,8 @@ def main(arguments: Sequence[str]) -> None:
     with _busy(asked.busy):
         unit, rows = yardstick(), []
         for k, budget in enumerate(asked.budgets):
-            problems = recorded or map(among_walls, itertools.count(k * asked.calls))
-            rows.append(_row(itertools.cycle(problems), budget, asked.calls, unit))
+            fresh = map(among_walls, itertools.count(k * asked.calls))
+            rows.append(_row(itertools.cycle(recorded) if recorded else fresh, budget, asked.calls, unit))
     note = (
         f"{len(recorded) or asked.calls} problems in turn, {asked.busy} busy processes on {os.cpu_count()} cores. "
         f"late: elapsed minus budget, negative when early. host: after every call plain work of as much CPU time, "
@@ -147,7 +148,7 @@ def _problems(seeds: int) -> Iterator[DockingProblem]:
 
 
 def among_walls(seed: int) -> DockingProblem:
-    """A dock at a side of a room of 12 m with three to six walls in it, for a robot whose footprint nobody saw before.
+    """A dock at a side of a room of 12 m with three to six walls in it, for a robot with a footprint of its own.
 
     Required are 3 cm, at the dock 0. The start is anywhere, so some problems have no solution.
     """
@@ -155,16 +156,9 @@ def among_walls(seed: int) -> DockingProblem:
     footprint = _footprint(rng)
     walls = []
     for _ in range(int(rng.integers(3, 7))):
-        middle, turn, half = (
-            rng.uniform((-5.0, -4.0), (4.0, 4.0)),
-            rng.uniform(-math.pi, math.pi),
-            rng.uniform(0.5, 2.0),
-        )
-        along, across = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
-        corner_signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-        walls.append(np.array([middle + a * half * along + b * 0.05 * across for a, b in corner_signs]))
-    x = 6.0 + np.array([0.0, 0.2])
-    walls.append(np.array([(x[0], -6.0), (x[1], -6.0), (x[1], 6.0), (x[0], 6.0)]))
+        middle, turn = rng.uniform((-5.0, -4.0), (4.0, 4.0)), rng.uniform(-math.pi, math.pi)
+        walls.append(rectangle(*middle, 2.0 * rng.uniform(0.5, 2.0), 0.1, turn))
+    walls.append(rectangle(6.1, 0.0, 0.2, 12.0))
     goal = Pose2(6.0 - footprint.vertices[:, 0].max(), rng.uniform(-4.0, 4.0), 0.0)
     start = Pose2(*rng.uniform((-5.5, -5.5), (3.5, 5.5)), rng.uniform(-math.pi, math.pi))
     limits = MotionLimits(max_curvature=rng.uniform(0.7, 2.5), max_curvature_rate=rng.uniform(2.0, 8.0))

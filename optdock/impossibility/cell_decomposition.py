@@ -31,8 +31,8 @@ from optdock.impossibility.connectivity_graph import (
     OUTSIDE,
     ROOM,
     START,
+    CellGrid,
     ConnectivityGraph,
-    Grid,
     PlaceGraph,
     Tile,
     by_certainty,
@@ -244,7 +244,7 @@ class _Search:
         self.graph = ConnectivityGraph(self.grid, self.ends, by_certainty(self.grid))
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
-    def _grid(self) -> Grid:
+    def _grid(self) -> CellGrid:
         """Tiles that cover both ends, and obstacles as far as they may matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
@@ -258,7 +258,7 @@ class _Search:
         above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
         turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
         headings = turning if self.body.turns else 1
-        return Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
+        return CellGrid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
 
     def _look(self) -> None:
         self.deadline.look()

@@ -31,8 +31,8 @@ __all__ = [
     "OUTSIDE",
     "ROOM",
     "START",
+    "CellGrid",
     "ConnectivityGraph",
-    "Grid",
     "Kinds",
     "PlaceGraph",
     "Tile",
@@ -45,7 +45,7 @@ ROOM = 1e3  # [m] of clearance that nobody has
 FINEST = 4  # level of the finest tiles
 
 
-class Grid(NamedTuple):
+class CellGrid(NamedTuple):
     """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
 
     origin: FloatArray
@@ -89,7 +89,7 @@ _ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
 _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
-def by_certainty(grid: Grid) -> Kinds:
+def by_certainty(grid: CellGrid) -> Kinds:
     """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
@@ -124,7 +124,7 @@ class ConnectivityGraph:
         kinds: Which cells of a tile are open, and which narrow; the others are left out.
     """
 
-    def __init__(self, grid: Grid, ends: list[FloatArray], kinds: Kinds) -> None:
+    def __init__(self, grid: CellGrid, ends: list[FloatArray], kinds: Kinds) -> None:
         self.grid, self.ends, self.kinds = grid, ends, kinds
         self.tiles: list[Tile] = []  # also such as were removed
         self.labels: list[IntArray] = []

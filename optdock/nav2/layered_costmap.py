@@ -48,8 +48,7 @@ class LayeredCostmap:
     """A master grid that plugins write in order; only the window that they ask for is rewritten in each update.
 
     An update that fails changes nothing and is made up for by the next one. A rolling window moves by whole cells and
-    keeps what overlaps; at its rim it may still show the inflation of obstacles that have just left it. Not for use
-    from several threads at once.
+    keeps what overlaps. Not for use from several threads at once.
 
     Args:
         layers: Name and layer, from the bottom up; each is configured with its name and activated.

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
-__all__ = ["EarlierResult", "InitialGuess", "InitialGuesses", "pure_pursuit", "rest_of_earlier_result"]
+__all__ = ["EarlierResult", "InitialGuesses", "SearchGuess", "pure_pursuit", "rest_of_earlier_result"]
 
 
-class InitialGuess(NamedTuple):
+class SearchGuess(NamedTuple):
     """Where a search begins, and how boldly.
 
     Attributes:
@@ -71,12 +71,12 @@ class InitialGuesses:
     is_late: Callable[[], bool] = never_late
 
     @property
-    def first(self) -> InitialGuess:
+    def first(self) -> SearchGuess:
         """The most promising one."""
         return self._cold(self._first, self.nlp.settings.guess.patience)
 
     @property
-    def on_the_input(self) -> InitialGuess | None:
+    def on_the_input(self) -> SearchGuess | None:
         """The tracked one, where the input can be tracked and it was not the first; None where both are alike."""
         if not self._is_trackable or self.tracked is self._first:
             return None
@@ -85,7 +85,7 @@ class InitialGuesses:
         return self._cold(self.tracked, settings.patience) if apart > settings.different_on_the_input else None
 
     @property
-    def other(self) -> InitialGuess | None:
+    def other(self) -> SearchGuess | None:
         """The second of fit and drive, for an obstacle met on its wrong side; None where it is like the first."""
         settings, second = self.nlp.settings.guess, self._untracked
         if self._first is second:
@@ -94,13 +94,13 @@ class InitialGuesses:
         return self._cold(second, settings.patience_other) if apart > settings.different else None
 
     @property
-    def rest_of_earlier(self) -> InitialGuess | None:
+    def rest_of_earlier(self) -> SearchGuess | None:
         """What is left of the earlier result, or None."""
         if self.earlier is None:
             return None
         settings = self.nlp.settings.guess
         left = clipped(self.earlier.variables(self.nlp.basis), self.nlp.inner_bounds)
-        return InitialGuess(
+        return SearchGuess(
             left, settings.trust_region_near, settings.proximal_near / self.nlp.radius, settings.patience
         )
 
@@ -172,11 +172,11 @@ class InitialGuesses:
         between = self._driven(one).poses[:, :2] - self._driven(other).poses[:, :2]
         return float(np.abs(between).max())
 
-    def _cold(self, variables: Variables, patience: int) -> InitialGuess:
+    def _cold(self, variables: Variables, patience: int) -> SearchGuess:
         """A guess of this call; the longer the path, the more steps are in vain until they are small enough."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
-        return InitialGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
+        return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 
 class EarlierResult(NamedTuple):

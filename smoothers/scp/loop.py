@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
-    from smoothers.scp.initial_guess import InitialGuess
+    from smoothers.scp.initial_guess import SearchGuess
     from smoothers.scp.problem import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
@@ -92,7 +92,7 @@ class Progress(NamedTuple):
 
 def search(
     nlp: NonlinearProgram,
-    guess: InitialGuess,
+    guess: SearchGuess,
     pool: ProgramPool,
     max_iterations: int = 60,
     is_late: Callable[[], bool] = never_late,
@@ -230,7 +230,7 @@ class _State:
     found: bool = False
 
     @classmethod
-    def at(cls, guess: InitialGuess, settings: LoopSettings) -> _State:
+    def at(cls, guess: SearchGuess, settings: LoopSettings) -> _State:
         """The state in which a search begins."""
         penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
         return cls(settings, guess.trust_region, guess.proximal, guess.patience, penalties)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.collision.scene import Scene
-    from smoothers.scp.initial_guess import InitialGuess
+    from smoothers.scp.initial_guess import SearchGuess
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
@@ -135,7 +135,7 @@ class Search(NamedTuple):
         relieved: Under the weaker rule of clearance near the start; for robots that start too close to something.
     """
 
-    guess: Callable[[InitialGuesses], InitialGuess | None]
+    guess: Callable[[InitialGuesses], SearchGuess | None]
     thoroughly: bool = False
     after_the_goal: bool = False
     relieved: bool = False
@@ -326,7 +326,7 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Make the program of a row; whether it differs from those before it."""
+        """Make the program that a row asks for; False where it would be the one that was searched already."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False
@@ -430,7 +430,7 @@ class Solver:
             self.outcome.incumbent = Incumbent(path, certificate, cost, status)
             self.outcome.first_certified = self.deadline.elapsed
 
-    def _search_and_repair(self, nlp: NonlinearProgram, guess: InitialGuess) -> None:
+    def _search_and_repair(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         """Search, and search again more cautiously where the certificate refuses the result."""
         chosen = self.settings.anytime
         for _ in range(chosen.repairs + 1):
@@ -448,7 +448,7 @@ class Solver:
         step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
         return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))
 
-    def _search(self, nlp: NonlinearProgram, guess: InitialGuess) -> None:
+    def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False
         expected = _expected_iteration(nlp, self.settings.anytime)
         before = self.deadline.elapsed

@@ -10,7 +10,7 @@ from optdock.plugins.registry import INTERFACES
 
 ROOT = Path(__file__).parents[2]
 FENCES = re.compile(r"^```(?:python|sh|yaml)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PLUGINS = sorted((kind, entry.name) for kind in INTERFACES for entry in entry_points(group=f"optdock.{kind}"))
+PLUGINS = sorted(entry.name for kind in INTERFACES for entry in entry_points(group=f"optdock.{kind}"))
 
 
 def what_runs():
@@ -32,11 +32,9 @@ def what_runs():
 RUN = "\n".join(what_runs())
 
 
-@pytest.mark.parametrize(("kind", "name"), PLUGINS, ids=[name for _, name in PLUGINS])
-def test_every_entry_point_is_run_somewhere(kind, name):
-    assert re.search(rf"\b{name}\b", RUN) or (
-        kind == "goal_checkers" and f'"{name.removesuffix("GoalChecker")}"' in RUN
-    )
+@pytest.mark.parametrize("name", PLUGINS)
+def test_every_entry_point_is_run_somewhere(name):
+    assert re.search(rf"\b{name}\b", RUN)
 
 
 def test_a_name_that_nobody_runs_is_noticed():

@@ -16,7 +16,8 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, contact_tolerance, pose_clearance
+from optdock.verification.certificate import TOLERANCE
 
 TOUCHING = ClearanceRule(0.0, 0.0, 0.0)
 
@@ -143,3 +144,8 @@ def test_what_counts_as_free_is_nowhere_deep(seed):
     rock = shapely.union_all([shapely.Polygon(one).buffer(1e-8, join_style="mitre") for one in rocks])
     assert robot.buffer(-2.2e-6).intersection(rock.buffer(-1e-8)).area < 1e-18
     assert robot.intersection(rock.buffer(-2.3e-6)).area < 1e-18
+
+
+def test_forgiven_contact_stays_clear_of_the_core():
+    """The core of a footprint, which is made with it, begins twice as deep as certificates forgive."""
+    assert contact_tolerance.DEPTH == 2.0 * TOLERANCE
