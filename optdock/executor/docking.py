@@ -141,7 +141,7 @@ class DockingExecutor:
     @property
     def state(self) -> State:
         """What is being done."""
-        return State.ENDED if self._ending is not None else self._procedure.state
+        return State.ENDED if self._ending is not None else self._procedure.cycles.state
 
     @property
     def robot(self) -> Pose2 | None:
@@ -155,8 +155,8 @@ class DockingExecutor:
 
     def cancel(self) -> None:
         """End the task: a stop within the limits, and the ending `cancelled`."""
-        if not self._procedure.cancelled:
-            self._procedure.cancelled = True
+        if not self._procedure.cycles.cancelled:
+            self._procedure.cycles.cancelled = True
             if self._log is not None:
                 self._log.cancel()
 
@@ -183,7 +183,7 @@ class DockingExecutor:
         self._perception.update(self._of_dock(measurements), now, self._offset)
         command = self._command(tick.of_commands)
         state = self.state
-        deviation = self._procedure.deviation if self._ending is None else None
+        deviation = self._procedure.cycles.deviation if self._ending is None else None
         step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
         if self._log is not None:
             self._log.cycle(measurements, step)
@@ -229,7 +229,7 @@ class DockingExecutor:
     def _tick(self, stamp: float) -> _Tick:
         """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
-        self._procedure.situation.interruption = ("", "")
+        self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1
         if self._began is None:
             self._began = stamp
@@ -259,12 +259,12 @@ class DockingExecutor:
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
-        self._procedure.situation.interruption = (name, reason)
+        self._procedure.cycles.situation.interruption = (name, reason)
 
     def _command(self, period: float) -> Twist2:
         procedure, wish = self._procedure, None
         if self._ending is None:
-            procedure.situation.commanded = self._limiter.command
+            procedure.cycles.situation.commanded = self._limiter.command
             try:
                 wish = next(self._cycles)
             except StopIteration as over:

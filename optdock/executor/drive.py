@@ -11,10 +11,11 @@ import numpy as np
 from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import ControllerException
 from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
+from optdock.executor.dock_estimate import LONGEST_HIDDEN, NO_ROOM
 from optdock.executor.interruptions import SHORTER_WAY, TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
-from optdock.executor.situation import AT_A_STAND, LONGEST_HIDDEN, NO_ROOM
+from optdock.executor.planning_scene import AT_A_STAND
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.model.segments import TurnSegment
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
@@ -131,7 +132,7 @@ class TrajectoryDrive:
         self._way = _Way(motion.trajectory.path)
         if self._is_approach and not self._is_stop:
             gears = [int(segment.direction) for segment in motion.trajectory.path.segments]
-            self._situation.approach_gear = next((float(gear) for gear in reversed(gears) if gear), None)
+            self._situation.estimate.approach_gear = next((float(gear) for gear in reversed(gears) if gear), None)
         self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
         proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
         self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
@@ -160,16 +161,21 @@ class TrajectoryDrive:
             self.docked = self._contact()
             if self.docked is not None:
                 return True
-            is_hidden = settings.use_detections and situation.is_dock_hidden
+            is_hidden = settings.use_detections and situation.estimate.is_hidden
             self._limit_speed(self._share_while_hidden() if is_hidden else 1.0)
-            if settings.use_detections and situation.detection_is_old and not is_hidden and situation.left > NO_ROOM:
+            if (
+                settings.use_detections
+                and situation.estimate.detection_is_old
+                and not is_hidden
+                and situation.estimate.left > NO_ROOM
+            ):
                 place, turn = situation.perception.sigma
                 reason = (
                     f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
                 )
                 raise Interrupted("detection missing", reason)
         if situation.now > self._until:
-            reason = f"timeout while {self._state.value}: {situation.where}"
+            reason = f"timeout while {self._state.value}: {situation.estimate.where}"
             if self._is_approach:
                 raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
             raise TaskFailed(_LATE_ENDINGS.get(self._state, EndingKind.FAILED_TO_CONTROL), reason)
@@ -229,7 +235,7 @@ class TrajectoryDrive:
         controller = self._controller
         if controller.state is LifecycleState.INACTIVE:
             controller.cleanup()
-        costmap = self._situation.costmap if self._situation.perception.costmap is not None else None
+        costmap = self._situation.scene.costmap if self._situation.perception.costmap is not None else None
         controller.configure(PluginContext(name=controller.name, problem=motion.problem, local_costmap=costmap))
 
     @property
@@ -254,11 +260,11 @@ class TrajectoryDrive:
         ]
         moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
         relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
-        along, _, yaw = situation.errors_in_dock()  # no way is left on which the error across could be corrected
+        along, _, yaw = situation.estimate.errors()  # no way is left on which the error across could be corrected
         is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma, _ in (along, yaw))
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
             return None  # what is left is still being corrected
-        path = [Pose2(-0.1 * situation.gear, 0.0, 0.0), goal]
+        path = [Pose2(-0.1 * situation.estimate.gear, 0.0, 0.0), goal]
         is_reached = self._goal_checker.is_goal_reached(relative, goal, situation.twist, path)
         return EndingKind.DOCKED_BY_DISTANCE if is_reached else None
 
@@ -283,7 +289,7 @@ class TrajectoryDrive:
     def _look_around(self) -> None:
         """A new picture of the surroundings: does the rest of the motion still hold?"""
         situation = self._situation
-        costmap = situation.costmap
+        costmap = situation.scene.costmap
         if costmap is None or costmap is self._costmap:
             return
         self._costmap = costmap
@@ -358,7 +364,7 @@ class TrajectoryDrive:
                 return
             self._report("plan asked for", self._where)
         problem = (
-            situation.to_dock()
+            situation.scene.to_dock()
             if self._is_approach
             else dataclasses.replace(self.motion.problem, costmap=self._costmap)
         )
@@ -392,7 +398,7 @@ class TrajectoryDrive:
         if before is None or now is None or not self._pays(least):
             return False
         between = np.stack((situation.perception.robot.as_array()[:2], end.as_array()[:2]))
-        return _has_gone(before, now, between, situation.footprint.circumscribed_radius + _BESIDE)
+        return _has_gone(before, now, between, situation.problem.robot.footprint.circumscribed_radius + _BESIDE)
 
     def _pays(self, duration: float) -> bool:
         """Whether a plan from rest that takes so long [s] is worth a stop."""
@@ -405,7 +411,7 @@ class TrajectoryDrive:
         now = trajectory.at(min(max(self._reference[0], 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)
         stop = min(now.s + 0.5 * speed * situation.braking_time_from(speed), trajectory.path.length)
-        here = situation.to_dock() if self._is_approach else self.motion.problem
+        here = situation.scene.to_dock() if self._is_approach else self.motion.problem
         start = Pose2.from_sequence(trajectory.path.poses_at(np.array([stop]))[0])
         problem = dataclasses.replace(here, start=start, costmap=self._costmap, **AT_A_STAND)
         self._report("plan asked for", "from rest: something that was in the way has gone")
@@ -429,9 +435,11 @@ class TrajectoryDrive:
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
         limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma
-        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, situation.gear, limits):
+        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, situation.estimate.gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
-            left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear, SHORTEST_DECAY)]
+            left_over = [
+                abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.estimate.gear, SHORTEST_DECAY)
+            ]
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
             turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
             if (off or turned) and (not cusps or now.s >= cusps[-1]):
@@ -439,7 +447,7 @@ class TrajectoryDrive:
                     TOO_FAR_OFF, f"{error.y:.3f} m and {error.yaw:.3f} rad off the path, {left:.3f} m left"
                 )
             return False
-        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear, DECAY)]
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.estimate.gear, DECAY)]
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
         self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
