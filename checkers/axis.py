@@ -52,7 +52,7 @@ class AxisGoalCheckerParameters(PluginParameters):
     rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
 
 
-class _Axis(NamedTuple):
+class _EndDirection(NamedTuple):
     """Unit vector of the end of the path."""
 
     x: float
@@ -94,7 +94,7 @@ class AxisGoalChecker(GoalChecker):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         _check_baseline(self.parameters, self.parameters.path_length_tolerance)
-        self._cached_axis: _Axis | None = None
+        self._cached_axis: _EndDirection | None = None
 
     def is_goal_reached(
         self,
@@ -162,7 +162,7 @@ class AxisGoalChecker(GoalChecker):
         given = p.fallback_radial_goal_tolerance
         return min(p.along_path_tolerance, p.cross_track_tolerance) if given is None else given
 
-    def _axis(self, goal_pose: Pose2, path: Sequence[Pose2]) -> _Axis | None:
+    def _axis(self, goal_pose: Pose2, path: Sequence[Pose2]) -> _EndDirection | None:
         p = self.parameters
         if not path:
             return self._cached_axis
@@ -174,13 +174,13 @@ class AxisGoalChecker(GoalChecker):
         return self._cached_axis
 
 
-def _end_axis(path: Sequence[Pose2], end: Pose2, baseline: float) -> _Axis | None:
+def _end_axis(path: Sequence[Pose2], end: Pose2, baseline: float) -> _EndDirection | None:
     """Direction to `end` from the last pose before the path's own last that is `baseline` or more away."""
     for i in range(len(path) - 2, -1, -1):
         dx, dy = end.x - path[i].x, end.y - path[i].y
         distance = math.hypot(dx, dy)
         if distance >= baseline:
-            return _Axis(dx / distance, dy / distance)
+            return _EndDirection(dx / distance, dy / distance)
     return None
 
 

@@ -5,7 +5,7 @@ import smoothers
 
 from .config import Scenario as Scenario
 from .config import load_scenario as load_scenario
-from .controllers.tracking import TrackingController as TrackingController
+from .controllers.tracking_controller import TrackingController as TrackingController
 from .costmap.costmap import Costmap as Costmap
 from .errors import Cancelled as Cancelled
 from .errors import CertificationFailed as CertificationFailed

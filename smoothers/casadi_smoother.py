@@ -24,18 +24,18 @@ from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResul
 from optdock.plugins.parameters import PluginParameters, checked_seconds
 from optdock.verification import certify_path, pose_clearances
 from smoothers.scp.cost import Weights
-from smoothers.scp.problem import Formulation
+from smoothers.scp.nlp import Formulation
+from smoothers.scp.pieces_between_turns import TurningSolver, with_turns
 from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
 from smoothers.scp.refusals import refuse_certificate
+from smoothers.scp.search import Call, Solver
 from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
-from smoothers.scp.strategy import Call, Solver
-from smoothers.scp.turns import TurningSolver, with_turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.plugins.lifecycle import PluginContext
-    from smoothers.scp.strategy import Incumbent, SearchOutcome
+    from smoothers.scp.search import Incumbent, SearchOutcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 

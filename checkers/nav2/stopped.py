@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from checkers._measures import is_stopped
-from checkers.nav2.simple import SimpleGoalChecker, SimpleGoalCheckerParameters
+from checkers.nav2.simple_goal import SimpleGoalChecker, SimpleGoalCheckerParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

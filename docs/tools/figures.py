@@ -25,7 +25,7 @@ from optdock.ros import plan_markers
 from optdock.ros.bag import bag_types
 from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.timing.forward_backward import forward_backward_pass
-from optdock.timing.motion import MotionState
+from optdock.timing.jerk_phases import MotionState
 from optdock.timing.path_limits import ReferenceBounds, limits_along
 from optdock.verification import pose_clearances
 

@@ -20,14 +20,14 @@ from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase
+from smoothers.scp.collision.collision_scene import body_at_nodes
 from smoothers.scp.collision.narrow_phase import narrow_phase
-from smoothers.scp.collision.scene import body_at_nodes
 from smoothers.scp.goal_projection import clipped, exact_path, onto_goal
 from smoothers.scp.loop import judged
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.refusals import refuse_search
 from smoothers.scp.rollout import Variables, roll_out
-from smoothers.scp.strategy import Solver
+from smoothers.scp.search import Solver
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.cost import CostModel
     from smoothers.scp.loop import Iterate
-    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
 
 __all__ = ["SymbolicModel", "cost_expression", "model_for", "smooth_by_ipopt", "solve_reference"]
 

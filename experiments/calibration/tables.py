@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.calibration.tube import conformal_tube
+from optdock.calibration.conformal_tube import conformal_tube
 from optdock.geometry.pose import displacement
 from optdock.reports.report import table
 

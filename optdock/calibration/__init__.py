@@ -2,9 +2,9 @@
 
 from optdock.calibration.calibrate import Calibration, calibrate
 from optdock.calibration.files import ReadFile, read_recording
+from optdock.calibration.findings import as_text, as_yaml, written_values
 from optdock.calibration.picture import save_calibration_picture
 from optdock.calibration.recording import Recording
-from optdock.calibration.report import as_text, as_yaml, written_values
 from optdock.calibration.statistics import Quantity
 
 __all__ = [

@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.calibration.conformal_tube import conformal_tube
 from optdock.calibration.detections import detection_quantities
-from optdock.calibration.drive import drive_response
+from optdock.calibration.drive_response import drive_response
 from optdock.calibration.localization import localization_errors, stored_dock
-from optdock.calibration.motion import odometry_quantities, smoothed
 from optdock.calibration.odometry import odometry_age, twist_window
+from optdock.calibration.odometry_errors import odometry_quantities, smoothed
 from optdock.calibration.statistics import Quantity, unknown
-from optdock.calibration.tube import conformal_tube
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.calibration.drive import DriveResponse
+    from optdock.calibration.conformal_tube import DrivenTube
+    from optdock.calibration.drive_response import DriveResponse
     from optdock.calibration.localization import LocalizationErrors
-    from optdock.calibration.motion import RecordedMotion
+    from optdock.calibration.odometry_errors import RecordedMotion
     from optdock.calibration.recording import Recording
-    from optdock.calibration.tube import DrivenTube
     from optdock.geometry.pose import Pose2
 
 __all__ = ["Calibration", "calibrate"]

@@ -11,7 +11,7 @@ from optdock.calibration.statistics import Quantity, share_of, student, unknown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.calibration.motion import Noise, RecordedMotion, Seen, Smoothed
+    from optdock.calibration.odometry_errors import Noise, RecordedMotion, Seen, Smoothed
     from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_of"]
@@ -51,7 +51,7 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     """
     from scipy.optimize import minimize
 
-    from optdock.calibration.motion import Noise
+    from optdock.calibration.odometry_errors import Noise
 
     residuals = np.concatenate([one.residuals for one in seen])
     ranges = np.concatenate([one.ranges for one in seen])

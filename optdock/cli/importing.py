@@ -112,7 +112,7 @@ def nav2(  # noqa: PLR0913 - one parameter per option
         import dataclasses
 
         from optdock.config import save_scenario
-        from optdock.nav2.scenario import nav2_scenario
+        from optdock.nav2.docking_problem import nav2_scenario
         from optdock.reports.report import table
 
         checked_positive("--time-budget", time_budget, "s")

@@ -114,7 +114,7 @@ class _Nav2Sources(NamedTuple):
 
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     from optdock.config import load_scenario
-    from optdock.nav2.scenario import nav2_scenario
+    from optdock.nav2.docking_problem import nav2_scenario
     from optdock.reports.report import table
 
     given = [name for name, value in nav2._asdict().items() if value is not None]

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from optdock.samples.tube import Deviations
     from optdock.simulation import Run
 
-__all__ = ["World", "demo", "driven", "simulate"]
+__all__ = ["WorldDeviations", "demo", "driven", "simulate"]
 
 
-class World(NamedTuple):
+class WorldDeviations(NamedTuple):
     """How the simulated world differs from the plan.
 
     Args:
@@ -53,7 +53,7 @@ class World(NamedTuple):
     latency: float = 0.04
 
 
-_USUAL = World()
+_USUAL = WorldDeviations()
 
 
 def simulate(  # noqa: PLR0913 - one parameter per option
@@ -85,7 +85,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
         from optdock.reports.report import run_rows, table
         from optdock.simulation import beyond_proof
 
-        world = _checked(World(position_noise, yaw_noise, lag, latency))
+        world = _checked(WorldDeviations(position_noise, yaw_noise, lag, latency))
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         _check_animation(gif)
@@ -190,7 +190,7 @@ def _refuse_fault(run: Run, left: str) -> None:
         raise typer.Exit(ExitStatus.NOT_CERTIFIED)
 
 
-def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL) -> Run:
+def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations = _USUAL) -> Run:
     """The plan driven in closed loop by the scenario's controller until its goal checker says docked.
 
     What the DockGoalChecker says at the end stands beside it: it alone judges the heading as well.
@@ -236,7 +236,7 @@ def _deviations(plan: DockPlan, run: Run) -> Deviations:
     return Tube(plan.path, plan.problem, plan.certificate.start_relief).deviations(run.poses)
 
 
-def _checked(world: World) -> World:
+def _checked(world: WorldDeviations) -> WorldDeviations:
     from optdock.io.numbers import unit_fault
     from optdock.simulation import Actuation
 

@@ -19,11 +19,11 @@ log, replay     everything taken down, and driven again
 """
 
 from optdock.executor.docking import DockingExecutor
-from optdock.executor.outcomes import Ending, EndingKind, Event, Feedback, FeedbackState, State, Step
+from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.planning import InlinePlanning, Planning, ThreadPlanning
 from optdock.executor.planning_process import PlanningProcess
-from optdock.executor.settings import ExecutorSettings
 from optdock.executor.simple_dock import SimpleDock
+from optdock.executor.task_states import Ending, EndingKind, Event, Feedback, FeedbackState, State, Step
 
 __all__ = [
     "DockingExecutor",

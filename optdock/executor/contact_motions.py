@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from optdock.executor.control_cycles import REST_PATIENCE
 from optdock.executor.interruptions import AttemptFailed
-from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.task_states import EndingKind, State
 from optdock.geometry.pose import Twist2
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from optdock.executor.interruptions import CancelRequested, TaskFailed
-from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.task_states import EndingKind, State
 from optdock.geometry.pose import Twist2
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from optdock.executor.control_cycles import STOP
 from optdock.executor.interruptions import NOT_DOCKED, AttemptFailed, Interrupted, TaskFailed
-from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.task_states import EndingKind, State
 
 if TYPE_CHECKING:
     from collections.abc import Generator

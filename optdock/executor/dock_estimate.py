@@ -10,8 +10,8 @@ from optdock.geometry.pose import normalize_angle
 from optdock.model.dock import DockDirection
 
 if TYPE_CHECKING:
+    from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
-    from optdock.executor.settings import ExecutorSettings
     from optdock.model.problem import DockingProblem
 
 __all__ = ["LAST_LOOK", "LONGEST_HIDDEN", "NO_ROOM", "DockEstimate"]

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
 from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.intake import Intake, usable
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
-from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
 from optdock.executor.procedure import Procedure
-from optdock.executor.settings import ExecutorSettings
 from optdock.executor.simple_dock import SimpleDock
+from optdock.executor.task_states import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.geometry.checked import instance
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.problem import DockingProblem

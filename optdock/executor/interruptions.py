@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from optdock.executor.outcomes import EndingKind
+    from optdock.executor.task_states import EndingKind
 
 __all__ = [
     "HELD",

@@ -25,9 +25,9 @@ from optdock.config.scenario import problem_of
 from optdock.config.writing import problem_document
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
-from optdock.executor.outcomes import Ending, EndingKind, Event, State
+from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
-from optdock.executor.settings import ExecutorSettings
+from optdock.executor.task_states import Ending, EndingKind, Event, State
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from types import TracebackType
 
-    from optdock.executor.outcomes import Step
     from optdock.executor.planning import Job, Planning
+    from optdock.executor.task_states import Step
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
     from optdock.plugins.lifecycle import Plugin

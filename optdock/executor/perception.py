@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
-    from optdock.executor.settings import ExecutorSettings
+    from optdock.executor.executor_settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
     from optdock.model.measurements import Detection, Measurements
 

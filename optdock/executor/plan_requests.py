@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from optdock.executor.interruptions import TaskFailed
 from optdock.executor.log import RecordedPlanning
-from optdock.executor.outcomes import EndingKind
 from optdock.executor.planning import Job, Outcome
+from optdock.executor.task_states import EndingKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,8 +15,8 @@ from optdock.model.problem import ClearanceRule
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
+    from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
-    from optdock.executor.settings import ExecutorSettings
     from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
 

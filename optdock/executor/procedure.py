@@ -24,8 +24,8 @@ from optdock.executor.interruptions import (
     TaskFailed,
 )
 from optdock.executor.nudge import Nudge
-from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.situation import Situation
+from optdock.executor.task_states import EndingKind, State
 from optdock.executor.travel import MOST_BLOCKS, Travel
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
     from optdock.executor.checked_dock_type import CheckedDockType
     from optdock.executor.control_cycles import Cycles, Wish
+    from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
     from optdock.executor.planning import DrivenMotion, Planning, PlanResult
-    from optdock.executor.settings import ExecutorSettings
     from optdock.model.problem import DockingProblem
     from optdock.plugins.interfaces import Controller, GoalChecker
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from optdock.executor.dock_estimate import DockEstimate
 from optdock.executor.interruptions import HELD, Interrupted
-from optdock.executor.outcomes import EndingKind
 from optdock.executor.planning_scene import PlanningScene
 from optdock.executor.staging import StagingPoses
+from optdock.executor.task_states import EndingKind
 from optdock.geometry.pose import Twist2
 from optdock.model.measurements import AtDock
 from optdock.plugins.outcomes import Contact
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.executor.checked_dock_type import CheckedDockType
+    from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
-    from optdock.executor.settings import ExecutorSettings
     from optdock.model.problem import DockingProblem
 
 __all__ = ["Situation"]

@@ -6,11 +6,11 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 from optdock.executor.control_cycles import STOP
-from optdock.executor.drive import TrajectoryDrive
 from optdock.executor.interruptions import HELD, SHORTER_WAY, AttemptFailed, Interrupted, NoWay, TaskFailed
-from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.plan_requests import PlanRequests
 from optdock.executor.planning import Job, Outcome, PlanResult
+from optdock.executor.task_states import EndingKind, State
+from optdock.executor.trajectory_drive import TrajectoryDrive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator

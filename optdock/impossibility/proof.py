@@ -233,11 +233,11 @@ _Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
 _Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
-class _Model(BaseModel):
+class _ProofModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class _BottleneckDocument(_Model):
+class _BottleneckDocument(_ProofModel):
     x: _Number
     y: _Number
     yaw: _Number
@@ -247,7 +247,7 @@ class _BottleneckDocument(_Model):
     between: tuple[str, ...]
 
 
-class _ProofDocument(_Model):
+class _ProofDocument(_ProofModel):
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]
     cell: Annotated[float, Field(gt=0.0, le=1e6)]
@@ -314,7 +314,7 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
     rim = _Rim(proof)
     inner, outer = (problem.goal, problem.start) if proof.end == "goal" else (problem.start, problem.goal)
     fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
-    judge = _Judge(proof, problem)
+    judge = _CellTest(proof, problem)
     count = 0
     for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
         if fault:
@@ -463,7 +463,7 @@ class _Rim:
         np.logical_or.at(self.blocked[k], place, must)
 
 
-class _Judge:
+class _CellTest:
     """Whether cells are blocked, by exact distances of discs from obstacles."""
 
     def __init__(self, proof: ImpossibilityProof, problem: DockingProblem) -> None:

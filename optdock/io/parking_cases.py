@@ -193,7 +193,7 @@ class _Row:
         return vertices
 
 
-class _Part(BaseModel):
+class _CaseModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -214,7 +214,7 @@ _Yaw = Annotated[_Number, AfterValidator(_yaw_checked)]
 _Polygon = Annotated[list[list[_Number]], AfterValidator(_simple)]
 
 
-class _Vehicle(_Part):
+class _Vehicle(_CaseModel):
     wheelbase: _Positive
     front_from_rear_axle: _Positive
     rear_from_rear_axle: _Positive
@@ -241,21 +241,21 @@ class _Vehicle(_Part):
         ).robot
 
 
-class _Grid(_Part):
+class _OccupancyGrid(_CaseModel):
     x: list[_Number]
     y: list[_Number]
     yaw: _Yaw
     note: str = ""
 
 
-class _Scene(_Part):
+class _Scene(_CaseModel):
     obstacles: Annotated[list[_Polygon], Field(max_length=MOST_POLYGONS)]
     goal: tuple[_Number, _Number, _Yaw]
 
 
-class _Scenes(_Part):
+class _Scenes(_CaseModel):
     vehicle: _Vehicle
-    start_grid: _Grid
+    start_grid: _OccupancyGrid
     backwards: _Scene
     parallel: _Scene
     xy_bounds: object = None
@@ -303,7 +303,7 @@ def load_obca(source: str | Path, scene: str, start: int) -> ParkingCase:
 
 
 def _known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
-    parts: dict[str, type[BaseModel]] = {"vehicle": _Vehicle, "start_grid": _Grid}
+    parts: dict[str, type[BaseModel]] = {"vehicle": _Vehicle, "start_grid": _OccupancyGrid}
     parts |= dict.fromkeys(OBCA_SCENES, _Scene)
     model = parts.get(str(key[0])) if key else _Scenes
     return tuple(model.model_fields) if model and len(key) < 2 else ()

@@ -70,14 +70,14 @@ class _Polyline(_Columns):
     direction: Gear
 
 
-class _Turn(_Columns):
+class _TurnColumns(_Columns):
     """A turn in place: where it begins [m, m, rad], and by how much [rad]."""
 
     start: Annotated[list[Number], Field(min_length=3, max_length=3)]
     turn: Number
 
 
-_Curve: TypeAlias = _Clothoid | _Polyline | _Turn
+_Curve: TypeAlias = _Clothoid | _Polyline | _TurnColumns
 
 
 class PathColumns(_Columns):
@@ -166,14 +166,14 @@ def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, pos
 def _numbers(curve: _Curve) -> Iterator[float]:
     if isinstance(curve, _Clothoid):
         yield from (*curve.start, *curve.knots, *curve.curvature)
-    elif isinstance(curve, _Turn):
+    elif isinstance(curve, _TurnColumns):
         yield from (*curve.start, curve.turn)
     else:
         yield from (number for pose in curve.poses for number in pose)
 
 
 def _segment(curve: _Curve) -> Segment:
-    if isinstance(curve, _Turn):
+    if isinstance(curve, _TurnColumns):
         return TurnSegment(Pose2.from_sequence(curve.start), curve.turn)
     if isinstance(curve, _Polyline):
         return PolylineSegment(np.array(curve.poses).reshape(-1, 3), Direction(curve.direction))

@@ -55,11 +55,11 @@ class RunColumns(NamedTuple):
         return self.docked
 
 
-class _Model(BaseModel):
+class _RunModel(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class _RunDocument(_Model):
+class _RunDocument(_RunModel):
     format: Literal["optdock-run/1"]
     docked: bool
     reason: str = ""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.io.numbers import check_outline
-from optdock.nav2.numbers import NumberReader
+from optdock.nav2.parameter_numbers import NumberReader
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,7 +18,7 @@ from optdock.io.numbers import check_yaw, is_number
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
 from optdock.model.dock import DockDirection
-from optdock.nav2.numbers import NumberReader
+from optdock.nav2.parameter_numbers import NumberReader
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:

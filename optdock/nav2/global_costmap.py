@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidFile
 from optdock.nav2.layered_costmap import LayeredCostmap
-from optdock.nav2.layers.dock import DockLayer
+from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.provided_plugins import Nav2Plugin, provided
 from optdock.plugins.interfaces import Layer

@@ -60,7 +60,7 @@ _USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is
 _NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.leggauss(3)) / 2.0 + [[0.5], [0.0]])
 
 
-class _Gear(NamedTuple):
+class _GearPiece(NamedTuple):
     """One gear, or turn, that is bent.
 
     `knots`: of the free part, Shape (n,) [m], first 0. `curvature`: there, Shape (n,) [1/m]. `tail`: length of the
@@ -78,7 +78,7 @@ class _Gear(NamedTuple):
         """How many numbers shape it: curvatures and the length, or the turn."""
         return self.curvature.size + 1 if self.sign else 1
 
-    def changed(self, change: FloatArray) -> _Gear:
+    def changed(self, change: FloatArray) -> _GearPiece:
         """The gear with its numbers changed by so much; a length by its logarithm."""
         if self.sign == 0:
             return self._replace(turn=self.turn + float(change[0]))
@@ -170,19 +170,19 @@ def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
     return None
 
 
-def _gears(path: Path, final_straight: float) -> list[_Gear] | None:
+def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
     """The gears of a path with knots enough to be bent; None where it is made of something else, or has no room."""
     gears = []
     for segment in path.segments:
         if isinstance(segment, TurnSegment):
-            gears.append(_Gear(segment.knots, np.zeros(0), 0.0, 0, segment.turn))
+            gears.append(_GearPiece(segment.knots, np.zeros(0), 0.0, 0, segment.turn))
         elif isinstance(segment, ClothoidSegment):
             tail = final_straight if segment is path.segments[-1] else 0.0
             free = segment.length - tail
             if free <= 2.0 * _SHORTEST_PIECE:
                 return None
             knots = _refined(segment.knots, free)
-            gears.append(_Gear(knots, segment.curvature_at(knots), tail, segment.spline.sign))
+            gears.append(_GearPiece(knots, segment.curvature_at(knots), tail, segment.spline.sign))
         else:
             return None
     return gears
@@ -200,7 +200,7 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
     return np.append(np.concatenate(pieces), length)
 
 
-def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
+def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None:
     """The exact curves from a pose.
 
     None where a turn has vanished or changed its side, or a curve turns so often that it cannot be evaluated.
@@ -234,7 +234,7 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
     return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
-def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
+def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> FloatArray:
     """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
     left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
     speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
@@ -254,7 +254,7 @@ class _Program:
         steers: See `deformed`.
     """
 
-    def __init__(self, gears: list[_Gear], limits: MotionLimits, speed: float, *, steers: bool) -> None:
+    def __init__(self, gears: list[_GearPiece], limits: MotionLimits, speed: float, *, steers: bool) -> None:
         sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
         self.most = limits.max_curvature * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
@@ -279,13 +279,13 @@ class _Program:
         for begin, gear in zip(self.starts.tolist(), gears, strict=False):
             self.price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
 
-    def keeps_bounds(self, gears: list[_Gear]) -> bool:
+    def keeps_bounds(self, gears: list[_GearPiece]) -> bool:
         """Whether curvature and rates are within their bounds."""
         curvature, rates, _ = self._bounded(gears)
         slack = 1.0 / _USED
         return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
 
-    def _bounded(self, gears: list[_Gear]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _bounded(self, gears: list[_GearPiece]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """All curvatures, all rates, and the rows of the rates over all numbers."""
         curvature = np.concatenate([gear.curvature for gear in gears])
         rates, rows = [], np.zeros((self.most_rates.size, self.size))
@@ -303,7 +303,11 @@ class _Program:
         return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
 
     def least_change(
-        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: list[tuple[Push, _Contact]]
+        self,
+        gears: list[_GearPiece],
+        segments: tuple[Segment, ...],
+        gap: FloatArray,
+        pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
         """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
         end = segments[-1].poses_at(segments[-1].length)[0]
@@ -331,7 +335,7 @@ class _Program:
             return None
         return np.split(change, self.starts[1:-1])
 
-    def _price(self, gear: _Gear) -> FloatArray:
+    def _price(self, gear: _GearPiece) -> FloatArray:
         """Of a change of a gear's numbers: the squared norm of what it does, as a matrix."""
         if gear.sign == 0:
             return np.array([[1.0]])
@@ -345,7 +349,7 @@ class _Program:
 
     def _moves(
         self,
-        gears: list[_Gear],
+        gears: list[_GearPiece],
         segments: tuple[Segment, ...],
         end: FloatArray,
         until: tuple[int, float] = (_ALL, 1.0),

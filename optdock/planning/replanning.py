@@ -54,7 +54,7 @@ from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
-from optdock.timing.motion import DriveBounds, MotionState
+from optdock.timing.jerk_phases import DriveBounds, MotionState
 from optdock.timing.start_states import full_stop
 from optdock.verification import (
     TOLERANCE,
@@ -245,7 +245,7 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
         raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
     state = _checked(state)
     world = _world(plan, target)
-    plugins = _Plugins(planner, smoother, timing)
+    plugins = _ChosenPlugins(planner, smoother, timing)
     plugins.warm_up()
     run = _Replanning(plan, world, state, time_budget, lead, Cancellation(cancel_checker))
     with garbage_collection_paused():
@@ -280,7 +280,7 @@ _WARM: set[object] = set()  # what was warmed up in this process
 
 
 @dataclass(frozen=True, eq=False)
-class _Plugins:
+class _ChosenPlugins:
     """What was chosen; made when it is needed."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
@@ -303,7 +303,7 @@ class _Plugins:
         return plugin_from(TimeParameterizer, self.chosen_timing, "timing")
 
 
-class _Joint(NamedTuple):
+class _BranchPoint(NamedTuple):
     """A place on the running trajectory, and the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
@@ -342,7 +342,7 @@ class _Replanning:
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
     ahead: Path = field(init=False)
-    now: _Joint = field(init=False)
+    now: _BranchPoint = field(init=False)
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget)
@@ -351,7 +351,7 @@ class _Replanning:
         if not self.is_on_the_path and (self.state.is_filtered or not self._is_in_tube(self.reference)):
             self._move_ahead()
 
-    def answer(self, delay: float, plugins: _Plugins) -> Replanned:
+    def answer(self, delay: float, plugins: _ChosenPlugins) -> Replanned:
         """New, kept or stop."""
         joint = self._joint(self.lead, at_a_rest=True)
         if not self.is_on_the_path and self.ahead is self.path and not self._is_in_tube(joint.pose):
@@ -371,7 +371,7 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: _Joint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
+    def _replanned(self, joint: _BranchPoint, until: ProvenWay | None, plugins: _ChosenPlugins) -> Replanned:
         """A new plan in the gears of the old one; the old one; a new one in other gears.
 
         `until`: the way until the joint; None: the robot is there.
@@ -407,7 +407,7 @@ class _Replanning:
             raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
         return self._new(joint, until, plan)
 
-    def _new(self, joint: _Joint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
+    def _new(self, joint: _BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
         tried, timing = (*self.tried, *plan.tried), self._timing()
         plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
         way = until or proven_way(plan.motion, self.state.pose)
@@ -418,7 +418,7 @@ class _Replanning:
         return len(rest.segments) == 1 and rest.length <= self.world.dock.final_straight
 
     def _in_the_same_gears(
-        self, joint: _Joint, rest: Path, problem: DockingProblem, work: Refinement
+        self, joint: _BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
         """The rest of the running path, deformed, or else smoothed anew; None where neither is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
@@ -488,7 +488,7 @@ class _Replanning:
         clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
-    def _joint(self, lead: float, *, at_a_rest: bool = False) -> _Joint:
+    def _joint(self, lead: float, *, at_a_rest: bool = False) -> _BranchPoint:
         """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
@@ -506,7 +506,7 @@ class _Replanning:
         rest = path.piece(s) if s < length - _NO_WAY else None
         pose = path.end if rest is None else rest.start
         sign = gear or 1
-        return _Joint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
+        return _BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
         """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
@@ -531,7 +531,7 @@ class _Replanning:
             phase, rest = phase + 1, float(law.times[phase + 1])
         return rest
 
-    def _until(self, joint: _Joint) -> WayVerdict | None:
+    def _until(self, joint: _BranchPoint) -> WayVerdict | None:
         """Whether the way from here to the joint is proven to be clear; None: there is none."""
         now = self.now
         if now.rest is None or joint.s - now.s <= _NO_WAY:
@@ -558,7 +558,7 @@ class _Replanning:
         self.tried.append(Attempt(stage, guess, self.deadline.elapsed - began, plan.price))
         return plan
 
-    def _from_joint(self, joint: _Joint) -> DockingProblem:
+    def _from_joint(self, joint: _BranchPoint) -> DockingProblem:
         """The problem of a robot at the joint."""
         limits = self.world.robot.limits
         turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
@@ -652,7 +652,7 @@ class _Replanning:
             found.append(stop)
         return found[-1]
 
-    def _braking(self, joint: _Joint) -> tuple[Trajectory, TrajectoryCertificate]:
+    def _braking(self, joint: _BranchPoint) -> tuple[Trajectory, TrajectoryCertificate]:
         """The quickest certified braking from a joint, or the quickest of all."""
         limits = self.world.robot.limits
         state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))

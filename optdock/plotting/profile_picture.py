@@ -92,7 +92,7 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
         "max_yaw_acceleration": samples.yaw_acceleration,
     }
     rate = np.where(turning, 0.0, trajectory.path.curvature_rate_at(samples.s))
-    along = _Turning(gear * samples.speed, gear * samples.acceleration, curvature, rate)
+    along = _TurnProfile(gear * samples.speed, gear * samples.acceleration, curvature, rate)
     return [
         _Panel(_label("max_speed"), samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
         _Panel(_label("max_acceleration"), samples.acceleration, *accelerations),
@@ -101,7 +101,7 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     ]
 
 
-class _Turning(NamedTuple):
+class _TurnProfile(NamedTuple):
     """As `TurningMotion`."""
 
     v: FloatArray
@@ -111,7 +111,7 @@ class _Turning(NamedTuple):
 
 
 def _more_panels(
-    limits: MotionLimits, drawn: Collection[str], motion: _Turning, turning: BoolArray
+    limits: MotionLimits, drawn: Collection[str], motion: _TurnProfile, turning: BoolArray
 ) -> Iterator[_Panel]:
     """One for every other finite limit that depends on curvature."""
     for name, bound in finite_limits(limits).items():

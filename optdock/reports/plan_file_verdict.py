@@ -188,7 +188,7 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
     return [("not judged", ", ".join(named))] if named else []
 
 
-class _Motion(NamedTuple):
+class _MotionVerdict(NamedTuple):
     """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one.
 
     `is_sampled`: only samples of it are known, and they do not refute it.
@@ -201,15 +201,15 @@ class _Motion(NamedTuple):
     is_sampled: bool = False
 
 
-def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _Motion:
+def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _MotionVerdict:
     if plan.trajectory is None:
-        return _Motion("path certified", "none in the file, the path alone is judged", [])
+        return _MotionVerdict("path certified", "none in the file, the path alone is judged", [])
     if plan.time_law is None:
         return _sampled(plan.trajectory, path, problem)
     return _exact(plan.trajectory, path, plan.time_law, problem)
 
 
-def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: DockingProblem) -> _Motion:
+def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: DockingProblem) -> _MotionVerdict:
     """The proof of the phases, and whether the samples are those of them."""
     trajectory = Trajectory(path, law)
     proof = certify_motion(trajectory, problem)
@@ -220,9 +220,9 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
         judged = _sampled(motion, path, problem)
         return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
     if faults:
-        return _Motion("not certified", f"{said}, refuted", faults)
+        return _MotionVerdict("not certified", f"{said}, refuted", faults)
     agree = f"{said}, certified; {samples.samples} samples agree with them{_beside(samples)}"
-    return _Motion("certified", agree, [], proof)
+    return _MotionVerdict("certified", agree, [], proof)
 
 
 def _beside(verdict: SampledMotionVerdict) -> str:
@@ -233,19 +233,19 @@ def _beside(verdict: SampledMotionVerdict) -> str:
     return f", with poses up to {apart:.2g} m and {turned:.2g} rad off it, which its clearance covers"
 
 
-def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> _Motion:
+def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> _MotionVerdict:
     """What the samples refute, and what they leave open."""
     verdict = check_sampled_motion(motion, path, problem)
     if verdict.refuted:
         faults = [violation.message for violation in verdict.violations]
-        return _Motion("not certified", f"{verdict.samples} samples, refuted", faults)
+        return _MotionVerdict("not certified", f"{verdict.samples} samples, refuted", faults)
     units = {"speed": "m/s", "acceleration": "m/s^2", "place": "m", "yaw rate": "rad/s"}
     open_ = ", ".join(f"{name} to within {bound:.2g} {units[name]}" for name, bound in verdict.unproven.items())
     row = (
         f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
-    return _Motion("path certified, motion not refuted and not proven", row, [], is_sampled=True)
+    return _MotionVerdict("path certified, motion not refuted and not proven", row, [], is_sampled=True)
 
 
 class _Claims:
@@ -256,7 +256,7 @@ class _Claims:
     """
 
     def __init__(
-        self, plan: PlanFile, path: Path, certificate: Certificate, motion: _Motion, problem: DockingProblem
+        self, plan: PlanFile, path: Path, certificate: Certificate, motion: _MotionVerdict, problem: DockingProblem
     ) -> None:
         self._plan, self._path, self._certificate, self._motion = plan, path, certificate, motion
         self._problem = problem

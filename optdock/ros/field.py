@@ -134,10 +134,10 @@ def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions)
         InvalidFile: A topic is missing, empty, of another type or damaged, a message breaks a rule, or frames are not
             joined; the message names file and topic.
     """
-    return _Reader(bag, topics, options).read()
+    return _RecordingReader(bag, topics, options).read()
 
 
-class _Reader:
+class _RecordingReader:
     """Reads one recording; every fault is said with file and topic."""
 
     def __init__(self, bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> None:

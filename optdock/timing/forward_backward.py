@@ -13,7 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.timing.motion import MotionState
+    from optdock.timing.jerk_phases import MotionState
     from optdock.timing.path_limits import ReferenceBounds
 
 __all__ = ["SpeedProfile", "forward_backward_pass"]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.timing.settings import InteriorPoint
+    from optdock.timing.timing_settings import InteriorPoint
 
 __all__ = ["Program", "applied", "load_lapack", "solve"]
 

@@ -8,7 +8,7 @@ Its plans of one segment (`near_optimal_plans`), each made only when the one bef
 4. 2 and 3 again with the bad stretches tightened, at most twice.
 5. From rest, the best of them stretched as far as it takes; the windowed method, before that where it is quicker.
 
-For a moving start whose plans are all refused `strategy` stops and goes; the proof that decides is there, too.
+For a moving start whose plans are all refused `retry_strategy` stops and goes; the proof that decides is there, too.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from pydantic import Field
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
 from optdock.plugins.parameters import PluginParameters
-from optdock.timing.checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
 from optdock.timing.interior_point import load_lapack
-from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, duration_of, stretched
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, duration_of, stretched
 from optdock.timing.path_limits import KEPT, ReferenceBounds, Tightening, Worst, worst_ratio
+from optdock.timing.plan_checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
 from optdock.timing.reference_program import solve_reference, spline_phases
+from optdock.timing.retry_strategy import TimingStart, time_path
 from optdock.timing.ruckig_moves import Move, load_ruckig, move, split_into_moves
-from optdock.timing.settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.start_states import Braking
-from optdock.timing.strategy import TimingStart, time_path
+from optdock.timing.timing_settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
-    from optdock.timing.strategy import Deadlines
+    from optdock.timing.retry_strategy import Deadlines
 
 __all__ = ["NearOptimal", "ReferenceMotion", "near_optimal_plans", "reference_motion"]
 

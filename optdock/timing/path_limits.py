@@ -27,8 +27,8 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.model.limits import LIMITS
 from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
-from optdock.timing.motion import DriveBounds, Motion
-from optdock.timing.settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
+from optdock.timing.jerk_phases import DriveBounds, Motion
+from optdock.timing.timing_settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
 from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ import numpy as np
 from optdock.deadline import ENDLESS
 from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
-from optdock.timing.motion import MotionState, Phases, state_after
+from optdock.timing.jerk_phases import MotionState, Phases, state_after
 
 if TYPE_CHECKING:
     from optdock.deadline import Deadline

@@ -14,10 +14,10 @@ import numpy as np
 from optdock.model.limits import LIMITS
 from optdock.model.trajectory import braking_phases
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.checks import SegmentPlan
-from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, braking_slack
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, braking_slack
 from optdock.timing.path_limits import KEPT, worst_ratio
-from optdock.timing.settings import SAMPLING
+from optdock.timing.plan_checks import SegmentPlan
+from optdock.timing.timing_settings import SAMPLING
 from optdock.timing.turning_limits import turning_ratio
 
 if TYPE_CHECKING:

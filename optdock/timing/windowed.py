@@ -16,11 +16,11 @@ from pydantic import Field
 from optdock.deadline import Deadline
 from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
 from optdock.plugins.parameters import PluginParameters
-from optdock.timing.checks import SegmentPlan, arrived_plan
-from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases, state_after
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, state_after
+from optdock.timing.plan_checks import SegmentPlan, arrived_plan
+from optdock.timing.retry_strategy import TimingStart, time_path
 from optdock.timing.ruckig_moves import load_ruckig, move
-from optdock.timing.settings import WINDOWED, WindowedSettings
-from optdock.timing.strategy import TimingStart, time_path
+from optdock.timing.timing_settings import WINDOWED, WindowedSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
-    from optdock.timing.strategy import Deadlines
+    from optdock.timing.retry_strategy import Deadlines
 
 __all__ = ["Window", "Windowed", "reachable_speed", "s_curve_length", "windowed_plans"]
 

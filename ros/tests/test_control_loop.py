@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
+from optdock_ros.control_loop import ControlLoop, TaskRun, may_be_preferred
 
 from optdock.executor import Ending, EndingKind, Feedback, FeedbackState, State, Step
 from optdock.geometry.footprint import Footprint
@@ -55,7 +55,7 @@ class World:
         self.sent: list[Twist2] = []
         self.seen: list[Step] = []
         self.loop = ControlLoop(ROBOT, PERIOD, now, self.sent.append)
-        self.run = Run(driver, lambda stamp: Measurements(stamp, None), lambda _, step: self.seen.append(step))
+        self.run = TaskRun(driver, lambda stamp: Measurements(stamp, None), lambda _, step: self.seen.append(step))
 
     def end(self, timeout: float = 5.0) -> Ending:
         """Wait for it."""

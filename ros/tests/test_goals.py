@@ -10,7 +10,7 @@ import pytest
 from harness import spinning
 from nav2_msgs.action import SmoothPath
 from optdock_ros import goals
-from optdock_ros.goals import GoalAction, Job, JobEnded, Worker
+from optdock_ros.goals import GoalAction, JobEnded, Worker, WorkerJob
 from rclpy.node import Node
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def worker() -> Iterator[Worker]:
     made.close()
 
 
-def until_asked(job: Job) -> None:
+def until_asked(job: WorkerJob) -> None:
     """Work without an end."""
     while True:
         job.look()
@@ -75,7 +75,7 @@ def test_results_are_kept_for_a_while_and_then_gone(client_node: Client, worker:
     """A goal's handle and result go after their time, or a server grows for as long as it lives."""
     node = Node("keeper")
 
-    def _work(_goal: Any, _job: Job) -> tuple[Any, bool]:
+    def _work(_goal: Any, _job: WorkerJob) -> tuple[Any, bool]:
         return SmoothPath.Result(), True
 
     action = GoalAction(

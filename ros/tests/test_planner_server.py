@@ -12,7 +12,7 @@ from hall import CELLS, ORIGIN, RESOLUTION, Surroundings
 from nav2_msgs.action import ComputePathToPose
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
-from optdock_ros.parameters import flattened
+from optdock_ros.nested_parameters import flattened
 from optdock_ros.planner_server import PlannerServer
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter

@@ -17,7 +17,7 @@ from harness import Lifecycle, spinning
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
 from optdock_ros import smoother_server
-from optdock_ros.parameters import flattened
+from optdock_ros.nested_parameters import flattened
 from optdock_ros.smoother_server import SmootherServer
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.lifecycle import TransitionCallbackReturn

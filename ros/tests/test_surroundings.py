@@ -10,8 +10,8 @@ import pytest
 from hall import COSTMAP, FOOTPRINT, OUTLINE, Surroundings
 from harness import LATCHED, spinning
 from nav_msgs.msg import OccupancyGrid
+from optdock_ros.frame_lookup import TransformBuffer
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, first_collision, nav2_footprint
-from optdock_ros.transforms import TransformBuffer
 from rclpy.node import Node
 
 from optdock import ros

@@ -20,7 +20,7 @@ from smoothers.scp.rollout import Variables, roll_out
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.basis import Basis
-    from smoothers.scp.problem import Ends, NonlinearProgram, VariableBounds
+    from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GoalProjectionSettings
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
-    from smoothers.scp.problem import Ends, NonlinearProgram, VariableBounds
+    from smoothers.scp.nlp import Ends, NonlinearProgram, VariableBounds
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings

@@ -18,13 +18,13 @@ import numpy as np
 from optdock.deadline import never_late
 from smoothers.scp.collision.active_pairs import active_pairs
 from smoothers.scp.collision.broad_phase import broad_phase
+from smoothers.scp.collision.collision_scene import body_at_nodes
 from smoothers.scp.collision.linearization import ClearanceRows, linearized_clearance
 from smoothers.scp.collision.narrow_phase import narrow_phase
-from smoothers.scp.collision.scene import body_at_nodes
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
 from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
-from smoothers.scp.visibility import linearized_view, view_along
+from smoothers.scp.visibility_constraint import linearized_view, view_along
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
     from smoothers.scp.initial_guess import SearchGuess
-    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import LoopSettings
-    from smoothers.scp.visibility import SeenPlaces
+    from smoothers.scp.visibility_constraint import SeenPlaces
 
 __all__ = ["Iterate", "Progress", "evaluated", "judged", "search"]
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.linearization import ClearanceRows
     from smoothers.scp.cost import Quadratic
-    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.rollout import Variables
     from smoothers.scp.settings import StepSettings
 

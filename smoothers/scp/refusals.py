@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate, Violation
     from smoothers.scp.loop import Iterate
-    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
 
 __all__ = [
     "Refusal",

@@ -19,7 +19,7 @@ import numpy as np
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import end_sensitivity, limit_rate
-from smoothers.scp.problem import with_intervals
+from smoothers.scp.nlp import with_intervals
 from smoothers.scp.qp_step import Penalties, Subproblem, solve_step, trusted_nodes
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
 

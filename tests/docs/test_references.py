@@ -13,9 +13,9 @@ import pytest
 import optdock
 from experiments.families import FAMILIES, instance
 from optdock import errors
-from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.planning import Outcome as PlanOutcome
-from optdock.executor.settings import ExecutorSettings
+from optdock.executor.task_states import EndingKind, State
 from optdock.plugins.outcomes import TimingStatus
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,10 +9,10 @@ import math
 import numpy as np
 import pytest
 
-from checkers.dock import DockGoalChecker
-from optdock.controllers import tracking
+from checkers.dock_goal import DockGoalChecker
+from optdock.controllers import tracking_controller
 from optdock.controllers.mpc import MpcController
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.problem import DockingProblem
@@ -49,7 +49,7 @@ def test_it_stays_there_where_the_plan_is_at_its_limits(name, number, late, with
     assert drove.off <= 1.0
     assert drove.time <= 1.05
     assert not drove.is_lost
-    monkeypatch.setattr(tracking, "_STEERED_RATE", 1.0)
+    monkeypatch.setattr(tracking_controller, "_STEERED_RATE", 1.0)
     greedy = TrackingController(turn_reserve=0.0)
     assert experiment.docked(name, DockDirection.FORWARD, start, lag, latency, greedy).off > without
 

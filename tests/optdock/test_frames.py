@@ -13,7 +13,7 @@ from optdock.model.path import Path, may_be_one_frame
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
 from optdock.plugins.registry import create_plugin
-from optdock.testing.contracts.scene import GOAL, ORIGIN, raw_path, scene_problem
+from optdock.testing.contracts.contract_scene import GOAL, ORIGIN, raw_path, scene_problem
 from optdock.verification import certify_path
 
 DEPOT = dataclasses.replace(scene_problem(), frame="depot")

@@ -39,7 +39,7 @@ from optdock.simulation.run import Run
 from optdock.simulation.world import Record
 from optdock.verification import proximity
 from smoothers.scp.basis import basis_for
-from smoothers.scp.collision import narrow_phase, scene
+from smoothers.scp.collision import collision_scene, narrow_phase
 
 POSE = Pose2(0.0, 0.0, 0.0)
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -283,7 +283,7 @@ SHARED = {
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
-    "body_of": lambda: scene.body_of(problem().robot.footprint),
+    "body_of": lambda: collision_scene.body_of(problem().robot.footprint),
 }
 HOLD_NO_ARRAYS = {"_warm_once", "_found", "_store", "_store_of", "_lapack", "_ruckig"}
 

@@ -23,7 +23,7 @@ from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Drive, Robot
-from optdock.nav2.scenario import nav2_scenario
+from optdock.nav2.docking_problem import nav2_scenario
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.registry import PluginChoice
 
@@ -185,7 +185,7 @@ def test_the_file_that_is_read_is_not_written_over(tmp_path):
 
 @pytest.fixture
 def nav2_files(tmp_path):
-    from tests.optdock.nav2.test_scenario import PARAMS
+    from tests.optdock.nav2.test_docking_problem import PARAMS
 
     (tmp_path / "params.yaml").write_text(PARAMS)
     (tmp_path / "maps").mkdir()

@@ -21,7 +21,7 @@ from optdock.plugins.interfaces import Behavior, BehaviorStatus, Controller, Cos
 from optdock.plugins.registry import create_plugin
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
-from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem
+from optdock.testing.contracts.contract_scene import bent_path, post_inside_the_bend, scene_problem
 from optdock.verification import certify_path, pose_clearance, proven_for
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)

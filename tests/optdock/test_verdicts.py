@@ -15,9 +15,9 @@ import optdock
 import smoothers
 from experiments.dense_check import DenseReport, Fault, dense_check
 from optdock.executor.log import Cycle
-from optdock.executor.outcomes import Ending, EndingKind
 from optdock.executor.planning import Outcome, PlanResult, Verdict
 from optdock.executor.replay import Replay
+from optdock.executor.task_states import Ending, EndingKind
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import ImpossibilityVerdict, check_impossibility, prove_impossible
@@ -35,7 +35,7 @@ from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, TimingResul
 from optdock.reports.plan_file_verdict import PlanFileVerdict
 from optdock.samples import SampledMotionVerdict
 from optdock.simulation.run import Run
-from optdock.timing.checks import SegmentPlan
+from optdock.timing.plan_checks import SegmentPlan
 from optdock.timing.start_states import StartVerdict
 from optdock.verification import Certificate, TrajectoryCertificate, Violation, certify_path, certify_trajectory
 from optdock.verification.conservative_advancement import ClearanceProof
@@ -64,7 +64,7 @@ DENIALS = {"refuted"}  # words that say no
 NO_VERDICT = {
     "experiments.families.scene.Scene",  # what a scene was made to be
     "optdock.timing.near_optimal.ReferenceMotion",  # a step of a search, as the two below
-    "optdock.timing.checks.SegmentPlan",
+    "optdock.timing.plan_checks.SegmentPlan",
     "smoothers.scp.loop.Iterate",
 }
 

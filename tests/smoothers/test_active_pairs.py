@@ -11,11 +11,11 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
 from smoothers.scp.collision.active_pairs import active_pairs, local_minima
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase, swept_boxes
+from smoothers.scp.collision.collision_scene import body_at_nodes, scene_around
 from smoothers.scp.collision.narrow_phase import narrow_phase
-from smoothers.scp.collision.scene import body_at_nodes, scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.initial_guess import InitialGuesses
-from smoothers.scp.problem import Formulation, formulate
+from smoothers.scp.nlp import Formulation, formulate
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
 

@@ -16,7 +16,7 @@ from optdock.model.trajectory import TimeLaw, braking_phases
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planning.pipeline import plan_dock
 from smoothers.casadi_smoother import CasadiSmoother
-from smoothers.scp.problem import _braking_distance
+from smoothers.scp.nlp import _braking_distance
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_deceleration=0.6, max_jerk=2.0)
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS)

@@ -27,8 +27,8 @@ from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.collision.linearization import covering_disc_rows
 from smoothers.scp.qp_step import pool_of_this_thread
+from smoothers.scp.search import Solver, is_clothoid_answer
 from smoothers.scp.settings import DEFAULT_SETTINGS
-from smoothers.scp.strategy import Solver, is_clothoid_answer
 
 LONG = 30.0  # [s]: no deadline
 S_CURVE = ((0.0, 0.0), (1.2, 0.0), (2.0, 0.7), (3.2, 0.7))

@@ -8,9 +8,9 @@ import pytest
 from optdock import ClearanceRule, Dock, DockingProblem, Footprint, MotionLimits, Path, Pose2, Robot
 from optdock.model.robot import Drive
 from optdock.model.segments import Direction, PolylineSegment
-from smoothers.scp.collision.scene import scene_around
+from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
-from smoothers.scp.problem import Formulation, formulate
+from smoothers.scp.nlp import Formulation, formulate
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 

@@ -17,11 +17,11 @@ from optdock.model.robot import Robot
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.basis import basis_for
-from smoothers.scp.collision.scene import scene_around
+from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import clipped, limit_rate, rate_is_kept
 from smoothers.scp.initial_guess import InitialGuesses, pure_pursuit, rest_of_earlier_result
-from smoothers.scp.problem import Ends, Formulation, VariableBounds, formulate, shape_for, trace
+from smoothers.scp.nlp import Ends, Formulation, VariableBounds, formulate, shape_for, trace
 from smoothers.scp.rollout import Variables, roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
 

@@ -12,7 +12,7 @@ from optdock.geometry.pose import Pose2
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, InputNodes, Weights
 from smoothers.scp.goal_projection import end_pose, end_sensitivity, onto_goal
-from smoothers.scp.problem import Ends, VariableBounds
+from smoothers.scp.nlp import Ends, VariableBounds
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 from smoothers.scp.settings import DEFAULT_SETTINGS
 

@@ -67,8 +67,8 @@ def test_a_certificate_that_takes_too_long_is_given_up_and_says_nothing_about_th
         return certify_path(path, problem, is_late=is_late)
 
     searches = []
-    monkeypatch.setattr("smoothers.scp.strategy.certify_path", slowly)
-    monkeypatch.setattr("smoothers.scp.strategy.search", lambda *a: searches.append(a) or search(*a))
+    monkeypatch.setattr("smoothers.scp.search.certify_path", slowly)
+    monkeypatch.setattr("smoothers.scp.search.search", lambda *a: searches.append(a) or search(*a))
     if certified:
         assert with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem).completed
     else:

@@ -15,12 +15,12 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.verification import pose_clearances
-from smoothers.scp.collision.scene import scene_around
+from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import rate_is_kept
 from smoothers.scp.initial_guess import InitialGuesses
 from smoothers.scp.loop import evaluated
-from smoothers.scp.problem import Formulation, formulate, with_intervals
+from smoothers.scp.nlp import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS

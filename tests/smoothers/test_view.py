@@ -17,7 +17,7 @@ from optdock.verification import certify_path
 from optdock.verification.visibility import prove_view
 from smoothers import CasadiSmoother
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
-from smoothers.scp.visibility import ViewBound, linearized_view, view_along
+from smoothers.scp.visibility_constraint import ViewBound, linearized_view, view_along
 
 NARROW = Camera(Pose2(0.4, 0.0, 0.0), math.radians(60.0))
 

@@ -127,14 +127,14 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
     return PolylineSegment(poses, last.direction)
 
 
-class _Turning(NamedTuple):
+class _TurnRoom(NamedTuple):
     """How far the robot can turn at places, left and right of a heading that is free, Shape (n,) [rad]."""
 
     left: FloatArray
     right: FloatArray
 
     @classmethod
-    def at(cls, poses: FloatArray, space: FreeSpace, effort: Effort) -> _Turning:
+    def at(cls, poses: FloatArray, space: FreeSpace, effort: Effort) -> _TurnRoom:
         """By a quick look at some headings; what is not free between two of them shows later."""
         space.poll()
         step = 2.0 * math.pi / _HEADINGS
@@ -260,8 +260,8 @@ def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effor
     prices += stopping_cost(limits) * (stops + (~drives & (out != 0.0) & (into != 0.0)))
     can_turn = np.column_stack(
         (
-            _Turning.at(leaving, space, effort).allows(turns[:, 0], i),
-            _Turning.at(arriving, space, effort).allows(-turns[:, 1], j),
+            _TurnRoom.at(leaving, space, effort).allows(turns[:, 0], i),
+            _TurnRoom.at(arriving, space, effort).allows(-turns[:, 1], j),
         )
     )
     turned = np.flatnonzero(can_turn.all(axis=1))

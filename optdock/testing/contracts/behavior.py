@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from optdock.errors import BehaviorException
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.plugins.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType, PluginContext
-from optdock.testing.contracts.plugin import PluginContract
-from optdock.testing.contracts.rules import refused, require
-from optdock.testing.contracts.scene import (
+from optdock.testing.contracts.contract_scene import (
     ORIGIN,
     ROBOT,
     free_costmap,
@@ -20,6 +18,8 @@ from optdock.testing.contracts.scene import (
     scene_context,
     scene_problem,
 )
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import refused, require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,7 @@ __all__ = ["BehaviorContract"]
 _REST = Twist2()
 
 
-class _World:
+class _ScriptedRobot:
     """A clock, and a robot that does what it is told, or stands where it is `stuck`."""
 
     def __init__(self, context: PluginContext, pose: Pose2, *, stuck: bool = False) -> None:
@@ -154,7 +154,7 @@ class BehaviorContract(PluginContract[Behavior]):
         """`resource_info`: a behavior that reads a costmap stops before obstacles, or never begins; with its code."""
         if self.blocked_code is None:
             return
-        behavior, world = self.make_plugin(), _World(self.make_blocked_context(), self.start())
+        behavior, world = self.make_plugin(), _ScriptedRobot(self.make_blocked_context(), self.start())
         behavior.configure(world.context)
         begun = behavior.on_run(self.command)
         result = self._run(behavior, world) if begun.status is BehaviorStatus.SUCCEEDED else begun
@@ -174,7 +174,7 @@ class BehaviorContract(PluginContract[Behavior]):
             local, around = (walls, free) if wall_is_local else (free, walls)
             context = PluginContext("contract", around, ROBOT.footprint, local_costmap=local)
             asked = CostmapInfoType.LOCAL if wall_is_local else CostmapInfoType.GLOBAL
-            behavior, world = self.make_plugin(), _World(context, self.start())
+            behavior, world = self.make_plugin(), _ScriptedRobot(context, self.start())
             behavior.configure(world.context)
             begun = behavior.on_run(self.command)
             result = self._run(behavior, world) if begun.status is BehaviorStatus.SUCCEEDED else begun
@@ -184,15 +184,15 @@ class BehaviorContract(PluginContract[Behavior]):
 
     def _begun(
         self, context: PluginContext, command: Mapping[str, object] | None = None, *, stuck: bool = False
-    ) -> tuple[Behavior, _World]:
-        behavior, world = self.make_plugin(), _World(context, self.start(), stuck=stuck)
+    ) -> tuple[Behavior, _ScriptedRobot]:
+        behavior, world = self.make_plugin(), _ScriptedRobot(context, self.start(), stuck=stuck)
         behavior.configure(world.context)
         behavior.activate()
         begun = behavior.on_run(self.command if command is None else command)
         require(begun.status is BehaviorStatus.SUCCEEDED, f"a good command is accepted, got {begun}")
         return behavior, world
 
-    def _run(self, behavior: Behavior, world: _World) -> BehaviorResult:
+    def _run(self, behavior: Behavior, world: _ScriptedRobot) -> BehaviorResult:
         for _ in range(self.cycles):
             result = world.step(behavior, self.period)
             require(isinstance(result, BehaviorResult), f"a BehaviorResult, got {type(result).__name__}")

@@ -9,9 +9,9 @@ import numpy as np
 
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.plugins.interfaces import GoalChecker, Tolerances
+from optdock.testing.contracts.contract_scene import GOAL
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
-from optdock.testing.contracts.scene import GOAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,9 +10,9 @@ from optdock.errors import ControllerException, ControllerInvalidPath, InvalidVa
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.path import Direction, Path
 from optdock.plugins.interfaces import Controller, GoalChecker, Tolerances
+from optdock.testing.contracts.contract_scene import ORIGIN, ROBOT, scene_context, scene_problem
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import refused, require
-from optdock.testing.contracts.scene import ORIGIN, ROBOT, scene_context, scene_problem
 from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _LIMIT_SLACK = 1.05  # of a speed limit: feedback may work on top of a reference
 _FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # out of the way of every drive here
 
 
-class _Run(NamedTuple):
+class _TrackingRun(NamedTuple):
     """Commands of a run with perfect actuation, and where it ended."""
 
     commands: list[Twist2]
@@ -202,14 +202,14 @@ class ControllerContract(PluginContract[Controller]):
             else:
                 self._require_within_limits([command])
 
-    def _drive(self, controller: Controller, cycles: int, checker: GoalChecker | None = None) -> _Run:
+    def _drive(self, controller: Controller, cycles: int, checker: GoalChecker | None = None) -> _TrackingRun:
         """A run from the origin with perfect actuation."""
         pose, twist, commands = ORIGIN, Twist2(), []
         for k in range(cycles):
             twist = controller.compute_velocity_commands(pose, twist, checker, stamp=k * self.period)
             pose = pose.moved(twist, self.period)
             commands.append(twist)
-        return _Run(commands, pose)
+        return _TrackingRun(commands, pose)
 
     def _peak_after(self, prepare: Callable[[Controller], None]) -> float:
         controller = self.ready_plugin()

@@ -9,9 +9,9 @@ from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import AtDock, Detection, Measurements
 from optdock.plugins.interfaces import DockType
+from optdock.testing.contracts.contract_scene import GOAL
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
-from optdock.testing.contracts.scene import GOAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

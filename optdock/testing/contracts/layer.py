@@ -10,9 +10,9 @@ import numpy as np
 from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2
 from optdock.plugins.interfaces import Bounds, Layer
+from optdock.testing.contracts.contract_scene import ORIGIN
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
-from optdock.testing.contracts.scene import ORIGIN
 
 if TYPE_CHECKING:
     from optdock.costmap.costs import CostArray

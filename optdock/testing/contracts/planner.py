@@ -12,9 +12,9 @@ from optdock.errors import PlannerCancelled, PlannerException
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.model.path import Path
 from optdock.plugins.interfaces import GlobalPlanner
+from optdock.testing.contracts.contract_scene import GOAL, ORIGIN, scene_context, scene_problem
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require, require_cancellable
-from optdock.testing.contracts.scene import GOAL, ORIGIN, scene_context, scene_problem
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from optdock.errors import InvalidValue, LifecycleError, OptdockError
 from optdock.plugins.lifecycle import LifecycleState, Plugin, PluginContext
+from optdock.testing.contracts.contract_scene import scene_context
 from optdock.testing.contracts.rules import refused, require
-from optdock.testing.contracts.scene import scene_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

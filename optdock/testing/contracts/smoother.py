@@ -13,9 +13,7 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.model.path import Path
 from optdock.plugins.interfaces import PluginContext, Smoother, SmoothingReport, SmoothingResult
-from optdock.testing.contracts.plugin import PluginContract
-from optdock.testing.contracts.rules import refused, require, require_cancellable
-from optdock.testing.contracts.scene import (
+from optdock.testing.contracts.contract_scene import (
     GOAL,
     bent_path,
     cusp_path,
@@ -24,6 +22,8 @@ from optdock.testing.contracts.scene import (
     scene_context,
     scene_problem,
 )
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import refused, require, require_cancellable
 from optdock.verification import certify_path, pose_clearances
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from optdock.geometry.pose import Pose2
 from optdock.model.limits import LIMITS, LimitKind, MotionLimits, SpeedZone
 from optdock.model.path import Path
 from optdock.plugins.interfaces import TimeParameterizer, TimingResult, TimingStatus
+from optdock.testing.contracts.contract_scene import ORIGIN, moved_path
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require, require_cancellable
-from optdock.testing.contracts.scene import ORIGIN, moved_path
 from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
 from optdock.verification import certify_trajectory
 

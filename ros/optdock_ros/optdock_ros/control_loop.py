@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from optdock.model.measurements import Measurements
     from optdock.model.robot import Robot
 
-__all__ = ["ControlLoop", "CycleTimes", "Run", "may_be_preferred"]
+__all__ = ["ControlLoop", "CycleTimes", "TaskRun", "may_be_preferred"]
 
 logger = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class CycleTimes(NamedTuple):
 
 
 @dataclass(eq=False)
-class Run:
+class TaskRun:
     """One task, to be stepped until it has ended.
 
     Args:
@@ -100,7 +100,7 @@ class Run:
 
 
 class ControlLoop:
-    """Steps a `Run` at a time.
+    """Steps a `TaskRun` at a time.
 
     Args:
         robot: Whose limits the ramps keep.
@@ -126,11 +126,11 @@ class ControlLoop:
         self._count = self._missed = 0
         self._sending = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._run: Run | None = None
+        self._run: TaskRun | None = None
         self._aborted = self._silent = False
 
     @property
-    def run(self) -> Run | None:
+    def run(self) -> TaskRun | None:
         """The one at work, or the last one."""
         return self._run
 
@@ -146,7 +146,7 @@ class ControlLoop:
         worst = (float(value) for kept in (late, busy) for value in (np.percentile(kept, 99), kept.max()))
         return CycleTimes(self._count, self._missed, self.period, *worst)
 
-    def start(self, run: Run) -> None:
+    def start(self, run: TaskRun) -> None:
         """Begin; one that is at work must have been waited for."""
         assert not self.is_running, "one task at a time"
         self._run, self._aborted = run, False
@@ -190,7 +190,7 @@ class ControlLoop:
     def _failed(self, reason: str) -> Ending:
         return Ending(EndingKind.UNKNOWN, reason, 0, self._stamp)
 
-    def _work(self, run: Run) -> None:
+    def _work(self, run: TaskRun) -> None:
         # Nothing that exists now will be garbage within this task: a collection in mid-motion need not walk over it.
         gc.collect()
         gc.freeze()
@@ -206,7 +206,7 @@ class ControlLoop:
         finally:
             self._end(run)
 
-    def _end(self, run: Run) -> None:
+    def _end(self, run: TaskRun) -> None:
         """The last command is zero; whoever waits for the end learns of it, whatever fails here."""
         try:
             if not self._silent:
@@ -220,7 +220,7 @@ class ControlLoop:
         finally:
             run.done.set()
 
-    def _drive(self, run: Run) -> Ending:
+    def _drive(self, run: TaskRun) -> Ending:
         deadline, before, moved_at = time.monotonic(), -1.0, time.monotonic()
         while True:
             began = time.monotonic()

@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from rclpy.action.server import ServerGoalHandle
     from rclpy.node import Node
 
-    from optdock_ros.control_loop import Run
+    from optdock_ros.control_loop import TaskRun
 
-__all__ = ["UNKNOWN", "Goal", "GoalQueue", "Outcome", "done", "failed"]
+__all__ = ["UNKNOWN", "Goal", "GoalOutcome", "GoalQueue", "done", "failed"]
 
 UNKNOWN = 999
 """Nav2's error code for what has no other."""
 
 
-class Outcome(NamedTuple):
+class GoalOutcome(NamedTuple):
     """How a goal ended.
 
     Attributes:
@@ -50,14 +50,14 @@ class Outcome(NamedTuple):
         return self.success
 
 
-def done(text: str) -> Outcome:
+def done(text: str) -> GoalOutcome:
     """The goal was reached."""
-    return Outcome(success=True, text=text)
+    return GoalOutcome(success=True, text=text)
 
 
-def failed(code: int, text: str, retries: int = 0) -> Outcome:
+def failed(code: int, text: str, retries: int = 0) -> GoalOutcome:
     """The goal was not reached; code 0 where nothing went wrong."""
-    return Outcome(success=False, code=code, text=text, retries=retries)
+    return GoalOutcome(success=False, code=code, text=text, retries=retries)
 
 
 class Goal:
@@ -79,7 +79,7 @@ class Goal:
         self.kind, self.handle = kind, handle
         self.request = handle.request
         self.began = time.monotonic()
-        self.run: Run | None = None
+        self.run: TaskRun | None = None
         self.ending = ""
         self.changed = threading.Event()
 
@@ -91,7 +91,7 @@ class Goal:
             run.stop(reason)
         self.changed.set()
 
-    def start(self, run: Run) -> None:
+    def start(self, run: TaskRun) -> None:
         """It is carried out by a task from now on."""
         self.run = run
         if self.ending:  # it was told so a moment before
@@ -115,7 +115,7 @@ class GoalQueue:
         actions: Name and work of every action, by its class; the work is called in the queue's thread.
     """
 
-    def __init__(self, node: Node, actions: Mapping[Any, tuple[str, Callable[[Goal], Outcome]]]) -> None:
+    def __init__(self, node: Node, actions: Mapping[Any, tuple[str, Callable[[Goal], GoalOutcome]]]) -> None:
         self._node, self._actions = node, actions
         self._lock = threading.RLock()
         self._is_open = False
@@ -240,7 +240,7 @@ class GoalQueue:
             with suppress(RCLError):
                 goal.handle._update_state(GoalEvent.EXECUTE)
 
-    def _answer(self, goal: Goal, outcome: Outcome) -> None:
+    def _answer(self, goal: Goal, outcome: GoalOutcome) -> None:
         """Its status and its result."""
         self._execute(goal)
         result = goal.kind.Result()

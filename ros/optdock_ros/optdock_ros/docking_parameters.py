@@ -19,9 +19,9 @@ from optdock.nav2.docks import DockEntry
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.parameters import PluginParameters, parse_parameters
 from optdock.plugins.registry import PluginChoice, plugin_from
+from optdock_ros.dock_database import docks_of_parameters
 from optdock_ros.dock_plugins import DockPlugin, plugin_class
-from optdock_ros.docks import docks_of_parameters
-from optdock_ros.parameters import ServerParameters, clearance_parameters, robot_parameters, unknown_names
+from optdock_ros.nested_parameters import ServerParameters, clearance_parameters, robot_parameters, unknown_names
 from optdock_ros.surroundings import nav2_footprint
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from optdock.plugins.interfaces import DockType
     from optdock.plugins.lifecycle import Plugin
-    from optdock_ros.parameters import RobotParameters
+    from optdock_ros.nested_parameters import RobotParameters
 
 __all__ = ["ControllerParameters", "DockParameters", "DockingParameters", "DockingSettings", "docking_settings"]
 
@@ -252,7 +252,7 @@ class DockingSettings:
         return plugin.dock_type({name: self.executor[name] for name in _OF_SIMPLE_DOCK if name in self.executor})
 
 
-class _Reader:
+class _BlockReader:
     """Reads blocks, and takes down everything that is wrong and everything that nobody reads."""
 
     def __init__(self, block: Mapping[str, object]) -> None:
@@ -297,7 +297,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     Raises:
         InvalidValue: What is wrong in any block, one line per fault.
     """
-    read = _Reader(block)
+    read = _BlockReader(block)
     given = read.known(read.inner("controller"), "controller", ControllerParameters.model_fields, _LAW)
     controller = read.checked(
         lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters()
@@ -324,7 +324,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     )
 
 
-def _executor(read: _Reader) -> dict[str, object]:
+def _executor(read: _BlockReader) -> dict[str, object]:
     """The executor's own settings; those that are said elsewhere are faults here."""
     given = read.inner("executor")
     twice = [name for name in given if name in _SAID_ELSEWHERE]
@@ -337,7 +337,7 @@ def _executor(read: _Reader) -> dict[str, object]:
     return own
 
 
-def _robot(read: _Reader, controller: ControllerParameters) -> dict[str, object]:
+def _robot(read: _BlockReader, controller: ControllerParameters) -> dict[str, object]:
     """The block `robot`, with the server's own defaults for what it does not say."""
     given = read.inner("robot")
     speed = controller.v_linear_max
@@ -348,7 +348,7 @@ def _robot(read: _Reader, controller: ControllerParameters) -> dict[str, object]
     return {**given, "limits": limits, "tracking": {**_TUBE, **read.inner("tracking", given)}}
 
 
-def _choice(read: _Reader, interface: type[Plugin], owner: str, default: str) -> PluginChoice:
+def _choice(read: _BlockReader, interface: type[Plugin], owner: str, default: str) -> PluginChoice:
     """The plugin of a block, and its parameters."""
     given = dict(read.inner(owner))
     choice = PluginChoice(str(given.pop("plugin", default)), given)
@@ -356,7 +356,9 @@ def _choice(read: _Reader, interface: type[Plugin], owner: str, default: str) ->
     return choice
 
 
-def _read_type(read: _Reader, name: str, plugins: dict[str, DockPlugin], of_docks: dict[str, DockParameters]) -> None:
+def _read_type(
+    read: _BlockReader, name: str, plugins: dict[str, DockPlugin], of_docks: dict[str, DockParameters]
+) -> None:
     """One type of docks."""
     given, dock = read.inner(name), read.inner("dock")
     special = read.inner("dock", given)

@@ -36,18 +36,18 @@ from optdock.executor.contact_zone import contact_reach
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import braking_time
-from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
+from optdock_ros.control_loop import ControlLoop, TaskRun, may_be_preferred
+from optdock_ros.dock_database import Docks
 from optdock_ros.dock_plugins import Told
-from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
+from optdock_ros.docking_goals import UNKNOWN, Goal, GoalOutcome, GoalQueue, done, failed
 from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, docking_settings
 from optdock_ros.docking_reports import Reports
-from optdock_ros.docks import Docks
-from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
+from optdock_ros.frame_lookup import TransformBuffer
+from optdock_ros.measuring import DatedCostmap, MeasurementRules, Measuring
+from optdock_ros.merged_costmap import joined, moved
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer
-from optdock_ros.world import joined, moved
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from optdock.nav2.docks import DockEntry
     from optdock.ros import StampedCostmap
     from optdock_ros.dock_plugins import DockPlugin
-    from optdock_ros.world import Box
+    from optdock_ros.merged_costmap import Box
 
 __all__ = ["DockingServer", "main"]
 
@@ -84,7 +84,7 @@ _AROUND = 3.0  # [m] around robot and dock: beyond, a map is not looked at
 class _Ended(Exception):
     """The goal has ended before its task, or instead of one."""
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: GoalOutcome) -> None:
         super().__init__(outcome.text)
         self.outcome = outcome
 
@@ -287,17 +287,17 @@ class DockingServer(Server[DockingSettings]):
 
     # Docking.
 
-    def _dock(self, goal: Goal) -> Outcome:
+    def _dock(self, goal: Goal) -> GoalOutcome:
         """The work on a goal of dock_robot."""
         return self._worked_on(goal, self._dock_at)
 
-    def _undock(self, goal: Goal) -> Outcome:
+    def _undock(self, goal: Goal) -> GoalOutcome:
         """The work on a goal of undock_robot."""
         outcome = self._worked_on(goal, self._undock_from)
         of_action = (0, UndockRobot.Result.DOCK_NOT_VALID, UndockRobot.Result.TIMEOUT, UndockRobot.Result.UNKNOWN)
         return outcome if outcome.code in of_action else outcome._replace(code=UndockRobot.Result.FAILED_TO_CONTROL)
 
-    def _worked_on(self, goal: Goal, work: Callable[[Goal], Outcome]) -> Outcome:
+    def _worked_on(self, goal: Goal, work: Callable[[Goal], GoalOutcome]) -> GoalOutcome:
         try:
             outcome = work(goal)
         except _Ended as ended:
@@ -315,7 +315,7 @@ class DockingServer(Server[DockingSettings]):
             self._reports.idle(self._now(), f"the last goal {text}")
         return outcome
 
-    def _dock_at(self, goal: Goal) -> Outcome:
+    def _dock_at(self, goal: Goal) -> GoalOutcome:
         request, own = goal.request, self.settings.own
         staging_time = self._limit(request.max_staging_time, "max_staging_time")
         entry, plugin = self._wanted(request)
@@ -340,7 +340,7 @@ class DockingServer(Server[DockingSettings]):
             self._docked = _Docked(task.executor.dock, plugin.name)
         return ending
 
-    def _undock_from(self, goal: Goal) -> Outcome:
+    def _undock_from(self, goal: Goal) -> GoalOutcome:
         request = goal.request
         named = request.dock_type or (self._docked.type_name if self._docked is not None else "")
         plugin = self._docks.plugin(named, "undock_robot: dock_type")
@@ -447,7 +447,7 @@ class DockingServer(Server[DockingSettings]):
             raise _Ended(self._stopped_goal(goal))
 
     @staticmethod
-    def _stopped_goal(goal: Goal, where: str = "", retries: int = 0) -> Outcome:
+    def _stopped_goal(goal: Goal, where: str = "", retries: int = 0) -> GoalOutcome:
         code = 0 if goal.ending == "cancelled" else UNKNOWN
         return failed(code, f"{goal.ending}{where and ' '}{where}", retries)
 
@@ -501,7 +501,7 @@ class DockingServer(Server[DockingSettings]):
 
     def _task(
         self, goal: Goal, plugin: DockPlugin, docked: Pose2, settings: ExecutorSettings, what: Literal["dock", "undock"]
-    ) -> _Task:
+    ) -> _DockingTask:
         """Everything that one task needs, checked; the robot stands.
 
         Raises:
@@ -527,7 +527,7 @@ class DockingServer(Server[DockingSettings]):
             planning=planning,
         )
         detect = plugin.detection if settings.use_detections else None
-        task = _Task(goal, plugin, problem, executor, planning)
+        task = _DockingTask(goal, plugin, problem, executor, planning)
         task.measuring = Measuring(
             self._rules(plugin),
             self._frames,
@@ -565,7 +565,7 @@ class DockingServer(Server[DockingSettings]):
         except OptdockError as error:
             raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
-    def _contact(self, task: _Task, now: float) -> bool | None:
+    def _contact(self, task: _DockingTask, now: float) -> bool | None:
         """What a switch tells of contact, and the joints until the robot has stopped; None where neither does."""
         plugin, state = task.plugin, task.executor.state
         switched = plugin.is_switched(self._switches.get(plugin.contact_topic), now)
@@ -580,7 +580,7 @@ class DockingServer(Server[DockingSettings]):
             task.stalled = False
         return bool(switched) or task.stalled
 
-    def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
+    def _carry_out(self, goal: Goal, task: _DockingTask) -> GoalOutcome:
         """Drive; returns when the robot stands."""
         try:
             with self._detecting(goal, task.plugin, task.measuring):
@@ -597,7 +597,7 @@ class DockingServer(Server[DockingSettings]):
         text = f"{ending.kind.value}{ending.reason and ': '}{ending.reason}"
         if not ending.kind.succeeded and missing:
             text += f" ({missing})"
-        return Outcome(ending.kind.succeeded, ending.kind.code, text, ending.num_retries)
+        return GoalOutcome(ending.kind.succeeded, ending.kind.code, text, ending.num_retries)
 
     def _wait_for_planner(self, goal: Goal) -> None:
         """Until the process that plans is warm, some seconds after configure.
@@ -611,14 +611,14 @@ class DockingServer(Server[DockingSettings]):
             if time.monotonic() > until:
                 raise _Ended(failed(UNKNOWN, "the planning process does not start"))
 
-    def _driven(self, goal: Goal, task: _Task) -> Run:
+    def _driven(self, goal: Goal, task: _DockingTask) -> TaskRun:
         """The task, done; the robot stands, also where something fails here."""
         self._check_end(goal)
         own, settings = self.settings.own, self.settings
         loop = self._loop = ControlLoop(
             task.problem.robot, settings.period, self._now, self._send, realtime=own.use_realtime_priority
         )
-        run = Run(task.executor, task.measuring.measurements, task.observe)
+        run = TaskRun(task.executor, task.measuring.measurements, task.observe)
         goal.start(run)
         loop.start(run)
         try:
@@ -631,7 +631,7 @@ class DockingServer(Server[DockingSettings]):
             loop.close("the thread of the goal has failed", _STOPPING)  # nothing to do but then
         return run
 
-    def _see_first(self, goal: Goal, task: _Task) -> None:
+    def _see_first(self, goal: Goal, task: _DockingTask) -> None:
         """Wait for the surroundings.
 
         Raises:
@@ -644,7 +644,7 @@ class DockingServer(Server[DockingSettings]):
         except OptdockError as error:
             raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
-    def _look_after(self, goal: Goal, task: _Task, loop: ControlLoop) -> None:
+    def _look_after(self, goal: Goal, task: _DockingTask, loop: ControlLoop) -> None:
         """Everything beside the control loop; nothing here may end the goal."""
         self._goals.tidy()
         try:
@@ -656,7 +656,7 @@ class DockingServer(Server[DockingSettings]):
         except Exception as error:  # a report that fails must not leave the robot alone
             self.say(error, "a report failed")
 
-    def _report(self, goal: Goal, task: _Task, loop: ControlLoop) -> None:
+    def _report(self, goal: Goal, task: _DockingTask, loop: ControlLoop) -> None:
         """What has happened since the last time."""
         step, now = task.step, self._now()
         if step is None:
@@ -682,7 +682,7 @@ class DockingServer(Server[DockingSettings]):
         if motion is not None:
             self._reports.motion(motion, self._exempt(task), now)
 
-    def _exempt(self, task: _Task) -> str:
+    def _exempt(self, task: _DockingTask) -> str:
         """What no certificate of this task counts."""
         if task.local is None:
             return "any obstacle but the station's outline: controller.use_collision_detection is false"
@@ -694,7 +694,7 @@ class DockingServer(Server[DockingSettings]):
         passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - goal.began))).to_msg()
         goal.tell(state=state, docking_time=passed, num_retries=retries)
 
-    def _refresh(self, task: _Task, *, is_first: bool = False) -> None:
+    def _refresh(self, task: _DockingTask, *, is_first: bool = False) -> None:
         """Hand over the costmaps as one picture in the fixed frame, where there is a new one.
 
         Raises:
@@ -721,7 +721,7 @@ class DockingServer(Server[DockingSettings]):
         if wide is not None:
             costmap = joined(self._in_frame(wide, box), costmap)
         task.local, task.wide = local, wide
-        task.measuring.take_surroundings(Surroundings(costmap, local.stamp))
+        task.measuring.take_surroundings(DatedCostmap(costmap, local.stamp))
 
     def _in_frame(self, seen: StampedCostmap, box: Box) -> Costmap:
         """A costmap in the fixed frame; what of it is far from robot and dock is left out."""
@@ -826,7 +826,7 @@ class DockingServer(Server[DockingSettings]):
 
 
 @dataclass(eq=False)
-class _Task:
+class _DockingTask:
     """A task under way, and what was said of it."""
 
     goal: Goal

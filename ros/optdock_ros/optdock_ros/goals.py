@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rclpy.action.server import ServerGoalHandle
     from rclpy.node import Node
 
-__all__ = ["GoalAction", "Job", "JobEnded", "Worker", "answer_of"]
+__all__ = ["GoalAction", "JobEnded", "Worker", "WorkerJob", "answer_of"]
 
 _JOIN = 5.0  # [s] that a job has to end once it is asked to; ours poll every 5 ms, plugins of others may be slower
 
@@ -34,14 +34,14 @@ class JobEnded(OptdockError):
     """Somebody asked for the end of the work: its client, a newer goal, or the end of the server."""
 
 
-class Job:
+class WorkerJob:
     """Something for the worker to do, and who may end it.
 
     Attributes:
         why_end: Why it should end; empty while it should go on.
     """
 
-    def __init__(self, work: Callable[[Job], Any]) -> None:
+    def __init__(self, work: Callable[[WorkerJob], Any]) -> None:
         self._work = work
         self.why_end = ""
         self.is_done = threading.Event()
@@ -113,9 +113,9 @@ class Worker:
         self._lock = threading.Lock()  # held for list operations only
         self._begin_thread()
 
-    def begin(self, work: Callable[[Job], Any]) -> Job:
+    def begin(self, work: Callable[[WorkerJob], Any]) -> WorkerJob:
         """Do this after whatever is begun already."""
-        job = Job(work)
+        job = WorkerJob(work)
         with self._lock:
             self._open.append(job)
             self._jobs.put(job)
@@ -162,20 +162,20 @@ class Worker:
         return ended and not self._thread.is_alive()
 
     def _begin_thread(self) -> None:
-        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self._open: list[Job] = []
+        self._jobs: queue.SimpleQueue[WorkerJob | None] = queue.SimpleQueue()
+        self._open: list[WorkerJob] = []
         # Code that never comes back must not keep a process from ending.
         self._thread = threading.Thread(target=self._loop, args=(self._jobs, self._open), name=self._name, daemon=True)
         self._thread.start()
 
-    def _loop(self, jobs: queue.SimpleQueue[Job | None], begun: list[Job]) -> None:
+    def _loop(self, jobs: queue.SimpleQueue[WorkerJob | None], begun: list[WorkerJob]) -> None:
         while (job := jobs.get()) is not None:
             job.run()
             with self._lock:
                 begun.remove(job)
 
 
-def answer_of(job: Job, node: Node) -> Future[None]:
+def answer_of(job: WorkerJob, node: Node) -> Future[None]:
     """Something to wait for in a callback, done when the job is; the executor does other things meanwhile.
 
     Args:
@@ -216,14 +216,14 @@ class GoalAction:
         name: str,
         *,
         worker: Worker,
-        work: Callable[[Any, Job], tuple[Any, bool]],
+        work: Callable[[Any, WorkerJob], tuple[Any, bool]],
         ended: Callable[[str], Any],
         is_open: Callable[[], bool],
         result_timeout: float = 10.0,
     ) -> None:
         self._node, self._worker, self._work, self._ended, self._is_open = node, worker, work, ended, is_open
-        self._newest: Job | None = None
-        self._jobs: dict[bytes, Job] = {}
+        self._newest: WorkerJob | None = None
+        self._jobs: dict[bytes, WorkerJob] = {}
         self._server = ActionServer(
             node,
             kind,
@@ -263,7 +263,7 @@ class GoalAction:
             self._newest = None
         return self._answer(handle, job)
 
-    def _answer(self, handle: ServerGoalHandle[Any, Any, Any], job: Job) -> Any:
+    def _answer(self, handle: ServerGoalHandle[Any, Any, Any], job: WorkerJob) -> Any:
         if job.error is None:
             result, succeeded = job.result
         else:

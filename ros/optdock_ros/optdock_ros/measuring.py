@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.ros.transforms import Transform
 
-__all__ = ["Frames", "MeasurementRules", "Measuring", "Surroundings"]
+__all__ = ["DatedCostmap", "Frames", "MeasurementRules", "Measuring"]
 
 _QUEUED = 200  # messages between two cycles: at most 4 s of odometry at 50 Hz are worth having
 _AHEAD = 0.1  # [s] that a stamp may lie ahead of this clock: two computers agree better than that, or not at all
@@ -37,7 +37,7 @@ class Frames(Protocol):
         """The pose of `source` seen from `target`."""
 
 
-class Surroundings(NamedTuple):
+class DatedCostmap(NamedTuple):
     """A costmap in the fixed frame, and when what it shows was seen [s]."""
 
     costmap: Costmap
@@ -90,7 +90,7 @@ class Measuring:
         self._current = current
         self._odometry: deque[Any] = deque(maxlen=_QUEUED)
         self._seen: deque[Any] = deque(maxlen=_QUEUED)
-        self._surroundings: Surroundings | None = None
+        self._surroundings: DatedCostmap | None = None
         self._twist: tuple[float, Twist2] | None = None
         self._odometry_pose: OdometryPose | None = None
         self._heard, self._heard_at = Twist2(), -math.inf
@@ -113,7 +113,7 @@ class Measuring:
         if self._detect is not None:
             self._seen.append(message)
 
-    def take_surroundings(self, surroundings: Surroundings) -> None:
+    def take_surroundings(self, surroundings: DatedCostmap) -> None:
         """A new picture; from any thread."""
         self._surroundings = surroundings
 

@@ -37,11 +37,11 @@ from optdock.model.path import Path
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.plugins.interfaces import GlobalPlanner, PluginContext
 from optdock.verification import certify_path, pose_clearances
-from optdock_ros.goals import Job, JobEnded, answer_of
+from optdock_ros.goals import JobEnded, WorkerJob, answer_of
 from optdock_ros.plugin_server import (
     PluginServer,
     PluginServerParameters,
-    Settings,
+    ServerSettings,
     compact_path,
     cropped,
     failed,
@@ -113,7 +113,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
         service = self.create_service(GetPlan, "get_plan", self._get_plan, callback_group=group)
         self._ends.append(lambda: self.destroy_service(service))
 
-    def _compute(self, goal: ComputePathToPose.Goal, job: Job) -> tuple[ComputePathToPose.Result, bool]:
+    def _compute(self, goal: ComputePathToPose.Goal, job: WorkerJob) -> tuple[ComputePathToPose.Result, bool]:
         """A goal, in the worker's thread."""
         began, result = now(self), ComputePathToPose.Result()
         start = goal.start if goal.use_start else None
@@ -146,7 +146,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
             self.say(job.error, "get_plan")
         return response
 
-    def _planned(self, planner_id: str, start: PoseStamped | None, goal: PoseStamped, job: Job) -> PathMessage:
+    def _planned(self, planner_id: str, start: PoseStamped | None, goal: PoseStamped, job: WorkerJob) -> PathMessage:
         """A path, in the costmap's frame.
 
         Raises:
@@ -176,7 +176,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
         return message
 
     def _check_plan(
-        self, plan: Path, name: str, problem: DockingProblem, settings: Settings[GlobalPlanner], job: Job
+        self, plan: Path, name: str, problem: DockingProblem, settings: ServerSettings[GlobalPlanner], job: WorkerJob
     ) -> None:
         """Nav2's planners return no path through anything; ours may be raw ones, for a smoother to mend.
 
@@ -192,7 +192,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
                 raise NoValidPathCouldBeFound(f"{name}: {broken.message}", where={"s": broken.s, **broken.where})
 
     def _problem(
-        self, start: PoseStamped | None, goal: PoseStamped, settings: Settings[GlobalPlanner], job: Job
+        self, start: PoseStamped | None, goal: PoseStamped, settings: ServerSettings[GlobalPlanner], job: WorkerJob
     ) -> DockingProblem:
         """From where to where, among what is known of the surroundings.
 
@@ -228,7 +228,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
             raise GoalOccupied(f"Goal {end.brief}: the footprint overlaps an obstacle by {-depth[1]:.3f} m")
         return problem
 
-    def _awaited_costmap(self, settings: Settings[GlobalPlanner], job: Job) -> ros.StampedCostmap | None:
+    def _awaited_costmap(self, settings: ServerSettings[GlobalPlanner], job: WorkerJob) -> ros.StampedCostmap | None:
         """The costmap, waited for where there is none or one that is too old.
 
         Raises:
@@ -244,12 +244,12 @@ class PlannerServer(PluginServer[GlobalPlanner]):
                     raise PlannerTimedOut(f"Costmap timed out waiting for update: {error}") from error
             time.sleep(_WAIT)
 
-    def _robot(self, frame: str, settings: Settings[GlobalPlanner]) -> Pose2:
+    def _robot(self, frame: str, settings: ServerSettings[GlobalPlanner]) -> Pose2:
         told = settings.parameters
         stood = self.transforms.lookup(frame, told.robot_base_frame, now(self), told.transform_tolerance)
         return stood.planar()
 
-    def _in_frame(self, message: PoseStamped, frame: str, settings: Settings[GlobalPlanner]) -> Pose2:
+    def _in_frame(self, message: PoseStamped, frame: str, settings: ServerSettings[GlobalPlanner]) -> Pose2:
         given = ros.pose(message)
         if given.frame.lstrip("/") == frame.lstrip("/"):
             return given.pose

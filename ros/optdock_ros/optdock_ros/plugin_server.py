@@ -16,8 +16,9 @@ from optdock.costmap.costmap import Costmap
 from optdock.model.path import Path, PolylineSegment
 from optdock.model.problem import ClearanceRule
 from optdock.plugins.lifecycle import Plugin
+from optdock_ros.frame_lookup import TransformBuffer
 from optdock_ros.goals import GoalAction, JobEnded, Worker
-from optdock_ros.parameters import (
+from optdock_ros.nested_parameters import (
     Faults,
     RobotParameters,
     ServerParameters,
@@ -29,7 +30,6 @@ from optdock_ros.parameters import (
 from optdock_ros.plugins import NamedPlugin, named_plugins
 from optdock_ros.server import Server
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, now
-from optdock_ros.transforms import TransformBuffer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.model.robot import Robot
-    from optdock_ros.goals import Job
+    from optdock_ros.goals import WorkerJob
 
 __all__ = [
     "PluginServer",
     "PluginServerParameters",
-    "Settings",
+    "ServerSettings",
     "compact_path",
     "cropped",
     "failed",
@@ -64,7 +64,7 @@ class PluginServerParameters(ServerParameters):
 
 
 @dataclass(frozen=True)
-class Settings(Generic[P]):
+class ServerSettings(Generic[P]):
     """What the parameters of the server mean.
 
     Args:
@@ -89,7 +89,7 @@ class Settings(Generic[P]):
         return (self.limits or robot_parameters({})).robot(footprint)
 
 
-class PluginServer(Server[Settings[P]], Generic[P]):
+class PluginServer(Server[ServerSettings[P]], Generic[P]):
     """A server of plugins of one kind, with one worker for all it is asked for.
 
     Attributes:
@@ -114,7 +114,7 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         self._footprint: FootprintTopic | None = None
         self._ends: list[Callable[[], object]] = []
 
-    def check(self, block: dict[str, object]) -> Settings[P]:
+    def check(self, block: dict[str, object]) -> ServerSettings[P]:
         """As `Server.check`.
 
         Raises:
@@ -132,7 +132,7 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         limits = faults.attempt(lambda: robot_parameters(block["robot"]) if "robot" in block else None)
         clearance = faults.attempt(lambda: clearance_parameters(block["clearance"]) if "clearance" in block else None)
         faults.look()
-        return Settings(parameters, plugins, limits, clearance)
+        return ServerSettings(parameters, plugins, limits, clearance)
 
     def set_up(self) -> None:
         """Subscribe, and make the worker; whatever is made is noted, to be given back."""
@@ -158,18 +158,18 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         self.worker = Worker(f"{self.get_name()} goals")
         self._ends.append(self._close_worker)
 
-    def changed(self, before: Settings[P]) -> None:  # noqa: ARG002 - whatever it was
+    def changed(self, before: ServerSettings[P]) -> None:  # noqa: ARG002 - whatever it was
         """What was made at configure reads the new settings; the rest is read by every goal."""
         if self._footprint is not None:
             self._footprint.tolerance = self.settings.parameters.transform_tolerance
 
-    def offer(self, kind: Any, name: str, work: Callable[[Any, Job], tuple[Any, bool]]) -> None:
+    def offer(self, kind: Any, name: str, work: Callable[[Any, WorkerJob], tuple[Any, bool]]) -> None:
         """Offer an action, whose goals the worker does."""
 
         def _ended(why: str) -> Any:
             return failed(kind.Result(), why, 0)
 
-        def _work(goal: Any, job: Job) -> tuple[Any, bool]:
+        def _work(goal: Any, job: WorkerJob) -> tuple[Any, bool]:
             try:
                 return work(goal, job)
             except JobEnded:
@@ -222,14 +222,14 @@ class PluginServer(Server[Settings[P]], Generic[P]):
 
     # What a goal asks for, in the worker's thread.
 
-    def chosen(self, asked: str, settings: Settings[P]) -> NamedPlugin[P] | None:
+    def chosen(self, asked: str, settings: ServerSettings[P]) -> NamedPlugin[P] | None:
         """The plugin of that name; the only one where none is named; else None."""
         known = settings.plugins
         if not asked and len(known) == 1:
             return next(iter(known.values()))
         return known.get(asked)
 
-    def newest_costmap(self, settings: Settings[P]) -> ros.StampedCostmap | None:
+    def newest_costmap(self, settings: ServerSettings[P]) -> ros.StampedCostmap | None:
         """What is known of the surroundings; None where the parameters name no topic.
 
         Raises:
@@ -241,7 +241,7 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         self._check_age(self._costmap.topic, seen.stamp, settings)
         return seen
 
-    def outline(self, settings: Settings[P]) -> Footprint | None:
+    def outline(self, settings: ServerSettings[P]) -> Footprint | None:
         """The robot's outline: of the parameters, or of the topic; None where nothing has come.
 
         Raises:
@@ -255,12 +255,12 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         self._check_age(self._footprint.topic, stamp, settings)
         return footprint
 
-    def no_footprint(self, settings: Settings[P]) -> SurroundingsError:
+    def no_footprint(self, settings: ServerSettings[P]) -> SurroundingsError:
         """What to say where the outline is needed."""
         topic = settings.parameters.footprint_topic
         return SurroundingsError(f"{topic or 'footprint_topic'}: no footprint yet; or give robot.footprint")
 
-    def _check_age(self, topic: str, stamp: float, settings: Settings[P]) -> None:
+    def _check_age(self, topic: str, stamp: float, settings: ServerSettings[P]) -> None:
         age, most = now(self) - stamp, settings.parameters.costmap_timeout
         if 0.0 < most < abs(age):
             # One from the future would count as new for as long as the clocks differ.

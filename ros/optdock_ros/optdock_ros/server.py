@@ -31,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from optdock.errors import InvalidValue, OptdockError
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
-from optdock_ros.parameters import (
+from optdock_ros.nested_parameters import (
     ServerParameters,
     declare,
     declare_overrides,

@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.ros.transforms import Quaternion as Rotation
 
-__all__ = ["PARAMETERS", "SimulatedRobot", "main"]
+__all__ = ["PARAMETERS", "SimulatedRobotNode", "main"]
 
 BAY = Path(__file__).with_name("simulated_bay.yaml")
 PARAMETERS: dict[str, tuple[object, str]] = {
@@ -167,7 +167,7 @@ MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z towards who drives into the dock, y u
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class SimulationParameters:
     """Everything that the parameters say, checked.
 
     Args:
@@ -270,7 +270,7 @@ def check(name: str, value: float) -> None:
         raise InvalidValue(f"{name}: must be >= 0, got {value}")
 
 
-class Window(NamedTuple):
+class LocalWindow(NamedTuple):
     """The local costmap as it was last published: its lower corner in cells, and its cells."""
 
     corner: tuple[int, int]
@@ -297,7 +297,7 @@ class Topics:
         self.clock = node.create_publisher(Clock, "/clock", latest) if has_clock else None
 
 
-class SimulatedRobot:
+class SimulatedRobotNode:
     """The node; see the module. Its world goes on in a thread of its own until `end`.
 
     Raises:
@@ -313,7 +313,7 @@ class SimulatedRobot:
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self.failed = False
-        world = World(self._values(()))
+        world = SimulationParameters(self._values(()))
         self._faults = world.block("faults")
         self._topics = Topics(self.node, has_clock=world.values["speed"] > 0.0)
         self._now = 0.0  # [s] since the node began
@@ -339,7 +339,7 @@ class SimulatedRobot:
 
     # The world
 
-    def _begin(self, world: World) -> None:
+    def _begin(self, world: SimulationParameters) -> None:
         """The robot at its start; odometry goes on, as that of a robot which is lifted and put elsewhere."""
         self._world, self._robot = world, world.robot()
         self._began = self._now
@@ -347,7 +347,7 @@ class SimulatedRobot:
         self._is_held = False
         self._contact_since: float | None = None
         self._measured_twist = Twist2()
-        self._window: Window | None = None
+        self._window: LocalWindow | None = None
         self._station = world.station()
         self._poses = [self._robot.state.pose]
         self._clearance, self._station_clearance = math.inf, math.inf
@@ -533,7 +533,7 @@ class SimulatedRobot:
         outline.polygon.points = [Point32(x=x, y=y) for x, y in placed.tolist()]
         self._topics.footprint.publish(outline)
 
-    def _surroundings(self, cell: float, side: int) -> Window:
+    def _surroundings(self, cell: float, side: int) -> LocalWindow:
         """What a scanner sees, from where the robot truly is, where odometry believes it."""
         here, outlines = self._odometry, self._seen.vertices
         corner = math.floor(here.x / cell) - side // 2, math.floor(here.y / cell) - side // 2
@@ -544,7 +544,7 @@ class SimulatedRobot:
             columns, rows = (np.floor(points_along(seen, cell) / cell).astype(int) - corner).T
             inside = (columns >= 0) & (columns < side) & (rows >= 0) & (rows < side)
             cells[rows[inside], columns[inside]] = LETHAL
-        return Window(corner, cells)
+        return LocalWindow(corner, cells)
 
     def _publish_report(self, stamp: Time) -> None:
         poses = np.array([pose.as_array() for pose in self._poses])
@@ -595,7 +595,7 @@ class SimulatedRobot:
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            world = World(self._values(()))
+            world = SimulationParameters(self._values(()))
         except OptdockError as error:
             response.success, response.message = False, str(error)
             return response
@@ -606,7 +606,7 @@ class SimulatedRobot:
 
     def _on_parameters(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
         try:
-            world = World(self._values(parameters))
+            world = SimulationParameters(self._values(parameters))
         except OptdockError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._faults = world.block("faults")
@@ -692,7 +692,7 @@ def main() -> None:
     """Until ctrl-C."""
     rclpy.init()
     try:
-        robot = SimulatedRobot()
+        robot = SimulatedRobotNode()
     except OptdockError as error:
         rclpy.try_shutdown()
         sys.exit(f"simulated_robot: {error}")

@@ -28,11 +28,11 @@ from optdock.plugins.interfaces import PluginContext, Smoother
 from optdock.plugins.outcomes import SmoothingResult
 from optdock.plugins.registry import create_plugin
 from optdock.verification import certify_path
-from optdock_ros.goals import Job, JobEnded
+from optdock_ros.goals import JobEnded, WorkerJob
 from optdock_ros.plugin_server import (
     PluginServer,
     PluginServerParameters,
-    Settings,
+    ServerSettings,
     compact_path,
     cropped,
     failed,
@@ -101,7 +101,7 @@ class SmootherServer(PluginServer[Smoother]):
         for smoother in self.settings.plugins.values():
             create_plugin(Smoother, smoother.choice.name, smoother.choice.parameters).warm_up()
 
-    def _smooth(self, goal: SmoothPath.Goal, job: Job) -> tuple[SmoothPath.Result, bool]:
+    def _smooth(self, goal: SmoothPath.Goal, job: WorkerJob) -> tuple[SmoothPath.Result, bool]:
         """A goal, in the worker's thread."""
         try:
             return self._smoothed(goal, job), True
@@ -115,7 +115,7 @@ class SmootherServer(PluginServer[Smoother]):
         self.get_logger().error(why)
         return failed(SmoothPath.Result(), why, code), False
 
-    def _smoothed(self, goal: SmoothPath.Goal, job: Job) -> SmoothPath.Result:
+    def _smoothed(self, goal: SmoothPath.Goal, job: WorkerJob) -> SmoothPath.Result:
         began, settings, result = now(self), self.settings, SmoothPath.Result()
         smoother = self.chosen(goal.smoother_id, settings)
         if smoother is None:
@@ -139,7 +139,7 @@ class SmootherServer(PluginServer[Smoother]):
         result.smoothing_duration = Duration(seconds=max(0.0, now(self) - began)).to_msg()
         return result
 
-    def _task(self, message: PathMessage, settings: Settings[Smoother]) -> _Task:
+    def _task(self, message: PathMessage, settings: ServerSettings[Smoother]) -> _Task:
         """What the goal asks for, among what is known of the surroundings.
 
         Raises:

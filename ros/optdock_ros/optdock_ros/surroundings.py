@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.ros import StampedCostmap
-    from optdock_ros.transforms import TransformBuffer
+    from optdock_ros.frame_lookup import TransformBuffer
 
 __all__ = [
     "CostmapTopic",

@@ -9,8 +9,8 @@ import numpy as np
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers.scp.collision.broad_phase import Pairs
+    from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.collision.narrow_phase import Clearance
-    from smoothers.scp.collision.scene import Scene
     from smoothers.scp.settings import CollisionSettings
 
 __all__ = ["ActivePairs", "active_pairs", "local_minima"]

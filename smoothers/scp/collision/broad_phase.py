@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers.scp.collision.scene import Points
+from smoothers.scp.collision.collision_scene import Points
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers.scp.basis import Basis
-    from smoothers.scp.collision.scene import BodyAtNodes, Scene
+    from smoothers.scp.collision.collision_scene import BodyAtNodes, Scene
     from smoothers.scp.rollout import Rollout
 
 __all__ = ["Pairs", "broad_phase", "swept_boxes"]

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.active_pairs import ActivePairs
+    from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.collision.narrow_phase import Chords, Clearance
-    from smoothers.scp.collision.scene import Scene
     from smoothers.scp.rollout import Rollout, Sensitivity
     from smoothers.scp.settings import CollisionSettings
 

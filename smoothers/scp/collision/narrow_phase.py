@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from smoothers.scp.collision.scene import LEAVING, Points
+from smoothers.scp.collision.collision_scene import LEAVING, Points
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.broad_phase import Pairs
-    from smoothers.scp.collision.scene import BodyAtNodes, Requirement, Scene
+    from smoothers.scp.collision.collision_scene import BodyAtNodes, Requirement, Scene
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import CollisionSettings
 

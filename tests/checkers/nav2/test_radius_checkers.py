@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checkers.nav2.position import PositionGoalChecker
-from checkers.nav2.simple import SimpleGoalChecker
+from checkers.nav2.simple_goal import SimpleGoalChecker
 from checkers.nav2.stopped import StoppedGoalChecker
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2, Twist2

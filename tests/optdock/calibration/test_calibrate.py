@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from optdock.calibration import as_text, as_yaml, calibrate, read_recording, save_calibration_picture, written_values
+from optdock.calibration.conformal_tube import conformal_rank, conformal_tube
 from optdock.calibration.detections import detection_quantities
-from optdock.calibration.drive import DriveResponse, answered, drive_response
+from optdock.calibration.drive_response import DriveResponse, answered, drive_response
 from optdock.calibration.localization import localization_errors, stored_dock
-from optdock.calibration.motion import odometry_quantities, smoothed
+from optdock.calibration.odometry_errors import odometry_quantities, smoothed
 from optdock.calibration.statistics import fit, mean_of, poisson_rate, share_of
-from optdock.calibration.tube import conformal_rank, conformal_tube
 from optdock.cli import app
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.executor import ExecutorSettings

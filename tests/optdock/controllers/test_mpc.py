@@ -5,10 +5,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from checkers.dock import DockGoalChecker
+from checkers.dock_goal import DockGoalChecker
 from optdock.controllers import mpc
 from optdock.controllers.mpc import CycleOutcome, MpcController
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from checkers.dock import DockGoalChecker
+from checkers.dock_goal import DockGoalChecker
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.moving_reference import ReferenceProgress, TrajectoryReference
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2

@@ -11,9 +11,9 @@ from optdock.config import load_scenario
 from optdock.errors import InvalidFile
 from optdock.io.maps import load_map
 from optdock.io.numbers import unit_fault
+from optdock.nav2.docking_problem import nav2_scenario
 from optdock.nav2.docks import load_dock_database
 from optdock.nav2.params import load_nav2_params
-from optdock.nav2.scenario import nav2_scenario
 
 SCENARIO = """\
 format: optdock-scenario/1

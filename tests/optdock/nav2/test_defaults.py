@@ -6,9 +6,9 @@ A table holds what Nav2's documents give; a parameter of ours that is not in it 
 import dataclasses
 
 from optdock.nav2.costmap_params import CostmapParams
+from optdock.nav2.docking_problem import nav2_scenario
 from optdock.nav2.docks import DockTypeParams
 from optdock.nav2.layered_costmap import LayeredCostmapParameters
-from optdock.nav2.scenario import nav2_scenario
 from optdock.plugins.interfaces import GoalChecker
 from optdock.plugins.registry import INTERFACES, load_plugin
 

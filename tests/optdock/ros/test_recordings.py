@@ -17,8 +17,8 @@ from optdock import ros
 from optdock.cli import app
 from optdock.executor import Ending, EndingKind, Event, ExecutorSettings, State
 from optdock.executor.log import LogWriter, Task
-from optdock.executor.outcomes import Feedback, FeedbackState, Step
 from optdock.executor.planning import DrivenMotion, Outcome, PlanResult
+from optdock.executor.task_states import Feedback, FeedbackState, Step
 from optdock.geometry.pose import transform_points
 from optdock.io.plan_file import load_plan
 from optdock.model.measurements import Detection, Measurements

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
-from checkers.dock import DockGoalChecker
+from checkers.dock_goal import DockGoalChecker
 from optdock.builtin import demo_scenario
-from optdock.cli.simulate import World, driven
+from optdock.cli.simulate import WorldDeviations, driven
 from optdock.config import load_scenario
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.planning.pipeline import plan_dock
@@ -98,7 +98,7 @@ def test_the_built_in_scenario_ends_by_the_axis_goal_checker_with_the_other_besi
 
 def test_a_scenario_that_names_no_checker_has_one_verdict(scenario, plan):
     plain = dataclasses.replace(scenario, goal_checker=PluginChoice("DockGoalChecker"))
-    run = driven(plain, plan, 0, World(0.0, 0.0, 0.0, 0.0))
+    run = driven(plain, plan, 0, WorldDeviations(0.0, 0.0, 0.0, 0.0))
     assert run.verdicts == {"DockGoalChecker": True}
 
 

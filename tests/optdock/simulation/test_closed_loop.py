@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from checkers.axis import AxisGoalChecker
-from checkers.dock import DockGoalChecker
-from optdock.controllers.tracking import TrackingController
+from checkers.dock_goal import DockGoalChecker
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet

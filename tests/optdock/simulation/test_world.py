@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet

@@ -16,7 +16,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.plugins.registry import INTERFACES, available_plugins
 from optdock.testing.contracts import CONTRACTS, installed_suites
-from optdock.testing.contracts.scene import scene_context, scene_problem
+from optdock.testing.contracts.contract_scene import scene_context, scene_problem
 
 
 def dock_blocked_from_staging(suite):

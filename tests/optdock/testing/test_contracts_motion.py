@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException, PluginError
 from optdock.executor import SimpleDock

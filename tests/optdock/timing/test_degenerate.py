@@ -17,7 +17,7 @@ from optdock.plugins.interfaces import TimingStatus
 from optdock.testing.drives import s_curve_drive
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import limits_along
-from optdock.timing.settings import SAMPLING
+from optdock.timing.timing_settings import SAMPLING
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory
 

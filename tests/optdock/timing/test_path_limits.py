@@ -9,7 +9,7 @@ import pytest
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.timing.motion import DriveBounds, Motion, MotionState
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits, worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.verification import certify_trajectory
@@ -152,7 +152,7 @@ def test_agrees_with_the_independent_certificate(make, all_limits, seed):
 
 
 def test_stretching_by_what_the_check_says_cures_every_limit(make, all_limits):
-    from optdock.timing.motion import stretched
+    from optdock.timing.jerk_phases import stretched
 
     path = make.random_path(np.random.default_rng(2), length=2.0)
     along = limits_along(path, all_limits, SpeedZone())[0]

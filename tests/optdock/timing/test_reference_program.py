@@ -8,7 +8,7 @@ import pytest
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.timing.forward_backward import forward_backward_pass
-from optdock.timing.motion import MotionState, state_after
+from optdock.timing.jerk_phases import MotionState, state_after
 from optdock.timing.path_limits import ReferenceBounds, limits_along
 from optdock.timing.reference_program import (
     applied,
@@ -20,7 +20,7 @@ from optdock.timing.reference_program import (
     spline_of,
     spline_phases,
 )
-from optdock.timing.settings import NEAR_OPTIMAL
+from optdock.timing.timing_settings import NEAR_OPTIMAL
 
 REST = MotionState()
 

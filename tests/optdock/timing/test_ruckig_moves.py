@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from optdock.errors import PluginError
 from optdock.model.limits import SpeedZone
 from optdock.timing import ruckig_moves
-from optdock.timing.motion import DriveBounds, Motion, MotionState
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import reference_motion
 from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along, worst_ratio
 from optdock.timing.ruckig_moves import move

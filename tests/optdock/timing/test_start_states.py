@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.motion import Motion, MotionState, braking_slack
+from optdock.timing.jerk_phases import Motion, MotionState, braking_slack
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
 from optdock.timing.start_states import Braking

@@ -13,7 +13,7 @@ from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Path
 from optdock.plugins.interfaces import TimeParameterizer, TimingStatus
 from optdock.plugins.registry import create_plugin
-from optdock.timing.motion import DriveBounds
+from optdock.timing.jerk_phases import DriveBounds
 from optdock.timing.windowed import Window, Windowed, reachable_speed, s_curve_length
 
 NO_ZONE = SpeedZone()

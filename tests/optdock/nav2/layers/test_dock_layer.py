@@ -12,7 +12,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.nav2.layered_costmap import LayeredCostmap
-from optdock.nav2.layers.dock import DockLayer
+from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.raster import fill_footprint
 from optdock.nav2.layers.static import StaticLayer
 

@@ -11,7 +11,7 @@ from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
-from optdock.nav2.layers.dock import DockLayer
+from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.layers.window import joined
 from optdock.plugins.interfaces import Bounds

@@ -10,7 +10,7 @@ from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.nav2.layered_costmap import LayeredCostmap
-from optdock.nav2.layers.dock import DockLayer
+from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.plugins.interfaces import Bounds, Layer
 from optdock.plugins.lifecycle import LifecycleState

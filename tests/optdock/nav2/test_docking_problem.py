@@ -11,8 +11,8 @@ from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
 from optdock.model.limits import LIMIT_UNITS
+from optdock.nav2.docking_problem import nav2_limits, nav2_scenario
 from optdock.nav2.params import load_nav2_params
-from optdock.nav2.scenario import nav2_limits, nav2_scenario
 
 PARAMS = """\
 global_costmap:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
-from checkers.dock import DockGoalChecker
-from optdock.controllers import tracking
-from optdock.controllers.tracking import TrackingController
+from checkers.dock_goal import DockGoalChecker
+from optdock.controllers import tracking_controller
+from optdock.controllers.tracking_controller import TrackingController
 from optdock.controllers.tracking_law import DelayBounds, Gains
 from optdock.costmap.costmap import Costmap
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
@@ -521,7 +521,7 @@ class TestLateDrive:
 
     def test_it_does_not_weave(self, monkeypatch):
         assert max(self.off_line(seed) for seed in range(3)) < 0.02
-        monkeypatch.setattr(tracking, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
+        monkeypatch.setattr(tracking_controller, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
         assert min(self.off_line(seed) for seed in range(3)) > 0.1
 
 
@@ -559,6 +559,6 @@ class TestBeforeTheEnd:
         across, turned = self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)
         assert across < 0.005
         assert turned < math.radians(0.3)
-        monkeypatch.setattr(tracking, "_LEFT", math.inf)
-        monkeypatch.setattr(tracking, "_QUICKEST_TURN", 1.0)
+        monkeypatch.setattr(tracking_controller, "_LEFT", math.inf)
+        monkeypatch.setattr(tracking_controller, "_QUICKEST_TURN", 1.0)
         assert self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)[1] > math.radians(0.6)

@@ -4,7 +4,7 @@
     subject to  |K| <= k_max, |K_(j+1) - K_j| <= s_max L / q, L > 0
                 pose at the end = goal, moved back by the final straight
                 clearance of the swept footprint >= required clearance       (`collision`)
-                marker of the dock inside the camera's view                  (`visibility`)
+                marker of the dock inside the camera's view                  (`visibility_constraint`)
 
 K: curvatures at the knots, L: lengths of the gears. The final straight is no variable: its poses are given.
 """
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis, Shape
-    from smoothers.scp.collision.scene import Scene
+    from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.cost import Weights
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
-    from smoothers.scp.visibility import ViewBound
+    from smoothers.scp.visibility_constraint import ViewBound
 
 __all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
 

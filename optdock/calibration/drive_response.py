@@ -54,7 +54,7 @@ class DriveResponse(NamedTuple):
     answers: list[tuple[FloatArray, FloatArray]]
 
 
-class _Axis(NamedTuple):
+class _AxisRecording(NamedTuple):
     """One scalar drive in one recording: its commands, and the way that the odometry tells."""
 
     times: FloatArray
@@ -97,7 +97,7 @@ def _no_dead_bands(used: list[Recording], width: float) -> str:
     return _too_short([_axis(one, 0, (0.0, 0.0), 0.0) for one in used])
 
 
-def _too_short(axes: list[_Axis]) -> str:
+def _too_short(axes: list[_AxisRecording]) -> str:
     """Why intervals cannot be told of so few residuals; empty where they can."""
     if axes and len(np.unique(_clusters(axes))) >= LEAST_CLUSTERS:
         return ""
@@ -139,7 +139,7 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
     return found
 
 
-def _fitted(axes: list[_Axis], name: str, least_change: float) -> tuple[Fit | None, list[Quantity]]:
+def _fitted(axes: list[_AxisRecording], name: str, least_change: float) -> tuple[Fit | None, list[Quantity]]:
     rows = [(f"command latency, {name}", "s"), (f"drive lag, {name}", "s")]
     count = sum(len(axis.first) for axis in axes)
     changes = max((float(np.ptp(axis.commands)) for axis in axes), default=0.0)
@@ -161,7 +161,7 @@ def _checked(name: str, unit: str, interval: tuple[float, float, float], count: 
     return Quantity(name, unit, value, max(low - _UNMODELLED, 0.0), high + _UNMODELLED, count, sources)
 
 
-def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:
+def _residuals(axes: list[_AxisRecording], values: FloatArray) -> FloatArray:
     found = []
     for axis in axes:
         off = answered(axis.times, axis.commands, values.tolist(), axis.stamps) - axis.way
@@ -169,7 +169,7 @@ def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:
     return np.concatenate(found)
 
 
-def _clusters(axes: list[_Axis]) -> IntArray:
+def _clusters(axes: list[_AxisRecording]) -> IntArray:
     """Of each residual: which stretch of which recording it is of."""
     return np.concatenate(clusters_of((axis.stamps[axis.first] - axis.stamps[0] for axis in axes), _CLUSTER))
 
@@ -190,24 +190,24 @@ def _limited(recording: Recording, bands: tuple[float, float], width: float) -> 
     return np.column_stack((0.5 * (left + right), (right - left) / width))
 
 
-def _axis(recording: Recording, index: int, bands: tuple[float, float], width: float) -> _Axis:
+def _axis(recording: Recording, index: int, bands: tuple[float, float], width: float) -> _AxisRecording:
     stamps, along, yaw = _way(recording)
     commands = _limited(recording, bands, width) if width > 0.0 else recording.commands
     return _spans(recording, commands[:, index], stamps, (along, yaw)[index])
 
 
-def _wheel(recording: Recording, side: float, width: float) -> _Axis:
+def _wheel(recording: Recording, side: float, width: float) -> _AxisRecording:
     stamps, along, yaw = _way(recording)
     lever = 0.5 * side * width
     return _spans(recording, recording.commands[:, 0] + lever * recording.commands[:, 1], stamps, along + lever * yaw)
 
 
-def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: FloatArray) -> _Axis:
+def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: FloatArray) -> _AxisRecording:
     inside = (stamps >= recording.times[0]) & (stamps <= recording.times[-1])
     stamps, way = stamps[inside], way[inside]
     last = np.searchsorted(stamps, stamps + _SPAN)
     first = np.flatnonzero(last < len(stamps))
-    return _Axis(recording.times, commands, stamps, way, first, last[first])
+    return _AxisRecording(recording.times, commands, stamps, way, first, last[first])
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
@@ -243,7 +243,7 @@ def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: 
 _ROUNDING = 1e-15  # [m^2] of sums of squares
 
 
-def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatArray:
+def _misfits(axes: list[_AxisRecording], bands: FloatArray, values: FloatArray) -> FloatArray:
     """Sums of squared residuals of each cluster for each dead band, Shape (b, c) [m^2].
 
     A stretch with a slipping or stalled wheel counts no more than others: misfits beyond the usual ones are cut.

@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from hall import Surroundings
 from harness import spinning
-from optdock_ros.transforms import TransformBuffer
+from optdock_ros.frame_lookup import TransformBuffer
 from rclpy.node import Node
 
 from optdock import ros

@@ -24,7 +24,7 @@ from optdock.planning.plan import PartialPlan
 from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path
 from smoothers.scp.refusals import refuse_certificate, refuse_turns
-from smoothers.scp.strategy import Call, Incumbent, SearchOutcome, Solver, straight_line
+from smoothers.scp.search import Call, Incumbent, SearchOutcome, Solver, straight_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.motion import Motion, MotionState, Phases
+from optdock.timing.jerk_phases import Motion, MotionState, Phases
 from optdock.timing.path_limits import KEPT, Worst, motion_ratios, worst_ratio
-from optdock.timing.settings import SAMPLING
+from optdock.timing.timing_settings import SAMPLING
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

@@ -18,12 +18,12 @@ from optdock.model.path import ClothoidSegment, Path
 from optdock.planning.plan import PartialPlan
 from optdock.plugins.interfaces import SmoothingStatus
 from optdock.verification import certify_path, end_clearances
+from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.narrow_phase import most_sag
-from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.problem import formulate, with_intervals
+from smoothers.scp.nlp import formulate, with_intervals
 from smoothers.scp.refusals import (
     refuse_approach,
     refuse_certificate,
@@ -31,7 +31,7 @@ from smoothers.scp.refusals import (
     refuse_start,
     refuse_unseen_approach,
 )
-from smoothers.scp.visibility import ViewBound
+from smoothers.scp.visibility_constraint import ViewBound
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
-    from smoothers.scp.collision.scene import Scene
+    from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.initial_guess import SearchGuess
     from smoothers.scp.loop import Iterate
-    from smoothers.scp.problem import Formulation, NonlinearProgram
+    from smoothers.scp.nlp import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.settings import AnytimeSettings, Settings
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from optdock_ros.world import joined, moved
+from optdock_ros.merged_costmap import joined, moved
 
 from optdock.costmap.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 from optdock.geometry.pose import Pose2, transform_points

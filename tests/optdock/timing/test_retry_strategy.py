@@ -12,12 +12,12 @@ from optdock.errors import InvalidValue
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Path
 from optdock.plugins.interfaces import TimingStatus
-from optdock.timing.checks import SegmentPlan
-from optdock.timing.motion import DriveBounds, Motion, MotionState
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import NearOptimal, near_optimal_plans
 from optdock.timing.path_limits import limits_along
+from optdock.timing.plan_checks import SegmentPlan
+from optdock.timing.retry_strategy import NO_DEADLINES, Deadlines, TimingStart, best_of, segment_plans, time_path
 from optdock.timing.ruckig_moves import move
-from optdock.timing.strategy import NO_DEADLINES, Deadlines, TimingStart, best_of, segment_plans, time_path
 from optdock.timing.windowed import Windowed, windowed_plans
 from optdock.verification import certify_trajectory
 

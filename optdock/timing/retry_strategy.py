@@ -34,12 +34,12 @@ from optdock.model.path import Path, PolylineSegment, TurnSegment
 from optdock.model.segments import TURN_RADIUS
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plugins.interfaces import TimingReport, TimingResult, TimingStatus
-from optdock.timing.checks import SegmentPlan, end_slack
-from optdock.timing.motion import DriveBounds, Motion, MotionState, Phases
+from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases
 from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_ratio
+from optdock.timing.plan_checks import SegmentPlan, end_slack
 from optdock.timing.ruckig_moves import move
-from optdock.timing.settings import CLOCK, SAMPLING
 from optdock.timing.start_states import NO_DISTANCE, judge_start
+from optdock.timing.timing_settings import CLOCK, SAMPLING
 from optdock.verification import TOLERANCE, certify_trajectory
 
 if TYPE_CHECKING:

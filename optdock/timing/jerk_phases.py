@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.model.trajectory import border_states, constant_jerk
-from optdock.timing.settings import SAMPLING
+from optdock.timing.timing_settings import SAMPLING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from checkers.dock import DockGoalChecker
+from checkers.dock_goal import DockGoalChecker
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from optdock.controllers.checks import checked_speed_limit, checked_task
+from optdock.controllers.call_checks import checked_speed_limit, checked_task
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from harness import Client, Lifecycle, spinning
-from optdock_ros.parameters import (
+from optdock_ros.nested_parameters import (
     Faults,
     ServerParameters,
     clearance_parameters,

@@ -13,9 +13,9 @@ from optdock.errors import ControllerException
 from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
 from optdock.executor.dock_estimate import LONGEST_HIDDEN, NO_ROOM
 from optdock.executor.interruptions import SHORTER_WAY, TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
-from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
 from optdock.executor.planning_scene import AT_A_STAND
+from optdock.executor.task_states import EndingKind, State
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.model.segments import TurnSegment
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
@@ -129,7 +129,7 @@ class TrajectoryDrive:
         """What is driven from now on."""
         law, tracking = motion.trajectory.time_law, self._situation.problem.robot.tracking
         self.motion, self._progress = motion, (-math.inf, self._situation.now)
-        self._way = _Way(motion.trajectory.path)
+        self._way = _SampledPath(motion.trajectory.path)
         if self._is_approach and not self._is_stop:
             gears = [int(segment.direction) for segment in motion.trajectory.path.segments]
             self._situation.estimate.approach_gear = next((float(gear) for gear in reversed(gears) if gear), None)
@@ -503,7 +503,7 @@ def _has_gone(before: Costmap, now: Costmap, places: FloatArray, reach: float) -
     return bool(np.any((costs != LETHAL) & (costs != NO_INFORMATION)))
 
 
-class _Way:
+class _SampledPath:
     """The poses of a path at equal distances, to find one quickly."""
 
     def __init__(self, path: Path) -> None:

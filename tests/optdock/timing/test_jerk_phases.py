@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.model.trajectory import TimeLaw
-from optdock.timing.motion import Motion, MotionState, braking_slack, state_after, stretched
+from optdock.timing.jerk_phases import Motion, MotionState, braking_slack, state_after, stretched
 
 PHASES = ((0.4, 1.0), (0.3, 0.0), (0.5, -0.8), (0.7, 0.2))
 
