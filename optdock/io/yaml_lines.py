@@ -120,6 +120,8 @@ def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
     if mark is not None and text[mark.index : mark.index + 1] == "\t":
         return f"{where}: is not valid YAML: a tab stands where only spaces may; indent with spaces"
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    if "nesting depth" in reason:  # libyaml since PyYAML 6.0.4 has a limit of its own, which may be met first
+        return f"{where}: is nested too deeply"
     if reason.startswith("but "):  # the other half of the sentence
         reason = f"{getattr(error, 'context', None)}, {reason}"
     return f"{where}: is not valid YAML: {shortened(reason)}"
