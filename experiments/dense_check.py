@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.model.path import place_before_end
+
 if TYPE_CHECKING:
     from shapely import STRtree
 
@@ -192,7 +194,7 @@ def _view_faults(s: FloatArray, poses: FloatArray, path: Path, problem: DockingP
     dock, camera = problem.dock, problem.robot.camera
     if dock.visible_distance == 0.0 or dock.marker is None or camera is None:
         return ()
-    begin, end = path.before_end(dock.visible_distance), path.before_end(dock.blind_distance)
+    begin, end = place_before_end(path, dock.visible_distance), place_before_end(path, dock.blind_distance)
     judged = (s >= begin) & (s <= end)
     x, y, yaw = poses[judged].T
     ahead, left, turned = dock.marker[0], dock.marker[1], problem.goal.yaw

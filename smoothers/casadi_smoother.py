@@ -223,7 +223,7 @@ class CasadiSmoother(Smoother):
             solver = Solver(pool, deadline, never_cancelled, self.settings)
             with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
                 solver.follow_strategy(self.call_for(path, problem))
-            paces.append(solver.outcome.pace)
+            paces.append(solver.times.pace)
         prepare_programs(pool, self.settings.step)
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 

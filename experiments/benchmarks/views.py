@@ -32,7 +32,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
 from optdock.model.dock import Dock, DockDirection
-from optdock.model.path import ClothoidSegment, Path
+from optdock.model.path import ClothoidSegment, Path, place_before_end
 from optdock.planning.pipeline import DEFAULT_TIME_BUDGET, plan_dock, warm_up
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def seeing(problem: DockingProblem, degrees: float, visible: float) -> DockingPr
 
 def sees(path: Path, problem: DockingProblem, degrees: float, visible: float) -> bool:
     """Whether the marker is in the cone at dense samples of the last stretch, by bearings."""
-    s = np.arange(max(0.0, path.before_end(visible)), path.length, SPACING)
+    s = np.arange(max(0.0, place_before_end(path, visible)), path.length, SPACING)
     x, y, yaw = path.poses_at(np.append(s, path.length)).T
     goal = problem.goal
     mx, my = (

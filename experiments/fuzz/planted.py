@@ -19,6 +19,7 @@ from optdock.verification import (
     motion_bounds,
     path_rules,
     trajectory_rules,
+    turning_rules,
     visibility,
 )
 
@@ -159,13 +160,13 @@ PLANTS: dict[str, Plant] = {
     ),
     "dropped_measured_pose": Plant(Footprint, "displacement", _nowhere_off),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
-    "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
+    "dropped_time_cell": Plant(trajectory_rules, "initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
     "always_true": Plant(certificate.Certificate, "__bool__", _true),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
-    "lateral_jerk_order": Plant(trajectory_rules, "LIMITS", _lateral_jerk_of_another_order),
+    "lateral_jerk_order": Plant(turning_rules, "LIMITS", _lateral_jerk_of_another_order),
     "view_at_rest": Plant(visibility, "_advance", _at_rest),
     "view_of_one_edge": Plant(visibility, "_lowest_in_cone", _one_edge),
     "view_tolerance_x5": Plant(visibility, "TOLERANCE", _five_times),
-    "lateral_jerk_at_ends_only": Plant(trajectory_rules, "_BENDS", _no_bend_of_lateral_jerk),
+    "lateral_jerk_at_ends_only": Plant(turning_rules, "_BENDS", _no_bend_of_lateral_jerk),
 }

@@ -13,7 +13,7 @@ import numpy as np
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.errors import NoValidControl
-from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.geometry.obstacles import ObstacleSet, box_distance, in_words
 from optdock.geometry.separation import separation
 from optdock.plugins.outcomes import CostmapInfoType
 
@@ -94,7 +94,7 @@ class LookAhead:
         rows = obstacles.rows_in_box(lower, upper)
         if rows.size == 0:
             return None
-        close = obstacles.subset(rows).box_distance(way[:, :2]) < radius
+        close = box_distance(obstacles.subset(rows), way[:, :2]) < radius
         columns = np.flatnonzero(close.any(axis=0))
         if columns.size == 0:
             return None

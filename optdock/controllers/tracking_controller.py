@@ -12,10 +12,13 @@ from optdock.controllers.call_checks import checked_speed_limit, checked_task
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
-from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
+from optdock.controllers.feedback_gains import CREEPING, FeedbackGains
+from optdock.controllers.finish import Accepted, DeadBandPush, accepted_errors
 from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.controllers.moving_reference import ReferenceProgress, ReferenceState, TrajectoryReference, peaks
-from optdock.controllers.tracking_law import Gains, delay_bounds, left_after, tracking_command
+from optdock.controllers.progress_check import ProgressCheck
+from optdock.controllers.reference_rate import ReferenceRate, waiting_rate
+from optdock.controllers.tracking_law import tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
@@ -32,25 +35,12 @@ if TYPE_CHECKING:
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
-_HELD = 0.1  # rate of a waiting reference below which the robot does not follow
-_CREEPING = 1e-3  # [m/s]: a reference slower than this tells no curvature
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _TURN_LEVER = 0.5  # [m]: a turn in place tells the drive's delay as a drive does at the speed of a point so far off
 _ROOM = 2e-4  # [m] beyond the next rest: a motion that brakes as hard as it can is not slowed down by rounding
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
-_SHORTEST_CONVERGENCE = 0.05  # [m]
-_QUICKEST_TURN = 4.0  # [1/s], of the heading alone before the end, where the delay allows it
-_AT_END = 0.78  # of what the delay asks for, where too much would be left: a phase margin of 37 degrees, once
-_ERROR_SMOOTHING = 0.2  # [s], of the errors across and of the heading: more hides a jump from what is left of the way
-_SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
-_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: what a single error may add to that
-_NOISES = 3.0  # standard deviations
+_HELD = 0.1  # rate of a waiting reference below which the robot does not follow
 _SEEN_NOISE = 2.0  # standard deviations of a pose across, of depth that is taken for noise
-# [m] before the end, with no rest between: farther off an error decays anyway, and in the bends of a manoeuvre, at the
-# robot's limits, nothing is left for higher gains.
-_NEAR_END, _NOTHING_LEFT = 0.5, 1e-6
-_LEFT = 0.25  # of the accepted errors across and of the heading, that may be left at the end by what is seen now
-_STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
 
@@ -138,7 +128,7 @@ class TrackingController(Controller):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
-        self._speed_limit: tuple[float, bool] | None = None
+        self._rate = ReferenceRate()
         # The reference of the last call, and the robot's lag behind it.
         self._seen: tuple[ReferenceState, float] | None = None
         self._reference: TrajectoryReference | None = None
@@ -226,10 +216,12 @@ class TrackingController(Controller):
             self._anchor(reference, pose, velocity)
         now = self._advanced(reference)
         error = now.pose.in_frame_of(pose)
-        self._learn_noise(pose, velocity)
-        self._check_error(error)
+        self._feedback.learn_noise(pose, velocity, self._clock)
+        self._progress_check.check_error(p, error)
         accepted = accepted_errors(goal_checker, self.context)
-        self._check_progress(reference, now, error, accepted)
+        is_held = not self._cancelled and waiting_rate(p, now.lag_of(error)) <= _HELD
+        is_finishing = reference.finished and not self._cancelled
+        self._progress_check.check_progress(p, error, accepted, period, is_held=is_held, is_finishing=is_finishing)
         wanted = self._wanted(reference, now, error, accepted)
         if reference.finished:
             wanted = self._finishing(wanted, error, accepted, velocity)
@@ -277,7 +269,7 @@ class TrackingController(Controller):
         braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
-        ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._scatter)
+        ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._feedback.scatter)
         found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance, noise)
         if found is None:
             return
@@ -296,7 +288,7 @@ class TrackingController(Controller):
             InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
         limit = checked_speed_limit(limit, percentage, "TrackingController")
-        self._speed_limit = (limit, percentage) if limit > 0.0 else None
+        self._rate.speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:
         """Brake along the path within the limits; True once the commands are zero."""
@@ -322,9 +314,8 @@ class TrackingController(Controller):
 
     def _attempt(self) -> None:
         """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
-        self._aside = self._askew = self._scatter = self._yaw_scatter = 0.0
-        self._pose_before: tuple[Pose2, Twist2] | None = None
-        self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
+        self._feedback = FeedbackGains()
+        self._progress_check, self._push = ProgressCheck(), DeadBandPush()
 
     @property
     def _drive(self) -> Drive:
@@ -368,7 +359,12 @@ class TrackingController(Controller):
         if self._seen is not None:
             before, lag = self._seen
             settling = 0.0 if self._cancelled else _SETTLING
-            reference.advance(before, self._clock.elapsed, self._target_rate(reference, lag), self._limits, settling)
+            rate = (
+                0.0
+                if self._cancelled
+                else self._rate.target(self.parameters, reference, lag, self._limits, self._drive)
+            )
+            reference.advance(before, self._clock.elapsed, rate, self._limits, settling)
             reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=self._clock.learnt)
         return reference.state()
 
@@ -376,101 +372,19 @@ class TrackingController(Controller):
     def _known_delay(self) -> float:
         return self._delay.delay if self.parameters.preview is None else self.parameters.preview
 
-    def _check_error(self, error: Pose2) -> None:
-        p, distance = self.parameters, math.hypot(error.x, error.y)
-        if distance > p.max_error or abs(error.yaw) > p.max_yaw_error:
-            raise NoValidControl(
-                f"TrackingController: {distance:.3f} m and {abs(error.yaw):.3f} rad from the reference, more than "
-                f"max_error = {p.max_error} m or max_yaw_error = {p.max_yaw_error} rad; plan again from here",
-                where={"along": error.x, "cross": error.y, "yaw": error.yaw},
-            )
-
-    def _check_progress(
-        self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted
-    ) -> None:
-        """Refuse to stand for ever: a robot that does not follow, or that cannot reach what is accepted."""
-        p, period = self.parameters, self._clock.elapsed
-        where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
-        waiting = self._waiting(now.lag_of(error))
-        if self._following.lost(0.0 if self._cancelled or waiting > _HELD else 2.0, period, p.patience):
-            raise NoValidControl(
-                f"TrackingController: the robot does not follow: for {p.patience:g} s the reference has waited for it, "
-                f"{abs(error.x):.3f} m ahead; it is blocked, or its drive does not answer",
-                where=where,
-            )
-        left = accepted.shortfall(error) if reference.finished and not self._cancelled else 0.0
-        if self._arriving.lost(left, period, p.patience):
-            raise NoValidControl(
-                f"TrackingController: cannot come any nearer: {error.x:.3f} m along, {error.y:.3f} m across and "
-                f"{error.yaw:.3f} rad are left, accepted are {accepted.along:g} m, {accepted.cross:g} m and "
-                f"{accepted.yaw:g} rad, and nothing has become better for {p.patience:g} s; plan again from here",
-                where=where,
-            )
-
     def _wanted(self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
-        wanted = tracking_command(error, now.ahead.twist, self._gains(reference, now, error, accepted))
-        if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
+        gains = self._feedback.at(
+            self.parameters, now, error, accepted, self._clock, delay=self._known_delay, finished=reference.finished
+        )
+        wanted = tracking_command(error, now.ahead.twist, gains)
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
             arc = reference.next_arc()
             speed = wanted.linear if abs(wanted.linear) > _CREEP or reference.finished else _CREEP * arc.linear
             return Twist2(speed, speed * arc.linear * arc.angular)
         return wanted
-
-    def _learn_noise(self, pose: Pose2, velocity: Twist2) -> None:
-        """How much poses scatter across, beyond what odometry says the robot has moved: noise and no error of its own.
-
-        Two poses have twice the variance of one.
-        """
-        period, before = self._clock.elapsed, self._pose_before
-        self._pose_before = (pose, velocity)
-        if before is None or self._clock.silent:
-            return
-        last, speed = before
-        driven = Twist2(0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular))
-        off, share = last.moved(driven, period).in_frame_of(pose), min(1.0, period / _SCATTER_SMOOTHING)
-        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
-        self._scatter += share * (min(0.5 * off.y * off.y, most) - self._scatter)
-        most = _GROWTH * self._yaw_scatter + _LEAST_SCATTER
-        self._yaw_scatter += share * (min(0.5 * off.yaw * off.yaw, most) - self._yaw_scatter)
-
-    def _gains(self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Gains:
-        """As the parameters say, as far as the drive's delay allows; where too much would be left at the end, others.
-
-        What counts are the errors across and of the heading in units of what is accepted, smoothed and beyond their own
-        noise, which higher gains would amplify. An error across is taken back by turning the robot: where too little of
-        the way is left for turning it back, the heading is taken back and the error across is left.
-        """
-        p, ahead = self.parameters, now.ahead
-        bounds = delay_bounds(ahead.twist.linear, self._known_delay + 0.5 * self._clock.period, p.damping)
-        share = min(1.0, self._clock.elapsed / _ERROR_SMOOTHING)
-        self._aside += share * (error.y - self._aside)
-        self._askew += share * (error.yaw - self._askew)
-        smoothed = math.sqrt(share / (2.0 - share))
-        aside = self._aside if abs(self._aside) > _NOISES * smoothed * math.sqrt(self._scatter) else 0.0
-        askew = self._askew if abs(self._askew) > _NOISES * smoothed * math.sqrt(self._yaw_scatter) else 0.0
-        slope, speed = now.gear * askew, max(abs(ahead.twist.linear), _CREEPING)
-
-        def left_with(distance: float, turn: float) -> float:
-            pull = max(turn / speed, 2.0 * p.damping / distance)
-            across, turned = left_after(ahead.left, aside, slope, distance, pull)
-            return max(abs(across) / accepted.cross, abs(turned) / accepted.yaw)
-
-        turns = min(p.turn_gain, bounds.rate), min(_QUICKEST_TURN, bounds.rate)
-        usual = max(p.convergence_distance, bounds.distance)
-        least = min(max(_SHORTEST_CONVERGENCE, _AT_END * bounds.distance), usual)
-        best, is_near = (usual, turns[0]), ahead.left <= min(_NEAR_END, ahead.to_rest + _NOTHING_LEFT)
-        if reference.finished and abs(askew) > _LEFT * accepted.yaw:
-            best = usual, turns[1]
-        elif is_near and (least_left := left_with(*best)) > _LEFT:
-            distance = usual
-            while distance > least:
-                for turn in turns:
-                    if (found := left_with(distance, turn)) < least_left:
-                        best, least_left = (distance, turn), found
-                distance *= 0.85
-        return Gains(min(p.along_gain, bounds.rate), best[0], p.damping, best[1])
 
     def _finishing(self, wanted: Twist2, error: Pose2, accepted: Accepted, velocity: Twist2) -> Twist2:
         """The command that ends the drive: above the dead band while more is left than needs to be, then nothing."""
@@ -487,31 +401,6 @@ class TrackingController(Controller):
             0.0 if abs(pushed.linear) < _NOTHING else pushed.linear,
             0.0 if abs(pushed.angular) < _NOTHING else pushed.angular,
         )
-
-    def _target_rate(self, reference: TrajectoryReference, lag: float) -> float:
-        if self._cancelled:
-            return 0.0
-        return self._waiting(lag) * min(self._allowed_rate(reference.trajectory), self._rate_of_turns(reference))
-
-    def _rate_of_turns(self, reference: TrajectoryReference) -> float:
-        """The rate at which the reference leaves feedback its reserve: yaw accelerations grow with its square [1]."""
-        most = _STEERED_RATE if self._drive is Drive.ACKERMANN else 1.0
-        kept = (1.0 - self.parameters.turn_reserve) * self._limits.max_yaw_acceleration
-        if math.isinf(kept):
-            return most
-        planned = reference.peak_yaw_acceleration()
-        return min(most, math.sqrt(kept / planned)) if planned > 0.0 else most
-
-    def _waiting(self, lag: float) -> float:
-        """Rate of a reference that waits for a robot that lags [1]."""
-        p = self.parameters
-        return min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
-
-    def _allowed_rate(self, trajectory: Trajectory) -> float:
-        if self._speed_limit is None:
-            return 1.0
-        limit, percentage = self._speed_limit
-        return min(1.0, limit / 100.0 if percentage else limit / max(peaks(trajectory)[0], 1e-9))
 
 
 def _at_least(value: float, least: float) -> float:

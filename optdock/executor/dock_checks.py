@@ -53,14 +53,14 @@ def perceive(cycles: ControlCycles) -> Cycles:
     if not settings.use_detections or cycles.situation.estimate.is_found:
         return
     cycles.state = State.PERCEIVING
-    since, before = cycles.now, perception.detections
-    while perception.detections - before < settings.least_detections:
+    since, before = cycles.now, perception.detections.count
+    while perception.detections.count - before < settings.least_detections:
         if cycles.now - since > settings.initial_perception_timeout:
-            found, far = perception.detections - before, perception.too_far
+            found, far = perception.detections.count - before, perception.detections.too_far
             raise TaskFailed(
                 EndingKind.FAILED_TO_DETECT_DOCK,
                 f"{found} detections in {cycles.now - since:.1f} s, needed are {settings.least_detections}; "
-                f"{perception.rejected} were rejected so far"
+                f"{perception.detections.rejected} were rejected so far"
                 + (f"; the last was {far:.3f} m from the stored dock, which is another one" if far else ""),
             )
         yield from cycles.cycle(STOP)
@@ -76,8 +76,8 @@ def wait_for_detection(cycles: ControlCycles) -> Cycles:
     is_needed = situation.estimate.detection_is_old
     if not settings.use_detections or not (is_needed or situation.estimate.is_hidden):
         return
-    since, before, cycles.state = cycles.now, perception.detections, State.WAITING_FOR_DETECTION
-    while perception.detections - before < (settings.least_detections if is_needed else 1):
+    since, before, cycles.state = cycles.now, perception.detections.count, State.WAITING_FOR_DETECTION
+    while perception.detections.count - before < (settings.least_detections if is_needed else 1):
         waited = cycles.now - since
         if waited > settings.initial_perception_timeout:
             reason = f"the dock has not been seen for {perception.detection_age:.1f} s"
@@ -97,8 +97,8 @@ def confirm(cycles: ControlCycles) -> Cycles:
     situation, perception, since = cycles.situation, cycles.situation.perception, cycles.now
     if cycles.situation.settings.use_detections:
         while (
-            perception.moved_since_seen() > _UNSEEN_WAY
-            or perception.moved_since_seen(2) > _UNSURE_WAY
+            perception.detections.moved_since_seen() > _UNSEEN_WAY
+            or perception.detections.moved_since_seen(2) > _UNSURE_WAY
             or situation.estimate.is_in_doubt
         ):
             patience = _HIDDEN_FOR if situation.estimate.sees_from_near else _CONFIRMATION
@@ -108,7 +108,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
                 break
             yield from cycles.cycle(STOP)
     _require_certainty(cycles)
-    is_seen = perception.moved_since_seen() <= _UNSEEN_WAY
+    is_seen = perception.detections.moved_since_seen() <= _UNSEEN_WAY
     if not situation.estimate.is_within_tolerances(SURE_SEEN if is_seen else _SURE_UNSEEN):
         raise Interrupted(NOT_DOCKED, situation.estimate.where)
 
@@ -131,7 +131,7 @@ def _require_certainty(cycles: ControlCycles) -> None:
     """Raises AttemptFailed if nobody knows whether the robot stands in its dock."""
     situation, perception = cycles.situation, cycles.situation.perception
     kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "it cannot be known whether the robot is docked"
-    if perception.is_contradicted:
+    if perception.detections.is_contradicted:
         raise AttemptFailed(kind, "the last detections contradict where the dock was")
     if situation.estimate.may_have_turned:
         raise AttemptFailed(

@@ -109,20 +109,22 @@ class DockEstimate:
     @property
     def is_in_doubt(self) -> bool:
         """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
-        if self.may_have_turned or self.perception.is_contradicted or not self.will_know(0.0):
+        if self.may_have_turned or self.perception.detections.is_contradicted or not self.will_know(0.0):
             return True
         return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self.errors())
 
     @property
     def sees_from_near(self) -> bool:
         """Whether the dock has been seen from as near as the last look before it is taken."""
-        return self.perception.seen_from <= _NEAR
+        return self.perception.detections.seen_from <= _NEAR
 
     @property
     def is_confirmed(self) -> bool:
         """Whether the dock was seen as often as it must be, and nothing newer contradicts that."""
         perception = self.perception
-        return perception.detections >= self.settings.least_detections and not perception.is_contradicted
+        return (
+            perception.detections.count >= self.settings.least_detections and not perception.detections.is_contradicted
+        )
 
     @property
     def is_known(self) -> bool:

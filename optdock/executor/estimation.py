@@ -179,6 +179,35 @@ _SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was 
 _DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
 
 
+class _SeenErrors:
+    """The errors of an odometry, with what wheels that slipped have shown of late.
+
+    Attributes:
+        now: To be expected of the next step.
+    """
+
+    def __init__(self, usual: OdometryErrors) -> None:
+        self._usual, self.now = usual, usual
+
+    def expect(self, jump: Pose2, driven: float) -> None:
+        """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
+        errors, root = self.now, math.sqrt(driven)
+        self.now = errors._replace(
+            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
+            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
+        )
+
+    def forget(self, driven: float) -> None:
+        """Expect less of what the odometry did a while ago."""
+        errors, seen, left = self._usual, self.now, math.exp(-driven / _SLIP_MEMORY)
+        if seen is errors:
+            return
+        self.now = errors._replace(
+            along=errors.along + left * (seen.along - errors.along),
+            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
+        )
+
+
 class PoseFilter:
     """Pose of the robot in a fixed frame from dead reckoning and measured poses, at any rates.
 
@@ -206,7 +235,7 @@ class PoseFilter:
             if not finite_number(value, f"pose filter: {name}") >= 0.0:
                 raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
         self._errors, self._confirmations, self._fewer_when_close = errors, confirmations, fewer_when_close
-        self._seen_errors = errors  # with what wheels that slipped have shown
+        self._seen_errors = _SeenErrors(errors)
         self.covariance: FloatArray = np.zeros((6, 6))
         self.systematic: FloatArray = np.zeros(3)
         self.jump: Pose2 | None = None
@@ -286,8 +315,8 @@ class PoseFilter:
         scale, drift = float(self.systematic[0]), float(self.systematic[1])
         corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
-        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors)
-        self._forget_slip(math.hypot(step.x, step.y))
+        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors.now)
+        self._seen_errors.forget(math.hypot(step.x, step.y))
         reckoned = self._reckoned
         if stamp > last:
             reckoned.append((stamp, reckoned[-1][1] @ corrected))
@@ -377,7 +406,7 @@ class PoseFilter:
         """Whether two or more of the newest measurements agree with each other and not with the estimate."""
         since = self.stamp - _MEMORY
         newest = [o for o in self._outside if o.is_measured and o.accepted_since == 0 and o.stamp > since]
-        return any(self._agree(one, newest[-1]) for one in newest[:-1])
+        return any(_agree(one, newest[-1]) for one in newest[:-1])
 
     def after(self, way: float) -> FloatArray:
         """The covariance of x, y and yaw after a straight way without a measurement or a slip, Shape (3, 3).
@@ -431,12 +460,12 @@ class PoseFilter:
         now = measured @ (then.inverse() @ self.pose)
         one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
         self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]
-        agreeing = [other for other in self._outside if self._agree(other, one)]
+        agreeing = [other for other in self._outside if _agree(other, one)]
         self._outside.append(one)
         self.rejected += 1
         measured_there = [other for other in agreeing if other.is_measured]
         count, is_supposed = len(measured_there) + 1, len(measured_there) < len(agreeing)
-        is_close = all(self._agree(other, one, _CLOSE_GATE) for other in measured_there)
+        is_close = all(_agree(other, one, _CLOSE_GATE) for other in measured_there)
         needed = self._confirmations - (self._fewer_when_close if is_close else 0)
         is_confirmed = is_supposed or count >= max(needed, 2)
         if not is_confirmed or max((other.accepted_since for other in measured_there), default=-1) >= count - 1:
@@ -447,7 +476,7 @@ class PoseFilter:
         self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
         self.jump = self.pose.in_frame_of(before)
         if driven > _SLIPPED and not is_supposed and self.accepted >= _ESTABLISHED:
-            self._expect_slip(self.jump, driven)
+            self._seen_errors.expect(self.jump, driven)
         self.accepted, self.rejected = self.accepted + count, 0
         self.measured_at = max(self.measured_at, stamp)
         return "moved"
@@ -456,31 +485,6 @@ class PoseFilter:
         """Way that is remembered [m]."""
         poses = [pose for _, pose in self._reckoned]
         return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
-
-    def _expect_slip(self, jump: Pose2, driven: float) -> None:
-        """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
-        errors, root = self._seen_errors, math.sqrt(driven)
-        self._seen_errors = errors._replace(
-            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
-            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
-        )
-
-    def _forget_slip(self, driven: float) -> None:
-        """Expect less of what the odometry did a while ago."""
-        errors, seen, left = self._errors, self._seen_errors, math.exp(-driven / _SLIP_MEMORY)
-        if seen is errors:
-            return
-        self._seen_errors = errors._replace(
-            along=errors.along + left * (seen.along - errors.along),
-            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
-        )
-
-    @staticmethod
-    def _agree(one: _Outside, other: _Outside, gate: float = GATE) -> bool:
-        off = _difference(one.moved_to(other.reckoned), other.now)
-        near = math.hypot(off[0], off[1]) <= _ALWAYS_NEAR[0] and abs(off[2]) <= _ALWAYS_NEAR[1]
-        # Two measurements of one pose differ by the noise of both.
-        return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= gate
 
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
         """Grow the covariance where the innovations keep to one side; those of a correct model are white."""
@@ -554,3 +558,11 @@ def _grown(
 
 def _difference(pose: Pose2, reference: Pose2) -> FloatArray:
     return np.array([pose.x - reference.x, pose.y - reference.y, normalize_angle(pose.yaw - reference.yaw)])
+
+
+def _agree(one: _Outside, other: _Outside, gate: float = GATE) -> bool:
+    """Whether two measurements say the same of where the robot is."""
+    off = _difference(one.moved_to(other.reckoned), other.now)
+    near = math.hypot(off[0], off[1]) <= _ALWAYS_NEAR[0] and abs(off[2]) <= _ALWAYS_NEAR[1]
+    # Two measurements of one pose differ by the noise of both.
+    return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= gate

@@ -8,12 +8,12 @@ part; the first is needed for obstacles, and for a dock that has not been seen y
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.executor.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.dock_detections import STALE, DockDetections, covariance_from_dock
+from optdock.executor.estimation import DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
@@ -22,24 +22,11 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
-    from optdock.model.measurements import Detection, Measurements
+    from optdock.model.measurements import Measurements
 
 __all__ = ["Perception", "Sigma"]
 
-_VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
-# [s]: a detection that is stamped farther ahead of the clock is not used; one that is less far counts as of now, and up
-# to `AHEAD`, which is rounding, as it is stamped.
-_CLOCKS_APART = 0.25
-_STALE = 1.0  # [s]: a detection that took longer says where the dock was
 _MISSED = 0.5  # [s] without a measurement that is said in the log
-_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
-_LATE = 0.04  # [s]: a delay of the detections against the odometry that is said, where it is known that well
-# Near the dock the next detection after a gap counts for more, as no mean of many will show what has slipped: a burst
-# takes 2 to 6 tenths of a wheel's way.
-_NEAR_DOCK, _USUAL_GAP = 0.25, 0.01  # [m]
-_SLIP, _SLIP_TURN = 0.3, 0.6  # of the way beyond that gap [1], [rad/m]
-_LOOKS = 2  # detections whose stamps are remembered
-_JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
 
 
 class Sigma(NamedTuple):
@@ -62,13 +49,10 @@ class Perception:
         stamp: Of the last measurements, on the clock that never goes back [s].
         measurements: The last ones.
         costmap: The newest one; None before the first.
-        detections: Number of detections that were believed.
-        rejected: Number of those that were not.
+        detections: Of the dock, and the robot in its frame.
         way: Driven so far, by odometry [m].
         forward: Driven forward so far, less the way in reverse, by odometry [m].
         turned: Turned so far, by odometry, to the left [rad].
-        seen_from: The smallest distance from the docked pose at which the dock has been seen [m]; infinite before.
-        too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
         has_twist: Whether the measurements that come next have a body velocity of the odometry.
     """
 
@@ -76,36 +60,18 @@ class Perception:
         self._stored, self._settings, self._report = stored, settings, report
         self._reckoning: DeadReckoning | None = None
         self._robot = PoseFilter(OdometryErrors())
-        self._dock = PoseFilter(
-            OdometryErrors(
-                along=settings.odometry_sigma,
-                yaw_per_way=settings.odometry_straight_yaw_sigma,
-                yaw_per_turn=settings.odometry_yaw_sigma,
-                wander=settings.dock_drift,
-                yaw_wander=0.0,
-                scale=settings.odometry_scale_sigma,
-                drift=settings.odometry_drift_sigma,
-                delay=settings.detection_delay_sigma,
-                jitter=_JITTER,
-            ),
-            confirmations=settings.dock_confirmations,
-            fewer_when_close=1,
-        )
+        self.detections = DockDetections(stored, settings, self._robot, report)
+        self._dock = self.detections.filter
         self._noise = np.diag([settings.position_sigma**2, settings.position_sigma**2, settings.yaw_sigma**2])
         self._pose_used, self._restarts = -math.inf, 0
         self.measurements: Measurements | None = None
         self.stamp = -math.inf
         self.costmap: Costmap | None = None
         self._costmap_at: float | None = None
-        self.detections = self.rejected = 0
-        self.seen_from, self.too_far = math.inf, 0.0
         self.way = self._way_located = self.forward = self.turned = 0.0
         self.has_twist, self._twist_at = True, math.inf
         self._odometry_stamp: float | None = None
-        self._way_seen = 0.0  # driven when it was seen last [m]
-        self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
-        self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
-        self._pose_was_lost = self._dock_was_lost = self._delay_was_said = self._ahead_was_said = False
+        self._pose_was_lost = self._dock_was_lost = False
 
     @property
     def started(self) -> bool:
@@ -140,36 +106,12 @@ class Perception:
     @property
     def sees_dock(self) -> bool:
         """Whether it has been detected at all."""
-        return self._dock.accepted > 0
-
-    @property
-    def seen_at(self) -> float:
-        """Stamp of the newest detection that was believed [s]; -inf before."""
-        return self._dock.measured_at
-
-    def moved_since_seen(self, times: int = 1) -> float:
-        """How far the robot has moved since the detections that were believed last.
-
-        Args:
-            times: How many of them, 1 or 2.
-
-        Returns:
-            Distance from where the first of these was taken [m]; infinite if it is not remembered.
-        """
-        seen = self._seen[-times] if len(self._seen) >= times else -math.inf
-        if not seen >= self._dock.remembered_from:
-            return math.inf
-        return self._dock.pose.distance_to(self._dock.pose_at(seen))
+        return self.detections.is_any
 
     @property
     def detection_age(self) -> float:
         """Since the dock was seen [s]; infinite before."""
-        return self.stamp - self.seen_at
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Whether the newest detections agree with each other and not with the estimate."""
-        return self._settings.use_detections and self._dock.is_contradicted
+        return self.stamp - self._dock.measured_at
 
     @property
     def unseen_turn(self) -> float:
@@ -177,7 +119,7 @@ class Perception:
 
         A wheel that slips turns the robot unseen by its odometry; the localization sees it.
         """
-        return normalize_angle(self.dock.yaw - self._seen_yaw) if self.sees_dock else 0.0
+        return normalize_angle(self.dock.yaw - self.detections.seen_yaw) if self.sees_dock else 0.0
 
     @property
     def robot_from_dock(self) -> Pose2:
@@ -187,7 +129,7 @@ class Perception:
     @property
     def dock(self) -> Pose2:
         """The docked pose in the fixed frame."""
-        return self.robot @ self.robot_from_dock.inverse() if self.sees_dock else self._stored
+        return self.detections.dock
 
     @property
     def sigma(self) -> tuple[float, float]:
@@ -234,7 +176,7 @@ class Perception:
         if not self._locate(measurements):
             return
         if self._settings.use_detections:
-            self._see_dock(measurements, offset)
+            self.detections.update(measurements.detections, stamp, offset, self.way)
         self._say_what_is_lost()
 
     def _locate(self, measurements: Measurements) -> bool:
@@ -265,7 +207,7 @@ class Perception:
     def _begin(self, measurements: Measurements, pose: Pose2, measured_at: float) -> None:
         stamp = self.stamp
         self._reckoning = DeadReckoning(stamp, measurements.twist, measurements.odometry)
-        passed = min(max(stamp - measured_at, 0.0), _STALE)
+        passed = min(max(stamp - measured_at, 0.0), STALE)
         self._robot.start(stamp, pose.moved(measurements.twist, passed), self._noise)
         self._dock.start(stamp, self.robot.in_frame_of(self._stored), self._stored_noise())
         self._robot.measured_at = self._pose_used = measured_at
@@ -283,72 +225,9 @@ class Perception:
     def _stored_noise(self) -> FloatArray:
         """Covariance of the robot in the frame of the dock as it is stored, Shape (3, 3)."""
         settings = self._settings
-        return _seen_from_dock(
+        return covariance_from_dock(
             self._robot.pose.in_frame_of(self._stored), settings.stored_position_sigma, settings.stored_yaw_sigma
         )
-
-    def _see_dock(self, measurements: Measurements, offset: float) -> None:
-        for late in sorted(measurements.detections, key=lambda detection: detection.stamp):
-            detection = self._by_our_clock(late._replace(stamp=late.stamp + offset))
-            age, sigmas = self.stamp - detection.stamp, (detection.position_sigma, detection.yaw_sigma)
-            verdict, before = "forgotten", self._dock.pose
-            seen = detection.pose.inverse()
-            if age <= _STALE and all(0.0 <= sigma <= _VAGUE for sigma in sigmas):
-                noise = _seen_from_dock(seen, *map(max, sigmas, _LEAST_SIGMA))
-                verdict = self._take(detection, seen, noise)
-            if verdict == "forgotten":
-                self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
-            elif verdict == "rejected":
-                self.rejected += 1
-                gap = seen.in_frame_of(self._dock.pose_at(detection.stamp))
-                self._report("detection rejected", f"{gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad off the estimate")
-            elif verdict != "too far":
-                self.detections += 1
-                place = self._dock.pose_at(detection.stamp)
-                self.seen_from = min(self.seen_from, math.hypot(place.x, place.y))
-                self._seen_yaw = self.dock.yaw
-                self._seen.append(detection.stamp)
-                self._way_seen = self.way
-                if verdict == "moved":
-                    gap = self._dock.pose.in_frame_of(before).inverse()
-                    self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
-        self._say_delay()
-
-    def _by_our_clock(self, detection: Detection) -> Detection:
-        """A detection as of this moment, where the clock that stamped it is ahead; its true delay is learned."""
-        ahead = detection.stamp - self.stamp
-        if not AHEAD < ahead <= _CLOCKS_APART:
-            return detection
-        if not self._ahead_was_said:
-            self._ahead_was_said = True
-            self._report("detections ahead of the clock", f"by {1e3 * ahead:.0f} ms; taken for those of this moment")
-        return detection._replace(stamp=self.stamp)
-
-    def _take(self, detection: Detection, seen: Pose2, noise: FloatArray) -> str:
-        """Hand a detection to the filter, unless it shows a dock where none is stored."""
-        if not detection.stamp >= self._robot.remembered_from:
-            return "forgotten"
-        place = self._robot.pose_at(min(detection.stamp, self.stamp)) @ detection.pose
-        far, most = place.distance_to(self._stored), self._settings.max_detection_offset
-        is_far = far > most
-        if is_far and not self.sees_dock:
-            self.too_far = far
-            self._report("detection too far", f"{far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m")
-            return "too far"
-        is_near = self.sees_dock and math.hypot(seen.x, seen.y) < _NEAR_DOCK
-        unseen = max(0.0, self.way - self._way_seen - _USUAL_GAP) if is_near else 0.0
-        slip = _SLIP * unseen, _SLIP_TURN * unseen
-        return self._dock.correct(detection.stamp, seen, noise, may_move=not is_far, slip=slip)
-
-    def _say_delay(self) -> None:
-        """Say once that detections come with stamps that do not fit the odometry, as far as the motion has told."""
-        delay, sigma = float(self._dock.systematic[2]), math.sqrt(max(float(self._dock.covariance[5, 5]), 0.0))
-        if not self._delay_was_said and abs(delay) > _LATE and sigma < 0.25 * abs(delay):
-            self._delay_was_said = True
-            self._report(
-                "detections look late" if delay > 0.0 else "odometry looks late",
-                f"by {1e3 * abs(delay):.0f} ms, with a standard deviation of {1e3 * sigma:.0f} ms",
-            )
 
     def _say_what_is_lost(self) -> None:
         """Say once when poses or detections stop coming, and when they come again."""
@@ -367,23 +246,3 @@ def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
     if known is None or (costmap.resolution, costmap.origin) != (known.resolution, known.origin):
         return False
     return costmap is known or np.array_equal(costmap.data, known.data)
-
-
-def _seen_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
-    """Covariance of the robot in the frame of the dock, where the dock is known in the frame of the robot.
-
-    With D the dock seen from the robot and T its inverse, an error of D's yaw swings the robot about the dock.
-
-    Args:
-        robot: T.
-        position_sigma: Of D's x and y, each [m].
-        yaw_sigma: Of D's yaw [rad].
-
-    Returns:
-        Shape (3, 3) [m, m, rad].
-    """
-    swing = np.array([-robot.y, robot.x, 1.0])
-    found: FloatArray = yaw_sigma**2 * np.multiply.outer(swing, swing)
-    found[0, 0] += position_sigma**2
-    found[1, 1] += position_sigma**2
-    return found

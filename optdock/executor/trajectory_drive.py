@@ -6,31 +6,25 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import ControllerException
 from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
 from optdock.executor.dock_estimate import LONGEST_HIDDEN, NO_ROOM
-from optdock.executor.interruptions import SHORTER_WAY, TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
+from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.planning import Job, Outcome
-from optdock.executor.planning_scene import AT_A_STAND
+from optdock.executor.shorter_way import ShorterWay
 from optdock.executor.task_states import EndingKind, State
-from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.executor.tube_monitor import TubeMonitor
+from optdock.geometry.pose import Pose2
 from optdock.model.segments import TurnSegment
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
-from optdock.samples.tube import Tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.executor.plan_requests import PlanRequests
     from optdock.executor.planning import DrivenMotion, PlanResult
     from optdock.executor.situation import Situation
-    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
-    from optdock.model.path import Path
     from optdock.plugins.interfaces import Controller, GoalChecker
 
 __all__ = ["TrajectoryDrive"]
@@ -40,20 +34,12 @@ _INSTANT = 1e-9  # [s]
 _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
 _OF_NOISE = 1.5  # standard deviations: of a smaller error nobody knows whether it is one
 _NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
-_WATCHED = 0.005  # [m]: a tube that is narrower, where it begins and ends in contact, is left by any noise
-_LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
 _LOOK = 0.1  # [s] between two looks at what is left to be corrected
 _AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
-_LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the speed before a dock
-# An obstacle has gone: is a plan from rest so much shorter that stopping for it pays? Usual ones take 30 to 90 ms.
-_FROM_REST_BUDGET = 0.2  # [s]
-_SHORTER, _STOPPING = 0.8, 1.0  # of what is left of the motion; [s] for the stop and a plan
-_BESIDE = 1.0  # [m] beside the straight way: what stands there leads a robot round
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
-_SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by micrometres
 
 _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
 
@@ -99,9 +85,8 @@ class TrajectoryDrive:
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._is_urgent = self._is_stop = False
         self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
-        self._planned_among = motion.problem.costmap  # what the way round was chosen for
-        self._is_new_picture = self._is_from_rest = False  # to be compared with that; what the last job was for
-        self._asked_from_rest_at = -math.inf
+        self._shorter_way = ShorterWay(situation, motion.problem.costmap)
+        self._is_from_rest = False  # what the last job was for
         self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
         self._looked_at, self._where = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
@@ -127,16 +112,11 @@ class TrajectoryDrive:
 
     def _become(self, motion: DrivenMotion) -> None:
         """What is driven from now on."""
-        law, tracking = motion.trajectory.time_law, self._situation.problem.robot.tracking
         self.motion, self._progress = motion, (-math.inf, self._situation.now)
-        self._way = _SampledPath(motion.trajectory.path)
+        self._place = TubeMonitor(motion, self._situation.problem.robot, is_stop=self._is_stop, report=self._report)
         if self._is_approach and not self._is_stop:
             gears = [int(segment.direction) for segment in motion.trajectory.path.segments]
             self._situation.estimate.approach_gear = next((float(gear) for gear in reversed(gears) if gear), None)
-        self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
-        proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
-        self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
-        self._is_outside = False
 
     @property
     def _allowance(self) -> float:
@@ -181,7 +161,11 @@ class TrajectoryDrive:
             raise TaskFailed(_LATE_ENDINGS.get(self._state, EndingKind.FAILED_TO_CONTROL), reason)
         self._look_around()
         self._stop_in_time()
-        self._watch_place()
+        time, _ = self._reference
+        if time >= 0.0:
+            has_left = self._place.update(situation.perception.robot, time)
+            self.deviation = self._place.deviation
+            self._is_urgent = self._is_urgent or has_left
         return self._is_finished()
 
     def command(self) -> Twist2:
@@ -212,7 +196,7 @@ class TrajectoryDrive:
         The way on which they are possible is stretched over the time for which a hidden dock is waited for.
         """
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
-        until = float(np.interp(trajectory.path.length - NO_ROOM, *self._times_of_places))
+        until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
         share = min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0)
         if not self._is_hidden_said and share < 1.0:
@@ -245,7 +229,7 @@ class TrajectoryDrive:
         A controller that follows no trajectory in time has none: there it is when the plan would be where the robot is.
         """
         progress = getattr(self._controller, "progress", None)
-        return (self._time_of_place, 1.0) if progress is None else (float(progress.time), float(progress.rate))
+        return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     def _contact(self) -> EndingKind | None:
         """How the robot is docked: contact is felt, or the goal checker says so once the robot has settled."""
@@ -298,7 +282,7 @@ class TrajectoryDrive:
         verdict = self._requests.still_holds(self.motion, costmap, max(0.0, time))
         if verdict.holds:
             self._blocked = math.inf, ""
-            self._is_new_picture = True
+            self._shorter_way.look_again()
             return
         self._report("motion does not hold any more", verdict.reason)
         self._blocked = verdict.at_time, verdict.reason
@@ -310,37 +294,6 @@ class TrajectoryDrive:
         at_time, reason = self._blocked
         if at_time - self._reference[0] < self._situation.braking_time + _STALE_STOP:
             raise Interrupted("obstacle ahead", reason)
-
-    def _watch_place(self) -> None:
-        """Where on its path the robot is, and whether it is within the tube that was proven around it."""
-        situation = self._situation
-        trajectory, path = self.motion.trajectory, self.motion.trajectory.path
-        time, _ = self._reference
-        if time < 0.0:
-            return
-        robot, way = situation.perception.robot, self._way
-        begin = float(trajectory.time_law.at(time)[0, 0])
-        place, gear = way.at(begin)
-        ahead = gear * robot.in_frame_of(place).x
-        s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
-        self.deviation = off = robot.in_frame_of(way.at(s)[0])
-        if not hasattr(self._controller, "progress"):
-            self._time_of_place = max(time, float(np.interp(s, *self._times_of_places)))
-        if self._tube is None:
-            return
-        radius = situation.problem.robot.footprint.circumscribed_radius
-        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
-        width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # from there; another place may be the better one
-            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
-            moved, width = float(found.displacement[0]), float(found.width[0])
-        is_outside = moved > width
-        if is_outside != self._is_outside:
-            self._is_outside = is_outside
-            said = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; proven: {width:.4f} m"
-            self._report("tube left" if is_outside else "tube entered", said)
-            is_worth_it = width >= _WATCHED and path.length - s > _LAST_REPLAN
-            self._is_urgent = self._is_urgent or (is_outside and is_worth_it)
 
     def _replan(self) -> None:
         """Hand in a job where one is worth it, and take over what the last one gave."""
@@ -354,8 +307,11 @@ class TrajectoryDrive:
             return
         time, rate = self._reference
         if not self._is_urgent:
-            if self._may_be_shorter():
-                self._plan_from_rest()
+            if self._shorter_way.may_exist(self.motion, time, self._pose, self._costmap):
+                here = situation.scene.to_dock() if self._is_approach else self.motion.problem
+                self._report("plan asked for", "from rest: something that was in the way has gone")
+                self._is_from_rest = True
+                self._requests.submit(self._shorter_way.job(self.motion, time, here, self._costmap))
                 return
             if not self._is_approach or situation.now - self._looked_at < _LOOK - _INSTANT:
                 return
@@ -385,38 +341,6 @@ class TrajectoryDrive:
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )
-
-    def _may_be_shorter(self) -> bool:
-        """Whether something has gone that the motion leads round, and a plan from rest may pay."""
-        situation, end = self._situation, self.motion.trajectory.path.end
-        pause = _AFTER_REFUSAL * situation.settings.replan_pause
-        if not self._is_new_picture or situation.now - self._asked_from_rest_at < pause:
-            return False
-        self._is_new_picture = False
-        least = self._pose.distance_to(end) / situation.problem.robot.limits.max_speed  # no plan takes less
-        before, now = self._planned_among, self._costmap
-        if before is None or now is None or not self._pays(least):
-            return False
-        between = np.stack((situation.perception.robot.as_array()[:2], end.as_array()[:2]))
-        return _has_gone(before, now, between, situation.problem.robot.footprint.circumscribed_radius + _BESIDE)
-
-    def _pays(self, duration: float) -> bool:
-        """Whether a plan from rest that takes so long [s] is worth a stop."""
-        left = self.motion.trajectory.duration - self._reference[0]
-        return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
-
-    def _plan_from_rest(self) -> None:
-        """Hand in a job that finds the way from where the robot would stop, as if the motion were not there."""
-        situation, trajectory = self._situation, self.motion.trajectory
-        now = trajectory.at(min(max(self._reference[0], 0.0), trajectory.duration))
-        speed = abs(situation.twist.linear)
-        stop = min(now.s + 0.5 * speed * situation.braking_time_from(speed), trajectory.path.length)
-        here = situation.scene.to_dock() if self._is_approach else self.motion.problem
-        start = Pose2.from_sequence(trajectory.path.poses_at(np.array([stop]))[0])
-        problem = dataclasses.replace(here, start=start, costmap=self._costmap, **AT_A_STAND)
-        self._report("plan asked for", "from rest: something that was in the way has gone")
-        self._asked_from_rest_at, self._is_from_rest = situation.now, True
-        self._requests.submit(Job(0, situation.now, problem, _FROM_REST_BUDGET))
 
     def _is_worth_it(self, time: float) -> bool:
         """Whether feedback would leave more of the present error at the dock than is worth a plan.
@@ -461,10 +385,7 @@ class TrajectoryDrive:
         """
         situation, settings = self._situation, self._situation.settings
         if self._is_from_rest:
-            if result.motion is not None and self._pays(result.motion.trajectory.duration):
-                left = self.motion.trajectory.duration - self._reference[0]
-                reason = f"{result.motion.trajectory.duration:.1f} s from rest, {left:.1f} s of this one are left"
-                raise Interrupted(SHORTER_WAY, reason)
+            self._shorter_way.take(result, self.motion, self._reference[0])
             return
         was_urgent, self._is_urgent = self._is_urgent, False
         self._pause = settings.replan_pause
@@ -485,39 +406,3 @@ class TrajectoryDrive:
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
         self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
-
-
-def _has_gone(before: Costmap, now: Costmap, places: FloatArray, reach: float) -> bool:
-    """Whether a cell in which something stood is seen to be free, in the box around places, Shape (n, 2) [m].
-
-    Args:
-        before: Where something stood.
-        now: What is seen.
-        places: Of the robot and its goal.
-        reach: How far the box reaches beyond them [m].
-    """
-    low, high = before.cell_of(np.stack((places.min(axis=0) - reach, places.max(axis=0) + reach)))
-    (i, j), (i1, j1) = np.maximum(low, 0).tolist(), np.maximum(high + 1, 0).tolist()
-    rows, columns = np.nonzero(before.data[j:j1, i:i1] == LETHAL)
-    costs = now.cost_at(before.centre_of(np.column_stack((columns + i, rows + j))))
-    return bool(np.any((costs != LETHAL) & (costs != NO_INFORMATION)))
-
-
-class _SampledPath:
-    """The poses of a path at equal distances, to find one quickly."""
-
-    def __init__(self, path: Path) -> None:
-        count = max(1, math.ceil(path.length / _SAMPLES))
-        places = np.linspace(0.0, path.length, count + 1)
-        self._step = path.length / count
-        self._poses: list[list[float]] = path.poses_at(places).tolist()
-        self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
-
-    def at(self, s: float) -> tuple[Pose2, float]:
-        """The pose at a place [m] of the path, and the gear."""
-        i = min(max(int(s / self._step), 0), len(self._poses) - 2)
-        share = s / self._step - i
-        (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
-        turned = normalize_angle(far_yaw - yaw)
-        pose = Pose2(x + share * (far_x - x), y + share * (far_y - y), yaw + share * turned)
-        return pose, self._gears[i]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
 
-__all__ = ["ObstacleSet", "in_words"]
+__all__ = ["ObstacleSet", "box_distance", "in_words", "without_repeated"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,7 +135,7 @@ class ObstacleSet(FrozenArrays):
             for piece in convex_pieces(simple_polygon(polygon, names[-1])):
                 pieces.append(piece)
                 group.append(i)
-        return cls._padded(pieces, tuple(names), np.array(group, dtype=np.int64))
+        return _padded(pieces, tuple(names), np.array(group, dtype=np.int64))
 
     @classmethod
     def from_rectangles(cls, lower: FloatArray, upper: FloatArray, name: str) -> ObstacleSet:
@@ -163,13 +163,7 @@ class ObstacleSet(FrozenArrays):
     @classmethod
     def from_pieces(cls, pieces: Sequence[FloatArray], name: str) -> ObstacleSet:
         """Convex counter-clockwise pieces, Shape (n, 2) [m] each, of one thing called `name`."""
-        return cls._padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
-
-    @classmethod
-    def _padded(cls, pieces: Sequence[FloatArray], names: tuple[str, ...], group: IntArray) -> ObstacleSet:
-        width = max((len(piece) for piece in pieces), default=3)
-        stack = [_widen(piece, width) for piece in pieces]
-        return cls(np.stack(stack) if stack else np.zeros((0, width, 2)), names, group)
+        return _padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
 
     def __add__(self, other: ObstacleSet) -> ObstacleSet:
         width = max(self.vertices.shape[1], other.vertices.shape[1])
@@ -177,11 +171,6 @@ class ObstacleSet(FrozenArrays):
         return ObstacleSet(
             vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
         )
-
-    def distinct(self) -> ObstacleSet:
-        """Every piece once: of equal ones the first."""
-        _, first = np.unique(self.vertices.reshape(len(self), -1), axis=0, return_index=True)
-        return self if first.size == len(self) else self.subset(np.sort(first))
 
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
         """The pieces at `rows`, under their old names."""
@@ -198,7 +187,7 @@ class ObstacleSet(FrozenArrays):
         some = self.in_box(places.min(axis=0) - reach, places.max(axis=0) + reach)
         if len(some) == 0:
             return some
-        rows = np.flatnonzero(some.box_distance(places).min(axis=0) <= reach)
+        rows = np.flatnonzero(box_distance(some, places).min(axis=0) <= reach)
         return some if rows.size == len(some) else some.subset(rows)
 
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
@@ -228,14 +217,6 @@ class ObstacleSet(FrozenArrays):
         parts = (self.vertices[..., 0], self.vertices[..., 1], self.normals[..., 0], self.normals[..., 1], self.offsets)
         return readonly(np.stack([np.ascontiguousarray(part.T) for part in parts]))
 
-    def box_distance(self, points: FloatArray) -> FloatArray:
-        """Distance of every point, Shape (n, 2) [m], to every bounding box. Shape (n, m) [m]."""
-        x, y = points[:, :1], points[:, 1:]
-        across = np.maximum(np.maximum(self.lower[:, 0] - x, x - self.upper[:, 0]), 0.0)
-        along = np.maximum(np.maximum(self.lower[:, 1] - y, y - self.upper[:, 1]), 0.0)
-        distance: FloatArray = np.sqrt(across * across + along * along)
-        return distance
-
 
 def _widen(vertices: FloatArray, width: int) -> FloatArray:
     """Repeat the last vertex until there are `width`; Shape (..., n, 2) to (..., width, 2)."""
@@ -252,3 +233,25 @@ def in_words(name: str) -> str:
     ('unknown cells of the map', 'dock')
     """
     return "unknown cells of the map" if name == "unknown" else name
+
+
+def _padded(pieces: Sequence[FloatArray], names: tuple[str, ...], group: IntArray) -> ObstacleSet:
+    """The set of convex pieces, whose last vertices are repeated so that all have as many."""
+    width = max((len(piece) for piece in pieces), default=3)
+    stack = [_widen(piece, width) for piece in pieces]
+    return ObstacleSet(np.stack(stack) if stack else np.zeros((0, width, 2)), names, group)
+
+
+def without_repeated(obstacles: ObstacleSet) -> ObstacleSet:
+    """Every piece of a set once: of equal ones the first."""
+    _, first = np.unique(obstacles.vertices.reshape(len(obstacles), -1), axis=0, return_index=True)
+    return obstacles if first.size == len(obstacles) else obstacles.subset(np.sort(first))
+
+
+def box_distance(obstacles: ObstacleSet, points: FloatArray) -> FloatArray:
+    """Distance of every point, Shape (n, 2) [m], to every bounding box of a set. Shape (n, m) [m]."""
+    x, y = points[:, :1], points[:, 1:]
+    across = np.maximum(np.maximum(obstacles.lower[:, 0] - x, x - obstacles.upper[:, 0]), 0.0)
+    along = np.maximum(np.maximum(obstacles.lower[:, 1] - y, y - obstacles.upper[:, 1]), 0.0)
+    distance: FloatArray = np.sqrt(across * across + along * along)
+    return distance

@@ -16,6 +16,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import exactly, number
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.path import place_before_end
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -158,7 +159,10 @@ class RequiredView(NamedTuple):
         Turns in place count no distance. A turn belongs to the part where less than `visible_distance` and at least
         `blind_distance` are left to drive after it.
         """
-        begin, end = max(0.0, path.before_end(self.visible_distance)), path.before_end(self.blind_distance)
+        begin, end = (
+            max(0.0, place_before_end(path, self.visible_distance)),
+            place_before_end(path, self.blind_distance),
+        )
         return (begin, end) if end > begin else None
 
     def margins(self, poses: FloatArray) -> ViewMargins:

@@ -48,7 +48,11 @@ __all__ = [
     "PolylineSegment",
     "Segment",
     "TurnSegment",
+    "driven_stretches",
+    "joint_curvatures",
     "may_be_one_frame",
+    "parts_between_turns",
+    "place_before_end",
 ]
 
 
@@ -150,28 +154,6 @@ class Path(FrozenArrays):
         """Whether it turns in place anywhere."""
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
 
-    @property
-    def driven_stretches(self) -> tuple[tuple[float, float], ...]:
-        """Where the robot drives, from `s` to `s` [m]: between turns in place, in order."""
-        if not self.turns:
-            return ((0.0, self.length),)
-        ends = itertools.pairwise(self.segment_starts.tolist())
-        groups = itertools.groupby(
-            zip(self.segments, ends, strict=True), key=lambda one: isinstance(one[0], TurnSegment)
-        )
-        stretches = ([span for _, span in group] for turn, group in groups if not turn)
-        return tuple((spans[0][0], spans[-1][1]) for spans in stretches)
-
-    def before_end(self, distance: float) -> float:
-        """Where `distance` [m] are left to drive; below 0 where the path is shorter."""
-        s = self.length - distance
-        for segment, end in (
-            zip(self.segments[::-1], self.segment_starts[:0:-1].tolist(), strict=True) if self.turns else ()
-        ):
-            if isinstance(segment, TurnSegment) and end > s:
-                s -= segment.length
-        return s
-
     def piece(self, begin: float, end: float = math.inf) -> Path:
         """The part of the path from `begin` to `end` [m], clipped to it; its own s begins at 0.
 
@@ -194,28 +176,10 @@ class Path(FrozenArrays):
         """The path as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
         return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
-    def parts(self) -> tuple[Path | TurnSegment, ...]:
-        """The path cut at its turns in place: paths without any, and the turns between them, in order."""
-        groups = itertools.groupby(self.segments, key=lambda segment: isinstance(segment, TurnSegment))
-        cut = [[*segments] if turn else [Path(tuple(segments), self.frame)] for turn, segments in groups]
-        return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # as the groups' key says
-
     @property
     def cusps(self) -> tuple[float, ...]:
         """Arc lengths at which the robot rests: the gear changes, or a turn in place begins or ends [m]."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
-
-    @property
-    def joint_curvatures(self) -> FloatArray:
-        """Curvature that the wheels are steered for just before and just after every cusp, Shape (cusps, 2) [1/m].
-
-        Signed as driven forward, a left turn of the wheels positive: what a gear drives in reverse, it steers mirrored.
-        """
-        ends = [
-            (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in self.segments
-        ]
-        joints = [(before[1], after[0]) for before, after in itertools.pairwise(ends)]
-        return np.array(joints, dtype=np.float64).reshape(-1, 2)
 
     @functools.cached_property
     def start(self) -> Pose2:
@@ -252,11 +216,8 @@ class Path(FrozenArrays):
     def direction_at(self, s: ArrayLike) -> IntArray:
         """1 or -1 at `s`, 0 where the robot turns in place; at a cusp the next gear's. Shape (n,)."""
         gears = np.array([int(segment.direction) for segment in self.segments])
-        directions: IntArray = gears[self._owners(np.atleast_1d(np.asarray(s, dtype=np.float64)))]
+        directions: IntArray = gears[_owners(self, np.atleast_1d(np.asarray(s, dtype=np.float64)))]
         return directions
-
-    def _owners(self, s: FloatArray) -> IntArray:
-        return np.searchsorted(self.segment_starts[1:-1], s, side="right")
 
     def _evaluate(
         self, s: ArrayLike, of: Callable[[Segment, FloatArray], FloatArray], shape: tuple[int, ...]
@@ -264,7 +225,7 @@ class Path(FrozenArrays):
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))
         if len(self.segments) == 1:
             return of(self.segments[0], points)
-        owners, out = self._owners(points), np.empty((points.size, *shape))
+        owners, out = _owners(self, points), np.empty((points.size, *shape))
         for i in np.unique(owners):
             mine = owners == i
             out[mine] = of(self.segments[i], points[mine] - self.segment_starts[i])
@@ -351,3 +312,48 @@ def _step_gears(poses: FloatArray) -> IntArray:
     source = known[np.clip(np.searchsorted(known, np.arange(gears.size), side="right") - 1, 0, None)]
     owned: IntArray = gears[source]
     return owned
+
+
+def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
+    """Where a robot drives on a path, from `s` to `s` [m]: between turns in place, in order."""
+    if not path.turns:
+        return ((0.0, path.length),)
+    ends = itertools.pairwise(path.segment_starts.tolist())
+    groups = itertools.groupby(zip(path.segments, ends, strict=True), key=lambda one: isinstance(one[0], TurnSegment))
+    stretches = ([span for _, span in group] for turn, group in groups if not turn)
+    return tuple((spans[0][0], spans[-1][1]) for spans in stretches)
+
+
+def place_before_end(path: Path, distance: float) -> float:
+    """Where on a path `distance` [m] are left to drive; below 0 where the path is shorter."""
+    s = path.length - distance
+    for segment, end in (
+        zip(path.segments[::-1], path.segment_starts[:0:-1].tolist(), strict=True) if path.turns else ()
+    ):
+        if isinstance(segment, TurnSegment) and end > s:
+            s -= segment.length
+    return s
+
+
+def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
+    """A path cut at its turns in place: paths without any, and the turns between them, in order."""
+    groups = itertools.groupby(path.segments, key=lambda segment: isinstance(segment, TurnSegment))
+    cut = [[*segments] if turn else [Path(tuple(segments), path.frame)] for turn, segments in groups]
+    return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # as the groups' key says
+
+
+def joint_curvatures(path: Path) -> FloatArray:
+    """Curvature that the wheels are steered for just before and just after every cusp, Shape (cusps, 2) [1/m].
+
+    Signed as driven forward, a left turn of the wheels positive: what a gear drives in reverse, it steers mirrored.
+    """
+    ends = [
+        (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments
+    ]
+    joints = [(before[1], after[0]) for before, after in itertools.pairwise(ends)]
+    return np.array(joints, dtype=np.float64).reshape(-1, 2)
+
+
+def _owners(path: Path, s: FloatArray) -> IntArray:
+    """The segment that each arc length lies on, at a cusp the next one."""
+    return np.searchsorted(path.segment_starts[1:-1], s, side="right")

@@ -18,7 +18,7 @@ from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.checked import exactly, finite_number, instance, number
-from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.obstacles import ObstacleSet, without_repeated
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.model.camera import RequiredView
@@ -251,7 +251,7 @@ class DockingProblem(FrozenArrays):
             known = self.costmap.frozen()  # one that layers write into could change under the proof
             object.__setattr__(self, "costmap", known)
             mapped = mapped_obstacles(known, unknown_is_obstacle=self.unknown_is_obstacle)
-            everything = (everything + mapped).distinct() if len(everything) else mapped
+            everything = without_repeated(everything + mapped) if len(everything) else mapped
         if self.dock.footprint is not None:
             _check_station(self.dock.footprint, self.goal, self.robot)
             everything = everything + ObstacleSet.from_footprint(self.dock.footprint, self.dock.pose, "dock")

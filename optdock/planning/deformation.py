@@ -37,10 +37,13 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.separation import ConvexBody, ConvexPieces
     from optdock.model.limits import MotionLimits
+    from optdock.model.problem import DockingProblem
     from optdock.model.segments import Segment
+    from optdock.verification import Violation
 
-__all__ = ["Push", "deformed"]
+__all__ = ["Push", "deformed", "push_off"]
 
+_ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
 _FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
 _PUSHED = 1e-4  # [m]: pushes leave more room than that
@@ -386,3 +389,21 @@ class _Program:
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))
         return np.concatenate(columns, axis=1)
+
+
+def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
+    """What moves the robot off an obstacle that it comes too close to."""
+    pose = path.poses_at(violation.s)[0]
+    reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
+    near = problem.all_obstacles.near(pose[None, :2], reach)
+    rows = np.arange(len(near))
+    poses = np.tile(pose, (rows.size, 1))
+    body, found = min(
+        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
+        key=lambda one: float(one[1].distance.min()),
+    )
+    row = int(np.argmin(found.distance))
+    distance = float(found.distance[row]) + violation.amount + _ROOM
+    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
+    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
+    return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)

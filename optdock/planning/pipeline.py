@@ -22,28 +22,19 @@ import numpy as np
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.errors import (
     Cancelled,
-    CertificationFailed,
-    FailedToTimePath,
-    GoalOccupied,
-    GoalOutsideMapBounds,
     InvalidValue,
     NoMotionExists,
-    NoValidPathCouldBeFound,
     OptdockError,
     PlannerCancelled,
     PlannerException,
     PlannerTimedOut,
     PluginError,
-    SmootherException,
     SmootherTimedOut,
-    StartOccupied,
-    StartOutsideMapBounds,
     TimedOut,
-    TimingTimedOut,
 )
 from optdock.geometry.checked import instance, number
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import (
     ImpossibilitySearch,
@@ -53,13 +44,15 @@ from optdock.impossibility import (
     prove_impossible,
     prove_straight_blocked,
 )
-from optdock.model.dock import Dock, DockDirection
+from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.path import Direction, Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.path import Path
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.fewer_cusps import fewer_cusps
 from optdock.planners.manoeuvres.price import least_price
+from optdock.planning.end_poses import check_ends
+from optdock.planning.failures import Failure, Failures, stage_of
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
     Cancellation,
@@ -74,7 +67,7 @@ from optdock.planning.refinement import (
 from optdock.plugins.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.outcomes import Guess
 from optdock.plugins.registry import PluginChoice, plugin_from
-from optdock.verification import TOLERANCE, end_clearances, pose_clearances
+from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -87,7 +80,6 @@ __all__ = [
     "PlannerLike",
     "SmootherLike",
     "TimingLike",
-    "check_ends",
     "plan_dock",
     "warm_up",
 ]
@@ -315,29 +307,12 @@ _END = object()  # of a planner's guesses
 _UNPROVEN = "{} says that no motion exists, without a proof that holds"
 
 
-class _Failure(NamedTuple):
-    """A guess, or a planner, that came to nothing: why, what existed by then, and how far it came."""
-
-    error: OptdockError
-    left: PartialPlan
-    stage: int
-
-
 class _CutShort(NamedTuple):
     """A guess that had too little time, how far the smoother came with it, and its share of poses in obstacles."""
 
     guess: Guess
     begun: Path | None
     overlapping: float
-
-
-# How far a guess came that ended in such an error: the further, the more its reason tells.
-_STAGES: tuple[tuple[type[OptdockError], int], ...] = (
-    (FailedToTimePath, 3),
-    (CertificationFailed, 2),
-    (SmootherException, 1),
-    (PlannerException, 0),
-)
 
 
 @dataclass(eq=False)
@@ -357,13 +332,14 @@ class _Portfolio:
     best: DockPlan | None = None
     last_resort: DockPlan | None = None  # along a guess as it is, with a stop at every bend
     tried: list[Attempt] = field(default_factory=list)
-    failures: list[_Failure] = field(default_factory=list)
+    failures: Failures = field(init=False)
     cut_short: list[_CutShort] = field(default_factory=list)
     is_cut_off: bool = False  # by the clock, with guesses that nobody has made, or tried, yet
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
         self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
+        self.failures = Failures(self.problem, self.budget)
         _, smoother, timing = self.plugins
         self.refinement = Refinement(
             self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
@@ -392,11 +368,12 @@ class _Portfolio:
             if self.best is None and self._is_late():
                 self.is_cut_off = True
             elif self.best is None:
-                self.failures = [failure for failure in self.failures if failure.left.raw_path is not guess.path]
+                self.failures.forget(guess.path)
                 self._try(guess, begun, is_last=True)
         plans = [plan for plan in (self.best, self.last_resort) if plan is not None]
         if not plans:
-            raise self._refusal()
+            self._leave_furthest()
+            raise self.failures.refusal(is_cut_off=self.is_cut_off, is_late=self._is_late())
         self.best = min(plans, key=lambda plan: plan.price)
         self._leave_out_gears()
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
@@ -437,7 +414,7 @@ class _Portfolio:
                 broken = isinstance(error, PluginError) and self.best is None
                 if broken or isinstance(error, Cancelled | NoMotionExists):
                     raise
-                self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
+                self._fail(Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 self.is_cut_off |= planner is not last
                 break
@@ -535,13 +512,13 @@ class _Portfolio:
             names = " or ".join(type(plugin).__name__ for plugin in self.plugins[1:])
             raise PluginError(_UNPROVEN.format(names)) from error
         except OptdockError as error:
-            stage = next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
+            stage = stage_of(error)
             if isinstance(error, Cancelled) or (stage is None and self.best is None):
                 self._leave(left)
                 raise
             if isinstance(error, SmootherTimedOut) and not unhurried:
                 self.cut_short.append(_CutShort(guess, PartialPlan.left_by(error).path, overlapping))
-            self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
+            self._fail(Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
             self._stop_at_bends(guess)
             return
         self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))
@@ -572,10 +549,14 @@ class _Portfolio:
         clearances, _ = pose_clearances(poses, self.problem.robot.footprint, self.problem.all_obstacles, within=0.1)
         return float(np.mean(clearances < 0.0))
 
-    def _fail(self, failure: _Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
+    def _fail(self, failure: Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
         reason = f"{type(failure.error).__name__}: {failure.error}"
         self.tried.append(Attempt(stage, path, seconds, reason=reason))
-        self.failures.append(failure)
+        self.failures.add(failure)
+
+    def _leave_furthest(self) -> None:
+        """Hand out what exists of the guess that came furthest."""
+        self._leave(self.failures.furthest().left if self.failures else PartialPlan())
 
     def _leave(self, left: PartialPlan) -> None:
         """Hand out what exists of a guess."""
@@ -599,122 +580,5 @@ class _Portfolio:
         if self.cancelled():
             raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
         if proof is not None:
-            self._leave(self._furthest().left if self.failures else PartialPlan())
+            self._leave_furthest()
             raise NoMotionExists(proof.message, proof=proof, where=proof.where)
-
-    def _furthest(self) -> _Failure:
-        """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least.
-
-        Where no planner had a guess the last one, which searched, tells more than the first.
-        """
-        if not any(failure.stage for failure in self.failures):
-            return self.failures[-1]
-        return max(self.failures, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
-
-    def _refusal(self) -> OptdockError:
-        """What is raised when nothing was found and nothing proven.
-
-        That there was too little time wherever more of it might have found a plan; else the failure that tells most.
-        """
-        late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
-        if not self.failures:
-            if self.is_cut_off or self._is_late():
-                return PlannerTimedOut(ran_out_of_time("the search for a first guess", self.budget))
-            return NoValidPathCouldBeFound("no planner offers a path")
-        found = self._furthest()
-        self._leave(found.left)
-        for_good = self._no_guess_can_help()
-        if for_good is None and (late or self.is_cut_off):
-            return self._time_out(late, found)
-        error = (for_good or found).error
-        if len(self.failures) > 1:
-            error.args = (f"{error} ({self._attempts})", *error.args[1:])
-        return error
-
-    def _time_out(self, late: list[_Failure], found: _Failure) -> TimedOut:
-        """The time-out that came furthest, and what became of the guess that told most."""
-        last = max(reversed(late), key=lambda failure: failure.stage, default=None)
-        if last is not None:
-            kind = next(kind for kind in (TimingTimedOut, SmootherTimedOut, TimedOut) if isinstance(last.error, kind))
-            error = (PlannerTimedOut if kind is TimedOut else kind)(str(last.error), where=last.error.where)
-            error.__cause__ = last.error
-        else:
-            kind = SmootherTimedOut if found.stage else PlannerTimedOut
-            error = kind(ran_out_of_time("the search for other guesses", self.budget))
-        if len(self.failures) > 1 or last is None:
-            error.args = (f"{error} ({self._attempts})",)
-        if not isinstance(found.error, TimedOut):
-            error.args = (f"{error}; until then {type(found.error).__name__}: {found.error}",)
-        return error
-
-    @property
-    def _attempts(self) -> str:
-        return f"{len(self.failures)} attempts failed; that there is no way is not proven"
-
-    def _no_guess_can_help(self) -> _Failure | None:
-        """A failure for a reason that every guess has, whichever and however much time there were; or None."""
-        gears = {Direction.FORWARD, Direction.REVERSE}
-        if self.problem.dock.direction is not DockDirection.AUTO:
-            gears = {Direction.FORWARD if self.problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
-        for failure in self.failures:
-            reason, raw = failure.error.where.get("reason"), failure.left.raw_path
-            if reason == "start_curvature":
-                return failure
-            if reason in ("approach_blocked", "approach_unseen") and raw is not None:
-                gears.discard(raw.segments[-1].direction)
-                if not gears:
-                    return failure
-        return None
-
-
-def check_ends(problem: DockingProblem) -> None:
-    """Refuse end poses that no path can have.
-
-    Raises:
-        StartOutsideMapBounds: Also GoalOutsideMapBounds: the position lies off the problem's costmap.
-        StartOccupied: The footprint at the start overlaps an obstacle.
-        GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
-        NoValidPathCouldBeFound: The dock must be in view up to the goal, and is not in view there.
-    """
-    _check_view_at_goal(problem)
-    found = end_clearances(problem)
-    for name, pose, off_map, occupied, clearance, row in (
-        ("start", problem.start, StartOutsideMapBounds, StartOccupied, found.start, found.nearest_to_start),
-        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
-    ):
-        if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
-            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
-        required = problem.clearance.at_dock if name == "goal" else 0.0
-        if clearance < required - TOLERANCE:
-            obstacle = problem.all_obstacles.name_of(row)
-            what = (
-                f"overlaps {in_words(obstacle)} by {-clearance:.4f} m"
-                if clearance < 0.0
-                else f"is {clearance:.4f} m from {in_words(obstacle)}, required {required:.4f} m"
-            )
-            # The robot does not overlap its own station, and may touch it: then the number is what asks for too much.
-            if obstacle == "dock" and name == "goal" and clearance >= 0.0:
-                what += _way_out(problem.clearance)
-            raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
-
-
-def _check_view_at_goal(problem: DockingProblem) -> None:
-    view, goal = problem.required_view, problem.goal.as_array()[None]
-    if view is None or view.blind_distance > 0.0:
-        return
-    margins = view.margins(goal)
-    if margins.smallest[0] < -TOLERANCE:
-        worst = view.worst(margins, 0, 0.0)
-        where = {"reason": "approach_unseen", "quantity": worst.name, "value": worst.value, "limit": worst.limit}
-        message = f"the dock is not in the camera's view at the goal: {worst}; see dock.blind_distance"
-        raise NoValidPathCouldBeFound(message, where=where)
-
-
-def _way_out(rule: ClearanceRule) -> str:
-    """How to write a clearance that lets the robot touch its station."""
-    parts = {"required": rule.required, "at_dock": 0.0}
-    if rule.taper != ClearanceRule().taper:
-        parts["taper"] = rule.taper
-    in_file = ", ".join(f"{key}: {value:g}" for key, value in parts.items())
-    in_python = ", ".join(f"{key}={value!r}" for key, value in parts.items())
-    return f"; clearance holds at the dock too; give {{{in_file}}} (in Python: ClearanceRule({in_python}))"

@@ -23,7 +23,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,36 +38,30 @@ from optdock.errors import (
     SmootherTimedOut,
 )
 from optdock.geometry.checked import exactly, finite_number, instance, number
-from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.geometry.separation import separation
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
-from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.planning.braking import braking
 from optdock.planning.changed_world import StillHolds, still_holds
-from optdock.planning.deformation import Push, deformed
+from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
-from optdock.timing.jerk_phases import DriveBounds, MotionState
-from optdock.timing.start_states import full_stop
 from optdock.verification import (
-    TOLERANCE,
     ProvenWay,
     WayVerdict,
     certify_motion,
     certify_path,
     certify_trajectory,
     end_clearances,
-    pose_clearance,
     prove_way,
     proven_way,
-    unchanged_way,
 )
 from optdock.verification.conservative_advancement import Begun
 from optdock.verification.path_rules import path_violations
@@ -77,7 +71,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.planning.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import TrajectoryCertificate, Violation
+    from optdock.verification import TrajectoryCertificate
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -93,38 +87,12 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
 _FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: kept back for the old plan's proof, and the stop's
-_AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
-_REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
 _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
 _AT_THE_END = "nothing is left of the plan"
 _PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
-_ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
 # What a dock asks of a path beside its pose and its station.
 _DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
-_NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 _NEARBY = 0.5  # [m] around its reference, in which a robot beside its path is looked for
-# Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
-_BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
-
-
-class DriveState(NamedTuple):
-    """How far a robot is on the trajectory that it drives.
-
-    Attributes:
-        time: Of the reference, on the trajectory's own clock [s].
-        rate: How fast that clock runs, 1 where the robot keeps up [1].
-        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
-            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
-        moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
-            `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
-        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
-    """
-
-    time: float
-    rate: float = 1.0
-    pose: Pose2 | None = None
-    moved: Pose2 | None = None
-    is_filtered: bool = False
 
 
 class ReplanOutcome(str, Enum):
@@ -247,7 +215,8 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
     world = _world(plan, target)
     plugins = _ChosenPlugins(planner, smoother, timing)
     plugins.warm_up()
-    run = _Replanning(plan, world, state, time_budget, lead, Cancellation(cancel_checker))
+    deadline = Deadline(time_budget)
+    run = _Replanning(RunningDrive(plan, world, state), time_budget, lead, Cancellation(cancel_checker), deadline)
     with garbage_collection_paused():
         found = run.answer(min(drive_delay, lead), plugins)
     logger.info("%r after %.1f ms", found, 1e3 * run.deadline.elapsed)
@@ -303,61 +272,30 @@ class _ChosenPlugins:
         return plugin_from(TimeParameterizer, self.chosen_timing, "timing")
 
 
-class _BranchPoint(NamedTuple):
-    """A place on the running trajectory, and the robot there.
-
-    `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, from where the robot will be; None: nothing is left.
-    """
-
-    time: float
-    s: float
-    pose: Pose2
-    speed: float
-    acceleration: float
-    gear: int
-    rest: Path | None
-
-    @property
-    def rests(self) -> bool:
-        return self.speed == 0.0 and self.acceleration == 0.0
-
-
 @dataclass(eq=False)
 class _Replanning:
-    """One call of `replan`.
+    """One call of `replan`."""
 
-    `ahead`: the running path, or that path moved as a whole to where the robot is: what is ahead of the robot. `now`:
-    its state there.
-    """
-
-    plan: DockPlan
-    world: DockingProblem
-    state: DriveState
+    drive: RunningDrive
     budget: float
     lead: float
     cancelled: Cancellation
-    deadline: Deadline = field(init=False)
+    deadline: Deadline
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
-    ahead: Path = field(init=False)
-    now: _BranchPoint = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.deadline = Deadline(self.budget)
-        self.ahead = self.path
-        self.now = self._joint(0.0)
-        if not self.is_on_the_path and (self.state.is_filtered or not self._is_in_tube(self.reference)):
-            self._move_ahead()
 
     def answer(self, delay: float, plugins: _ChosenPlugins) -> Replanned:
         """New, kept or stop."""
-        joint = self._joint(self.lead, at_a_rest=True)
-        if not self.is_on_the_path and self.ahead is self.path and not self._is_in_tube(joint.pose):
-            self._move_ahead()
-            joint = self._joint(self.lead, at_a_rest=True)
-        until = self._until(joint)
+        joint = self.drive.branch_point(self.lead, at_a_rest=True)
+        if (
+            not self.drive.is_on_the_path
+            and self.drive.ahead is self.drive.path
+            and not self.drive.is_in_tube(joint.pose)
+        ):
+            self.drive.move_ahead()
+            joint = self.drive.branch_point(self.lead, at_a_rest=True)
+        until = self.drive.way_until(joint)
         if until is not None and until.way is None:
             why = f"the way until a new plan could take over is not clear: {until.reason}"
             return self._kept(why) or self._stop(delay, why)
@@ -371,7 +309,7 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: _BranchPoint, until: ProvenWay | None, plugins: _ChosenPlugins) -> Replanned:
+    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _ChosenPlugins) -> Replanned:
         """A new plan in the gears of the old one; the old one; a new one in other gears.
 
         `until`: the way until the joint; None: the robot is there.
@@ -381,7 +319,7 @@ class _Replanning:
         """
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline = self.deadline.shortened(by=reserve)
-        problem, why = self._from_joint(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
+        problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
         if joint.rest is not None and not self._is_on_the_straight(joint.rest):
             watch = Stopwatch(deadline, self.timing_ms)
             smoother, timing = plugins.smoother, plugins.timing
@@ -407,18 +345,18 @@ class _Replanning:
             raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
         return self._new(joint, until, plan)
 
-    def _new(self, joint: _BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
+    def _new(self, joint: BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
         tried, timing = (*self.tried, *plan.tried), self._timing()
         plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
-        way = until or proven_way(plan.motion, self.state.pose)
+        way = until or proven_way(plan.motion, self.drive.state.pose)
         return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
 
     def _is_on_the_straight(self, rest: Path) -> bool:
         """Whether the robot is on the final straight already, on which nothing may be bent."""
-        return len(rest.segments) == 1 and rest.length <= self.world.dock.final_straight
+        return len(rest.segments) == 1 and rest.length <= self.drive.world.dock.final_straight
 
     def _in_the_same_gears(
-        self, joint: _BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
+        self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
         """The rest of the running path, deformed, or else smoothed anew; None where neither is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
@@ -449,98 +387,12 @@ class _Replanning:
                 break
             if any(violation.kind != "clearance" for violation in certificate.violations):
                 break
-            pushes.append(_push_off(certificate.violations[0], path, problem))
+            pushes.append(push_off(certificate.violations[0], path, problem))
             longest = max(longest, work.deadline.elapsed - began)
         return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
 
     def _timing(self) -> dict[str, float]:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
-
-    @functools.cached_property
-    def path(self) -> Path:
-        """The running path, where it is being followed."""
-        path, moved = self.plan.path, self.state.moved
-        return path if moved is None else path.moved(moved)
-
-    def _move_ahead(self) -> None:
-        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
-        assert self.state.pose is not None
-        self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
-        self.now = self._joint(0.0)
-
-    @functools.cached_property
-    def reference(self) -> Pose2:
-        """Where the running trajectory has the robot."""
-        return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
-
-    @functools.cached_property
-    def is_on_the_path(self) -> bool:
-        """Whether the robot is there."""
-        return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
-
-    def _is_in_tube(self, place: Pose2) -> bool:
-        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
-        pose, footprint = self.state.pose, self.world.robot.footprint
-        assert pose is not None
-        off = footprint.displacement(pose, self.reference)
-        if not off <= self.world.robot.tracking.width(footprint):
-            return False
-        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
-        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
-
-    def _joint(self, lead: float, *, at_a_rest: bool = False) -> _BranchPoint:
-        """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
-        running, rate = self.plan.trajectory, self.state.rate
-        path, length = self.ahead, self.ahead.length
-        time = min(max(self.state.time + rate * lead, 0.0), running.duration)
-        if at_a_rest:
-            time = self._next_rest(time)
-        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
-        s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
-        if s > length - _NO_WAY:  # its last micrometre is a millisecond
-            time, s, speed, acceleration = running.duration, length, 0.0, 0.0
-        if max(abs(speed), abs(acceleration)) <= _AT_REST:
-            speed = acceleration = 0.0
-            s = next((cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY), s)
-        gear = int(path.direction_at(s)[0])
-        rest = path.piece(s) if s < length - _NO_WAY else None
-        pose = path.end if rest is None else rest.start
-        sign = gear or 1
-        return _BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
-
-    def _next_rest(self, time: float) -> float:
-        """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
-        running = self.plan.trajectory
-        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
-        if self.state.rate <= 0.0:
-            return time  # a clock that stands never comes to any other
-        if max(abs(speed), abs(acceleration)) <= _AT_REST:
-            return self._steered(time)
-        turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
-        ends = running.cusp_times.tolist() if running.path.cusps else []
-        due = next((end for end in [*ends, running.duration] if end >= time), time)
-        return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
-
-    def _steered(self, rest: float) -> float:
-        """The time itself; or, where the robot rests until its wheels are turned, when they are."""
-        law = self.plan.trajectory.time_law
-        if not math.isfinite(self.world.robot.limits.max_steering_rate):
-            return rest
-        phase = int(np.searchsorted(law.times, rest, side="right")) - 1
-        while phase < law.durations.size and law.jerks[phase] == 0.0 and max(abs(law.states[phase, 1:])) <= _AT_REST:
-            phase, rest = phase + 1, float(law.times[phase + 1])
-        return rest
-
-    def _until(self, joint: _BranchPoint) -> WayVerdict | None:
-        """Whether the way from here to the joint is proven to be clear; None: there is none."""
-        now = self.now
-        if now.rest is None or joint.s - now.s <= _NO_WAY:
-            return None
-        if self.ahead is self.plan.path and self.is_on_the_path:
-            known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
-            if known is not None:
-                return WayVerdict(known)
-        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def _attempt(self, stage: str, guess: Path, make: Callable[[PartialPlan], DockPlan]) -> DockPlan | None:
         began = self.deadline.elapsed
@@ -558,42 +410,32 @@ class _Replanning:
         self.tried.append(Attempt(stage, guess, self.deadline.elapsed - began, plan.price))
         return plan
 
-    def _from_joint(self, joint: _BranchPoint) -> DockingProblem:
-        """The problem of a robot at the joint."""
-        limits = self.world.robot.limits
-        turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
-        free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
-        curvature = None
-        if not free and joint.gear != 0:
-            curvature = float(self.plan.path.curvature_at(joint.s)[0])
-        return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
-
     def _kept(self, why: str) -> Replanned | None:
         """The old plan, where it is still good; None where it is not.
 
         Within the dock's tolerances the robot counts as docked, and the station stands as near as they allow: there it
         is taken to stand where the plan ends.
         """
-        path, world = self.path, self.world
+        path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
-        found = self._goes_on(path, world) if self.is_on_the_path else self._goes_back(path, world)
+        found = self._goes_on(path, world) if self.drive.is_on_the_path else self._goes_back(path, world)
         if found.way is None:
             return None
         tried, timing = tuple(self.tried), self._timing()
-        running, plan = self.plan.trajectory, self.plan
+        running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
     def _goes_on(self, path: Path, world: DockingProblem) -> WayVerdict:
         """Whether the rest of the path is clear for a robot that is on it."""
-        return prove_way(path.piece(min(self.now.s, max(0.0, path.length - _NO_WAY))), world)
+        return prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
         """Whether the rest of the path is clear for a robot beside it, by the rule that the plan is proven by."""
-        pose, relief = self.state.pose, self.plan.certificate.start_relief
+        pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
-        now = min(self.now.s, max(0.0, path.length - _NO_WAY))
+        now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))
         # Legs of a cusp overlap: the robot is on the one that its clock shows.
         gear = int(np.searchsorted(path.segment_starts, now, side="right")) - 1
         first, last = path.segment_starts[gear : gear + 2].tolist()
@@ -601,14 +443,14 @@ class _Replanning:
         leg = Tube(path.piece(first, last), world, relief)
         nearest = first + float(leg.deviations(pose.as_array()[None]).s[0])
         begin = min(now, nearest)
-        begun = Begun(path.start, end_clearances(self.plan.problem).start)
+        begun = Begun(path.start, end_clearances(self.drive.plan.problem).start)
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
         """Whether the running plan, as fast as its clock runs, keeps every rule of the world now but clearance."""
-        before, world, path, rate = self.plan.problem, self.world, self.path, self.state.rate
+        before, world, path, rate = self.drive.plan.problem, self.drive.world, self.drive.path, self.drive.state.rate
         if rate > 1.0:
-            law = self.plan.trajectory.time_law
+            law = self.drive.plan.trajectory.time_law
             starts = law.start_s, rate * law.start_speed, rate * rate * law.start_acceleration
             faster = Trajectory(path, TimeLaw(law.durations / rate, law.jerks * rate**3, *starts))
             if not certify_trajectory(faster, world.robot.limits, world.dock.approach).certified:
@@ -621,18 +463,18 @@ class _Replanning:
         begun = world.starting_at(path.start, before.start_speed, before.start_curvature, before.start_acceleration)
         asked = dataclasses.replace(begun, dock=dataclasses.replace(world.dock, pose=path.end))
         holds = not path_violations(path, asked) and bool(prove_view(path, asked))
-        return holds and certify_motion(self.plan.trajectory, asked).certified
+        return holds and certify_motion(self.drive.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
         """Braking along the running path: from the joint where that is proven, from now on otherwise."""
         found: list[Replanned] = []
         for lead in (self.lead, delay):
-            joint = self._joint(lead)
-            trajectory, motion = self._braking(joint)
-            now = self.now
+            joint = self.drive.branch_point(lead)
+            trajectory, motion = braking(joint, self.drive.world.robot.limits, self.drive.plan.frame)
+            now = self.drive.now
             before, driven = joint.s - now.s, trajectory.path.length
-            way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, _NO_WAY))
-            clear = prove_way(way, self.world, self.state.pose)
+            way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, NO_WAY))
+            clear = prove_way(way, self.drive.world, self.drive.state.pose)
             reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"
@@ -651,64 +493,3 @@ class _Replanning:
                 return stop
             found.append(stop)
         return found[-1]
-
-    def _braking(self, joint: _BranchPoint) -> tuple[Trajectory, TrajectoryCertificate]:
-        """The quickest certified braking from a joint, or the quickest of all."""
-        limits = self.world.robot.limits
-        state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
-        still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
-        if joint.rest is None or joint.rests:
-            return still, certify_trajectory(still, limits, SpeedZone())
-        first = None
-        for share in _BRAKING:
-            if joint.gear == 0:
-                rate, most, jerk = (TURN_RADIUS * limit for limit in limits.turning)
-                bounds = DriveBounds(rate, most, share * most, jerk)
-            else:
-                most = share * limits.max_deceleration
-                bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
-            phases = np.array(full_stop(state, bounds))
-            if state.a < 0.0 < state.v and state.a**2 > 2.0 * state.v * bounds.jerk:
-                jerk = state.a**2 / (2.0 * state.v)  # with less it would roll back; with this both end together
-                phases = np.array([[-state.a / jerk, jerk]])
-            law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
-            length = float(law.states[-1, 0])
-            segment = joint.rest.segments[0]
-            if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
-                motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
-                return still, motion
-            if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
-                length = segment.length
-            trajectory = Trajectory(joint.rest.piece(0.0, length), law)
-            motion = certify_trajectory(trajectory, limits, SpeedZone())
-            first = first or (trajectory, motion)
-            if motion.certified:
-                return trajectory, motion
-        assert first is not None
-        return first
-
-
-_STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
-
-
-def _standing(pose: Pose2, frame: str) -> Path:
-    """A path for a robot that stays: a tenth of what the certificate takes for nothing."""
-    return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)
-
-
-def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
-    """What moves the robot off an obstacle that it comes too close to."""
-    pose = path.poses_at(violation.s)[0]
-    reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
-    near = problem.all_obstacles.near(pose[None, :2], reach)
-    rows = np.arange(len(near))
-    poses = np.tile(pose, (rows.size, 1))
-    body, found = min(
-        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
-        key=lambda one: float(one[1].distance.min()),
-    )
-    row = int(np.argmin(found.distance))
-    distance = float(found.distance[row]) + violation.amount + _ROOM
-    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
-    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
-    return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)

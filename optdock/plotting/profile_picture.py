@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.model.limits import LIMITS, finite_limits
+from optdock.model.path import place_before_end
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     if np.isfinite(limits.max_steering_rate):
         per_metre = limits.steering_per_metre(curvature, trajectory.path.curvature_rate_at(samples.s))
         speed = np.minimum(speed, limits.max_steering_rate / np.maximum(per_metre, 1e-12))
-    speed = np.where(samples.s > trajectory.path.before_end(zone.distance), np.minimum(speed, zone.speed), speed)
+    speed = np.where(samples.s > place_before_end(trajectory.path, zone.distance), np.minimum(speed, zone.speed), speed)
     speed, curvature = np.where(turning, 0.0, speed), np.where(turning, 0.0, curvature)
     accelerations = np.where(forward, -down, -up), np.where(forward, up, down)
     symmetric = {

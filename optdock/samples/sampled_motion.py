@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.model.path import TurnSegment
+from optdock.model.path import TurnSegment, parts_between_turns
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ def stretches_of(
         limits: What the motion keeps.
         rounding: Of the samples.
     """
-    parts = path.parts()
+    parts = parts_between_turns(path)
     kinds = [int(np.sign(part.turn)) if isinstance(part, TurnSegment) else _DRIVES for part in parts]
     h = float(np.max(np.diff(motion.t)))
     hidden = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
-from optdock.geometry.obstacles import in_words
+from optdock.geometry.obstacles import box_distance, in_words
 from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
 from optdock.samples.tube import Tube
@@ -159,7 +159,7 @@ def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: Obsta
     if len(obstacles) == 0:
         return best
     for block in np.array_split(poses, max(1, -(-len(poses) // _BLOCK))):
-        at_least = obstacles.box_distance(block[:, :2]) - footprint.circumscribed_radius
+        at_least = box_distance(obstacles, block[:, :2]) - footprint.circumscribed_radius
         nearest = np.unravel_index([int(np.argmin(at_least))], at_least.shape)
         best = min(best, _smallest(footprint, block, obstacles, nearest))
         best = min(best, _smallest(footprint, block, obstacles, np.nonzero(at_least < best)))

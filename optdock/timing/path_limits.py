@@ -26,7 +26,7 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.limits import LIMITS
-from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
+from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, place_before_end
 from optdock.timing.jerk_phases import DriveBounds, Motion
 from optdock.timing.timing_settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
 from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
@@ -278,7 +278,9 @@ class PathLimits:
 
 def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
     """The limits of every segment of a path; None for a segment of no length, and for a turn in place."""
-    zone_start = path.before_end(zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
+    zone_start = (
+        place_before_end(path, zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
+    )
     return [
         segment_limits(
             segment, SpeedCaps(drive, segment.direction), zone_start - float(begin), zone.speed, float(begin)

@@ -30,7 +30,7 @@ import numpy as np
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.model.limits import LIMITS
-from optdock.model.path import Path, PolylineSegment, TurnSegment
+from optdock.model.path import Path, PolylineSegment, TurnSegment, joint_curvatures
 from optdock.model.segments import TURN_RADIUS
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plugins.interfaces import TimingReport, TimingResult, TimingStatus
@@ -247,7 +247,7 @@ def _waits(path: Path, asked: _Asked) -> dict[int, Phases]:
     """Phases at rest before those segments that the wheels must be turned for."""
     times = [asked.start.wait]
     if len(path.segments) > 1 and math.isfinite(asked.drive.max_steering_rate):
-        times += asked.drive.steering_times(path.joint_curvatures).tolist()
+        times += asked.drive.steering_times(joint_curvatures(path)).tolist()
     return {i: ((time, 0.0),) for i, time in enumerate(times) if time > _NO_WAIT}
 
 

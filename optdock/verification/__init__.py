@@ -30,7 +30,8 @@ chapters, in the order in which a proof uses them:
     conservative_advancement  from poses to stretches: subdivision, branch and bound, the proof of clearance
     visibility              the same advance for the view of the dock: cone and ranges of the camera
     path_rules              frame, ends, joints, gears, slip, curvature, final straight
-    trajectory_rules        coverage, rest, limits along the time law and limits that depend on curvature
+    trajectory_rules        coverage, rest, limits along the time law
+    turning_rules           limits that depend on curvature
     certify                 the two verdicts, each made once
     proven_motion           path, time law, problem and pose in one value that only proofs make
     memo                    what was proven of a frozen value is kept while it lives

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import frozen
+from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.contact_tolerance import DEPTH, deepest
@@ -146,9 +147,9 @@ def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) ->
     Where it is not positive the body may overlap the obstacle by more.
     """
     at = transform_points(poses, body.centres)  # (n, circles, 2)
-    gaps = obstacles.box_distance(at[:, 0])
+    gaps = box_distance(obstacles, at[:, 0])
     for k in range(1, len(body.centres)):
-        np.minimum(gaps, obstacles.box_distance(at[:, k]), out=gaps)
+        np.minimum(gaps, box_distance(obstacles, at[:, k]), out=gaps)
     gaps -= body.radius
     return gaps
 

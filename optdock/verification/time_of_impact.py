@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.certificate import TOLERANCE
@@ -69,7 +70,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and h
     """
     reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE
     centre = np.array([pose.x, pose.y])
-    near = np.flatnonzero(obstacles.box_distance(centre[None])[0] <= reach)
+    near = np.flatnonzero(box_distance(obstacles, centre[None])[0] <= reach)
     if near.size == 0:
         return Sweep(duration, -1)
     scene = obstacles.subset(near)

@@ -1,22 +1,7 @@
 """The rules of a trajectory: that its time law covers the path, rests where it must, and keeps every motion limit.
 
 Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
-exact. The limits that depend on curvature are proven by subdivision. Within a cell (no phase border, no knot of the
-path inside) jerk and curvature rate are constant, so every limited quantity f(t) is smooth and
-`max |f| <= max(|f(t0)|, |f(t1)|) + width^2 / 8 * max |f''|`. With v the speed, a its rate, j the jerk, k the curvature
-and r its rate per metre:
-
-    yaw rate v k          f'' = j k + 3 a v r
-    lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
-    yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
-    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
-     2 v a k + v^3 r
-    wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
-
-and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
-
-    f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
-    |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
+exact. The limits that depend on curvature are proven by `turning_rules`.
 
 Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that; so
 must the rest at the start, where they may stand at any angle.
@@ -24,56 +9,51 @@ must the rest at the start, where they may stand at any angle.
 A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are the time law's own: exact
 extremes, against limits of their own (`MotionLimits.turning`). The phases between the rests at its ends are the turn's.
 
-Cells that the bound does not clear are bisected.
-
 A finite limit that has no rule here, and none of the path certificate either, is a violation: whatever field
 `MotionLimits` gets, a motion is certified only where it has been proven.
-
-Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
-wait nor a long path costs digits. The cells of a phase run from event to event (its start, knots of the path, a grid),
-each in the phase and the piece of the path that are in force then; an event later in the list is in force later, also
-where two fall on the same instant. So every piece of the path has a cell, however short: where its width in time is
-none, what it asks of the drive is still looked at, and a jump of curvature within less than the resolution of time
-counts with the rate at which it jumps.
-
-A polyline is judged three times: with the curvature that it claims between its poses, with that of its steps, and with
-the rate at which that swings from step to step, where the means at the poses hide it.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.model.limits import LIMITS, LimitKind, finite_limits
-from optdock.model.path import Direction, PolylineSegment, TurnSegment
+from optdock.model.path import (
+    Direction,
+    PolylineSegment,
+    TurnSegment,
+    driven_stretches,
+    joint_curvatures,
+    place_before_end,
+)
 from optdock.model.segments import TURN_RADIUS
-from optdock.model.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
+from optdock.verification.turning_rules import (
+    Instants,
+    Judge,
+    TurningRule,
+    crossings,
+    initial_cells,
+    path_pieces,
+    subdivide,
+    turning_rules,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.limits import MotionLimits, SpeedZone
-    from optdock.model.path import Path, Segment
+    from optdock.model.path import Path
     from optdock.model.trajectory import TimeLaw, Trajectory
 
-__all__ = ["STEP_RTOL", "trajectory_violations"]
+__all__ = ["trajectory_violations"]
 
 REST_TOLERANCE = TOLERANCE  # [m], [m/s], [m/s^2] at cusps and at the ends
 REST_YAW_TOLERANCE = 1e-5  # [rad] at the ends: what a curvature of 10 1/m turns within `REST_TOLERANCE`
-STEP_RTOL = 0.05  # accepted excess over a limit, relative, of a polyline's step: its curvature is a difference quotient
-_MAX_WIDTH = 0.05  # [s], first cells
-_MAX_GRID = 20_000  # first cells of a long motion are wider
-_MAX_LEVELS = 22  # of bisection
-_MAX_CELLS = 1_000_000  # added by refinement; some seconds
-_BLOCK = 8_000  # cells judged in one go, some milliseconds; a deadline is looked at in between
-_BISECTIONS = 60  # leave 1e-18 of a phase
-_STEEPEST = 1e300  # [1/m^2]: a curvature rate beyond counts as this one, which no limit allows either
 
 
 def trajectory_violations(
@@ -91,16 +71,16 @@ def trajectory_violations(
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
     finite = finite_limits(limits)
-    rules = _turning_rules(finite)
-    stretches, judge = _segment_limits(path, limits, zone), _Judge(rules, limits)
+    rules = turning_rules(finite)
+    stretches, judge = _segment_limits(path, limits, zone), Judge(rules, limits)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
-        pieces = _path_pieces(path) if judge.rules else None
+        pieces = path_pieces(path) if judge.rules else None
         asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
-        reached = _crossings(law, asked)  # one bisection for all places that are asked for
+        reached = crossings(law, asked)  # one bisection for all places that are asked for
         if pieces is not None:
             knots = reached.rows(slice(borders.size, None))
-            _subdivide(_initial_cells(law, pieces, knots, has_turns=path.turns), judge, is_late)
+            subdivide(initial_cells(law, pieces, knots, has_turns=path.turns), judge, is_late)
     peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
     driven, turns = _phases_apart(trajectory)
     plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, driven, limits))}
@@ -154,12 +134,12 @@ def _turns_in_place(path: Path) -> Iterator[Violation]:
                 yield Violation("coverage", message, s, turn)
 
 
-def _turning_points(law: TimeLaw) -> _Instants:
+def _turning_points(law: TimeLaw) -> Instants:
     """Where the speed of each phase is stationary, or the end of the phase nearest to that."""
     a = law.states[:-1, 2]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
-    return _Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
+    return Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
 
 
 class _Extremes(NamedTuple):
@@ -241,7 +221,7 @@ def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> l
     cusps = path.cusps if limits.max_steering_rate < np.inf else ()
     if not (cusps or start_wait > 0.0):
         return []
-    turned = limits.steering_times(path.joint_curvatures) if cusps else ()
+    turned = limits.steering_times(joint_curvatures(path)) if cusps else ()
     places, needed = np.array([0.0, *cusps]), np.array([start_wait, *turned])
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
     waits = []
@@ -282,8 +262,8 @@ def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatA
         if segment.direction in top
     ]
     if zone.distance > 0.0:
-        begin = path.before_end(zone.distance)
-        rows += [(max(a, begin), b, zone.speed) for a, b in path.driven_stretches if b > begin]
+        begin = place_before_end(path, zone.distance)
+        rows += [(max(a, begin), b, zone.speed) for a, b in driven_stretches(path) if b > begin]
     return np.array(rows).reshape(-1, 3)
 
 
@@ -296,7 +276,7 @@ class _Peak(NamedTuple):
     s: float
 
 
-def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: _Instants, found: _Extremes) -> Iterator[_Peak]:
+def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found: _Extremes) -> Iterator[_Peak]:
     """The peak within every stretch, whose begins and ends the motion reaches at `entries`, in turn."""
     entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
     for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
@@ -403,300 +383,11 @@ def _plain_ratios(driven: _Phases, limits: MotionLimits, peaks: Sequence[_Peak])
     }
 
 
-class _Instants(NamedTuple):
-    """Moments of a motion, Shape (n,) each: the phase, and the time since its start [s]."""
-
-    phase: IntArray
-    since: FloatArray
-
-    def motion(self, law: TimeLaw) -> FloatArray:
-        """Distance, speed and acceleration, Shape (n, 3)."""
-        s, v, a = law.states[self.phase].T
-        return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
-
-    def rows(self, keep: slice) -> _Instants:
-        """The moments at `keep`."""
-        return _Instants(self.phase[keep], self.since[keep])
-
-    def times(self, law: TimeLaw) -> FloatArray:
-        """The moments as times since the start of the motion, for messages. Shape (n,) [s]."""
-        times: FloatArray = law.times[self.phase] + self.since
-        return times
-
-
-def _crossings(law: TimeLaw, s: FloatArray) -> _Instants:
-    """First moments at which the distance reaches `s`, Shape (n,) [m], by bisection, as s(t) never decreases."""
-    reached = np.maximum.accumulate(law.states[:, 0])
-    phase = np.clip(np.searchsorted(reached, s, side="left") - 1, 0, law.durations.size - 1)
-    base, v, a = law.states[phase].T
-    half_a, sixth_j, wanted = a / 2.0, law.jerks[phase] / 6.0, s - base
-    low: FloatArray = np.zeros(s.size)
-    high: FloatArray = law.durations[phase]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        ahead = middle * (v + middle * (half_a + middle * sixth_j)) >= wanted
-        low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
-    return _Instants(phase, 0.5 * (low + high))
-
-
-class _Pieces(NamedTuple):
-    """Stretches of a path with a constant curvature rate, Shape (n,) each.
-
-    `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
-    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself; `swing`: how fast the
-    curvature of a polyline swings over the step, 0 on others.
-    """
-
-    begin: FloatArray
-    first: FloatArray
-    last: FloatArray
-    rate: FloatArray
-    step: FloatArray
-    swing: FloatArray
-
-
-def _path_pieces(path: Path) -> _Pieces:
-    parts = [
-        _segment_pieces(segment, float(start))
-        for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
-    ]
-    return _Pieces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _segment_pieces(segment: Segment, start: float) -> _Pieces:
-    knots, step, swing = segment.knots, np.full(segment.knots.size - 1, np.nan), np.zeros(segment.knots.size - 1)
-    curvature = segment.curvature_at(knots)
-    if isinstance(segment, TurnSegment):
-        step[:] = np.inf
-    elif isinstance(segment, PolylineSegment):
-        # Repeated poses have no length: the curvature between the poses beside them is what counts.
-        kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
-        step, swing = (
-            column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)
-        )
-        knots, curvature = knots[kept], curvature[kept]
-    with np.errstate(over="ignore"):
-        rate = np.clip(np.diff(curvature) / np.diff(knots), -_STEEPEST, _STEEPEST)
-    return _Pieces(start + knots[:-1], curvature[:-1], curvature[1:], rate, step, swing)
-
-
-class _Cells(NamedTuple):
-    """Motion at the first instant of each cell, Shape (n,) each; r, j, the bounds of k and width do not change in it.
-
-    `t`: since the start of the motion, for messages [s]; `low`, `high`: curvature of the whole piece of the path.
-    """
-
-    t: FloatArray
-    width: FloatArray
-    s: FloatArray
-    v: FloatArray
-    a: FloatArray
-    j: FloatArray
-    k: FloatArray
-    r: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-    def advanced(self, dt: FloatArray) -> _Cells:
-        """The motion `dt` later, by the cell's own polynomials."""
-        gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
-        k = np.clip(self.k + self.r * gain, self.low, self.high)
-        return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
-
-    def rows(self, keep: IntArray | slice) -> _Cells:
-        """The cells at `keep`."""
-        return _Cells(*(column[keep] for column in self))
-
-    def and_also(self, more: _Cells) -> _Cells:
-        """These cells, then more."""
-        return _Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
-
-    def halves(self) -> _Cells:
-        """Every cell cut in two."""
-        half = 0.5 * self.width
-        return self._replace(width=half).and_also(self.advanced(half))
-
-    def blocks(self) -> Iterator[_Cells]:
-        """The cells in groups that are judged in one go."""
-        for start in range(0, self.t.size, _BLOCK):
-            yield self.rows(slice(start, start + _BLOCK))
-
-
-def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants, *, has_turns: bool) -> _Cells:
-    """Cells from event to event: starts of phases, knots of the path, and a grid of `_MAX_WIDTH` within each phase."""
-    phases = np.arange(law.durations.size)
-    most = max(1, _MAX_GRID // phases.size)
-    parts = np.clip(np.ceil(law.durations / _MAX_WIDTH), 1.0, most).astype(np.int64)
-    owner = np.repeat(phases, parts)
-    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)  # 0 is the start of the phase
-    phase = np.concatenate((owner, knots.phase))
-    since = np.concatenate((law.durations[owner] * rank / parts[owner], knots.since))
-    kind = np.concatenate((np.where(rank == 0, 0, -1), np.arange(1, knots.phase.size + 1)))
-    order = np.lexsort((kind, since, phase))
-    phase, since, kind = phase[order], since[order], kind[order]
-    piece = np.cumsum(kind > 0)
-    at_knot = kind > 0
-    # Rounding may swap knots of one instant; the order along the path is the one that holds.
-    begins = pieces.begin[piece]
-    end = np.append(since[1:], 0.0)
-    is_last = np.append(phase[1:] != phase[:-1], True)
-    width = np.where(is_last, law.durations[phase], end) - since
-    s, v, a = _Instants(phase, since).motion(law).T
-    s = np.where(at_knot, begins, s)
-    first, last, rate = pieces.first[piece], pieces.last[piece], pieces.rate[piece]
-    low, high = np.minimum(first, last), np.maximum(first, last)
-    k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
-    cells = _Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
-    if has_turns:
-        driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
-        cells, piece = cells.rows(driven), piece[driven]
-    # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
-    step = pieces.step[piece]
-    turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
-    swinging = cells._replace(r=np.copysign(pieces.swing[piece], cells.r))
-    hidden = np.flatnonzero(np.abs(swinging.r) > np.abs(cells.r))
-    return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step)))).and_also(swinging.rows(hidden))
-
-
-class _Sizes(NamedTuple):
-    """Bounds of |speed|, |acceleration|, |jerk|, |curvature| and |curvature rate| over cells, Shape (n,) each."""
-
-    v: FloatArray
-    a: FloatArray
-    j: FloatArray
-    k: FloatArray
-    r: FloatArray
-
-    @classmethod
-    def over(cls, first: _Cells, last: _Cells) -> _Sizes:
-        """Over the cells from their first to their last instants."""
-        # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
-        v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
-        a, k = np.maximum(np.abs(first.a), np.abs(last.a)), np.maximum(np.abs(first.k), np.abs(last.k))
-        return cls(v, a, np.abs(first.j), k, np.abs(first.r))
-
-
-def _yaw_rate_bend(b: _Sizes) -> FloatArray:
-    return b.j * b.k + 3.0 * b.a * b.v * b.r
-
-
-def _steering_rate_bend(b: _Sizes, drive: MotionLimits) -> FloatArray:
-    steepest = drive.wheelbase * b.r
-    turned = steepest * b.v
-    return steepest * b.j + 2.0 * turned * steepest * b.a + 2.0 * turned**3
-
-
-# Bounds of |f''| over cells, of quantities f of `LimitKind.TURNING`, by the names of their limits.
-_BENDS: dict[str, Callable[[_Sizes, MotionLimits], FloatArray]] = {
-    "max_yaw_rate": lambda b, _: _yaw_rate_bend(b),
-    "max_lateral_acceleration": lambda b, _: (
-        2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r
-    ),
-    "max_yaw_acceleration": lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
-    "max_lateral_jerk": lambda b, _: 6.0 * b.a * b.j * b.k + 12.0 * b.v * b.a * b.a * b.r + 7.0 * b.v * b.v * b.j * b.r,
-    "max_wheel_speed": lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
-    "max_steering_rate": _steering_rate_bend,
-}
 _EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}  # exact: `_rates`
 
 
-class _TurningRule(NamedTuple):
-    """How a finite limit is proven: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
-
-    limit: float
-    size: Callable[[_Cells, MotionLimits], FloatArray]
-    bend: Callable[[_Sizes, MotionLimits], FloatArray]
-
-
-def _turning_rules(finite: Mapping[str, float]) -> dict[str, _TurningRule]:
-    """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
-    found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
-    return {name: _TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
-
-
-def _without_rule(finite: Mapping[str, float], rules: Mapping[str, _TurningRule]) -> Iterator[Violation]:
+def _without_rule(finite: Mapping[str, float], rules: Mapping[str, TurningRule]) -> Iterator[Violation]:
     """Finite limits that nothing here proves; those of `LimitKind.PATH` are left to the path certificate."""
     for name, value in finite.items():
         if not (name in _EXTREMES or name in rules or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
             yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)
-
-
-def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> None:
-    """Judge cells, and bisect those that are neither cleared nor broken.
-
-    Cells that are not cleared when `is_late()` turns true, or when there have been too many, are `unproven`; the
-    ratios are infinite then.
-    """
-    waiting = deque((0, block) for block in first.blocks())
-    added = 0
-    while waiting:
-        level, cells = waiting.popleft()
-        if is_late():
-            judge.give_up(cells)
-            break
-        open_cells = judge.look_at(cells)
-        if open_cells.size == 0:
-            continue
-        rest = cells.rows(open_cells)
-        if level == _MAX_LEVELS or added > _MAX_CELLS:
-            judge.give_up(rest)
-            continue
-        halves = rest.halves()
-        added += halves.t.size
-        waiting.extend((level + 1, block) for block in halves.blocks())
-
-
-class _Judge:
-    """Looks at cells and keeps the worst of each quantity."""
-
-    def __init__(self, rules: Mapping[str, _TurningRule], drive: MotionLimits) -> None:
-        self.drive = drive
-        self.rules = {LIMITS[name].quantity: rule for name, rule in rules.items()}
-        self.ratios = dict.fromkeys(self.rules, 0.0)
-        self.found: dict[str, Violation] = {}
-
-    def look_at(self, cells: _Cells) -> IntArray:
-        """Judge cells; the rows of those that are neither cleared nor broken."""
-        last = cells.advanced(cells.width)
-        most = _Sizes.over(cells, last)
-        open_cells = np.zeros(cells.t.size, dtype=np.bool_)
-        for kind, (limit, size, bend) in self.rules.items():
-            at_ends = size(cells, self.drive), size(last, self.drive)
-            # What is no number proves nothing: it counts as infinite where it arises.
-            seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
-            stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
-            proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
-            broken = seen > limit * (1.0 + TOLERANCE)
-            cleared = proven <= limit * (1.0 + TOLERANCE)
-            self._raise_ratio(kind, float(np.max(np.where(cleared, proven, seen), initial=0.0)))
-            if broken.any():
-                ends = (cells, at_ends[0]), (last, at_ends[1])
-                worst = int(np.argmax(np.where(broken, seen, -1.0)))
-                self._note(kind, max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount))
-            open_cells |= ~cleared & ~broken
-        return np.flatnonzero(open_cells)
-
-    def give_up(self, cells: _Cells) -> None:
-        """Nothing is known of these cells."""
-        for kind in self.rules:
-            self._raise_ratio(kind, np.inf)
-        k = int(np.argmin(cells.t))
-        message = f"the limits on turning near t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m are not proven"
-        self._note("unproven", Violation("unproven", message, float(cells.s[k]), np.inf))
-
-    def violations(self) -> Iterator[Violation]:
-        """The worst of each quantity that breaks its limit, and of what is not proven."""
-        return (self.found[kind] for kind in (*self.rules, "unproven") if kind in self.found)
-
-    def _raise_ratio(self, kind: str, value: float) -> None:
-        self.ratios[kind] = max(self.ratios[kind], value / self.rules[kind].limit)
-
-    def _note(self, kind: str, violation: Violation) -> None:
-        if kind not in self.found or violation.amount > self.found[kind].amount:
-            self.found[kind] = violation
-
-
-def _exceeded(kind: str, limit: float, cells: _Cells, value: FloatArray, k: int) -> Violation:
-    name, found = kind.replace("_", " "), float(np.nan_to_num(value[k], nan=np.inf, posinf=np.inf))
-    message = f"{name} {found:.5g} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g}"
-    return Violation(kind, message, float(cells.s[k]), max(found - limit, 0.0))

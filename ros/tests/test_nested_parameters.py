@@ -16,6 +16,7 @@ from optdock_ros.nested_parameters import (
     flattened,
     merged,
     nested,
+    parameters_of,
     plain,
     robot_parameters,
     unknown_names,
@@ -176,8 +177,8 @@ def server(context: None) -> Iterator[Tried]:  # noqa: ARG001 - a node needs it
 
 
 def test_an_integer_stands_for_a_number_and_defaults_are_declared(server: Tried) -> None:
-    assert server.parameters_block()["speed"] == 2
-    assert server.parameters_block()["names"] == ["a", "b"]
+    assert parameters_of(server)["speed"] == 2
+    assert parameters_of(server)["names"] == ["a", "b"]
     assert server.trigger_configure() == SUCCESS
     assert server.settings.own.speed == 2.0
     assert server.describe_parameter("speed").description == "how fast [m/s]"
@@ -226,7 +227,7 @@ def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
     ):
         assert not server.set_parameters_atomically(refused).successful
         assert server.settings is before
-        assert server.parameters_block()["speed"] == 2
+        assert parameters_of(server)["speed"] == 2
     assert server.set_parameters_atomically([Parameter("topic", value="somewhere")]).successful
     assert server.set_parameters_atomically([Parameter("speed", value=3)]).successful
     assert server.settings.own.speed == 3.0

@@ -17,7 +17,7 @@ import numpy as np
 from optdock.errors import FailedToSmoothPath, SmootherTimedOut
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.model.dock import Dock, DockDirection
-from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment, parts_between_turns
 from optdock.model.problem import DockingProblem
 from optdock.model.segments import SAME_YAW
 from optdock.planning.plan import PartialPlan
@@ -91,7 +91,7 @@ class TurningSolver:
 
     def _joined(self, call: Call, *, keeps_straight: bool) -> _Joined:
         """Every piece between the end of the turn before it and its own end, one after the other."""
-        problem, parts = call.problem, call.path.parts()
+        problem, parts = call.problem, parts_between_turns(call.path)
         earlier = _parts_like(call.earlier, parts)
         anytime = self.settings.anytime
         searched = [_straight(part, part.start, part.end, anytime) is None for part in parts if isinstance(part, Path)]
@@ -240,7 +240,7 @@ def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Se
     nothing: tuple[Path | None, ...] = (None,) * len(parts)
     if earlier is None:
         return nothing
-    found = earlier.parts()
+    found = parts_between_turns(earlier)
     if [type(part) for part in found] != [type(part) for part in parts]:
         return nothing
     return [part if isinstance(part, Path) else None for part in found]

@@ -22,6 +22,7 @@ from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
+from smoothers.scp.iteration_times import IterationTimes
 from smoothers.scp.loop import search
 from smoothers.scp.nlp import formulate, with_intervals
 from smoothers.scp.refusals import (
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from smoothers.scp.loop import Iterate
     from smoothers.scp.nlp import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
-    from smoothers.scp.settings import AnytimeSettings, Settings
+    from smoothers.scp.settings import AnytimeSettings, Settings, ViewSettings
 
 __all__ = [
     "STRATEGY",
@@ -234,7 +235,6 @@ class SearchOutcome:
         setup_time: Seconds from the start of the call to the first search.
         first_certified: Seconds from the start of the call to the first certificate, or None.
         certify_time: Seconds spent on certificates.
-        pace: Shortest iteration over the expected one: what hardly any disturbance could lengthen.
     """
 
     incumbent: Incumbent | None = None
@@ -245,7 +245,6 @@ class SearchOutcome:
     setup_time: float = 0.0
     first_certified: float | None = None
     certify_time: float = 0.0
-    pace: float = math.inf
 
 
 @dataclass
@@ -264,14 +263,16 @@ class Solver:
     cancelled: Callable[[], bool]
     settings: Settings
     outcome: SearchOutcome = field(default_factory=SearchOutcome)
+    times: IterationTimes = field(init=False)
     call: Call = field(init=False)
     _nlp: NonlinearProgram = field(init=False)
     _guesses: InitialGuesses = field(init=False)
     _is_thorough: bool = False
     _closest: Iterate | None = None  # of the failed searches for this program
     _candidate: Iterate | None = None
-    _iteration: float = 0.0  # [s] expected of the next one
-    _certificate: float = 0.0  # [s] likewise; 0 until something is known
+
+    def __post_init__(self) -> None:
+        self.times = IterationTimes(self.deadline, self.settings.anytime)
 
     def follow_strategy(self, call: Call) -> Incumbent:
         """A certified path.
@@ -287,7 +288,7 @@ class Solver:
         self.call = call
         self._nlp, self._guesses = self.prepared(call)
         self.outcome.setup_time = self.deadline.elapsed
-        self._look_at_the_clock()
+        self._raise_if_late()
         for row in STRATEGY:
             if self._take(row) if isinstance(row, Given) else self._try(row):
                 break
@@ -316,7 +317,7 @@ class Solver:
         guess = row.guess(self._guesses)
         if guess is None:
             return False
-        if self._no_more_iterations():
+        if self.times.no_more_iterations():
             raise self._timed_out()
         self._search_and_repair(self._nlp, guess)
         failed, closest = self.outcome.last, self._closest
@@ -347,7 +348,7 @@ class Solver:
             FailedToSmoothPath: A bound that is in the way of any path.
             SmootherTimedOut: No time is left.
         """
-        self._look_at_the_clock()
+        self._raise_if_late()
         path, problem, resolution = call.path, call.problem, self.settings.resolution
         start_clearance, nearest, *_ = end_clearances(call.whole)
         refusal = refuse_start(path, problem, start_clearance, nearest)
@@ -355,17 +356,17 @@ class Solver:
             refusal = refuse_approach(path, call.whole, start_clearance) or refuse_unseen_approach(path, call.whole)
         if refusal is not None:
             raise refusal.error()
-        self._look_at_the_clock()
+        self._raise_if_late()
         shares = np.linspace(0.0, 1.0, resolution.input_samples)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         scene = scene_around(call.whole, positions, start_clearance, self.settings.collision)
-        self._look_at_the_clock()
+        self._raise_if_late()
         many = len(scene.obstacles) > resolution.many_obstacles
         return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
 
     def _prepared_thoroughly(self) -> tuple[NonlinearProgram, InitialGuesses]:
         """The same with finer nodes and small obstacles looked at everywhere."""
-        self._look_at_the_clock()
+        self._raise_if_late()
         scene = self._nlp.scene
         scene = replace(scene, settings=replace(scene.settings, thins_small_obstacles=False))
         return self._formulated(self.call, scene, 1.0)
@@ -377,31 +378,13 @@ class Solver:
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
-        nlp = self._seeing(nlp, call)
-        expected, pace = self.settings.anytime, self.pool.pace
-        self._iteration = pace * _expected_iteration(nlp, expected)
-        self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
-        return nlp, InitialGuesses(nlp, earlier, self.pool, self._no_more_iterations)
+        nlp = _with_view(nlp, call, self.settings.view)
+        self.times.expect(nlp, self.pool.pace)
+        return nlp, InitialGuesses(nlp, earlier, self.pool, self.times.no_more_iterations)
 
-    def _seeing(self, nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
-        """The program with the view of the dock, where the problem asks for it."""
-        view, chosen = call.whole.required_view, self.settings.view
-        if view is None:
-            return nlp
-        bound = ViewBound(view, call.whole, nlp.ends.signs, call.problem.dock.final_straight + call.after)
-        loop = replace(
-            nlp.settings.loop, goal_penalty=chosen.goal_penalty, goal_above_clearance=chosen.goal_above_clearance
-        )
-        settings = replace(nlp.settings, loop=loop)
-        return replace(nlp, view=bound, settings=settings)
-
-    def _look_at_the_clock(self) -> None:
+    def _raise_if_late(self) -> None:
         if self.deadline.passed():
             raise self._timed_out()
-
-    def _no_more_iterations(self) -> bool:
-        """Whether there is less time than an iteration is expected to take."""
-        return not self.deadline.fits(self._iteration)
 
     def _timed_out(self) -> SmootherTimedOut:
         """With the path of the last iterate, from which a later call may go on."""
@@ -439,18 +422,12 @@ class Solver:
             if refused is None or not self.outcome.converged:
                 break
             finer = [chosen.repair_finer * cells for _, cells in nlp.basis.shape]
-            nlp = self._more_cautious(nlp) if refused.feasible else with_intervals(nlp, finer)
+            nlp = _more_cautious(nlp, chosen) if refused.feasible else with_intervals(nlp, finer)
             guess = guess._replace(variables=refused.variables)
-
-    def _more_cautious(self, nlp: NonlinearProgram) -> NonlinearProgram:
-        chosen, seen = self.settings.anytime, nlp.scene.settings
-        seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
-        step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
-        return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))
 
     def _search(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
         self.outcome.converged = False
-        expected = _expected_iteration(nlp, self.settings.anytime)
+        expected = self.times.expected_iteration(nlp)
         before = self.deadline.elapsed
         for progress in search(nlp, guess, self.pool, self.call.max_iterations, self._must_settle):
             if self.cancelled():
@@ -458,27 +435,14 @@ class Solver:
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
             self.outcome.iterations += progress.iterations > 0
             self._consider(progress.iterate)
-            self._measured(self.deadline.elapsed - before, expected)
+            self.times.measured(self.deadline.elapsed - before, expected)
             if self._enough(nlp):
                 return
             before = self.deadline.elapsed
 
-    def _measured(self, seconds: float, expected: float) -> None:
-        """An iteration took so long."""
-        chosen = self.settings.anytime
-        self.outcome.pace = min(self.outcome.pace, seconds / expected)
-        self._iteration = max(chosen.longest_fades * self._iteration, seconds)
-        if self.outcome.certify_time == 0.0:  # none was measured yet, but how fast this machine is was
-            self._certificate = max(self._certificate, chosen.certificate_per_iteration * self._iteration)
-
     def _must_settle(self) -> bool:
         """Whether a step that takes longer than any before must be left unfinished for the sake of what is at hand."""
-        return not self.deadline.fits(self._reserve)
-
-    @property
-    def _reserve(self) -> float:
-        """Seconds for the certificate of the candidate, where there is one."""
-        return self.settings.anytime.certificate_reserve * self._certificate if self._candidate is not None else 0.0
+        return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
 
     def _consider(self, iterate: Iterate) -> None:
         best = self._candidate.cost if self._candidate is not None else math.inf
@@ -488,8 +452,8 @@ class Solver:
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
         """Whether to stop; certifies the candidate when time becomes short."""
-        step = self.settings.anytime.iteration_reserve * self._iteration
-        short = not self.deadline.fits(step + self._reserve)
+        step = self.settings.anytime.iteration_reserve * self.times.iteration
+        short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
         first_only = self.call.first_only
         if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
             self._settle(nlp)
@@ -506,13 +470,13 @@ class Solver:
         if candidate is None:
             return None
         grace = self.settings.anytime.grace if self.outcome.incumbent is None else 0.0
-        if not self.deadline.fits(self._certificate - grace):
+        if not self.deadline.fits(self.times.certificate - grace):
             self.outcome.converged = False
             return None
         began, problem = self.deadline.elapsed, self.call.problem
         path = exact_path(nlp, candidate.variables, problem.dock.final_straight).with_frame(problem.frame)
         certificate = self._judged(path, began)
-        if not certificate.certified and self._is_late():
+        if not certificate.certified and self.times.is_late():
             self.outcome.converged = False
             return None
         if not certificate.certified:
@@ -525,13 +489,9 @@ class Solver:
 
     def _judged(self, path: Path, began: float) -> Certificate:
         """The certificate of a path; what passed since `began` [s] counts as its time."""
-        certificate = self.call.certified(path, self._is_late)
-        self._certificate = self.deadline.elapsed - began
-        self.outcome.certify_time += self._certificate
+        certificate = self.call.certified(path, self.times.is_late)
+        self.outcome.certify_time += self.times.certified(began)
         return certificate
-
-    def _is_late(self) -> bool:
-        return self.deadline.left < -self.settings.anytime.latest
 
     def _is_nearly_feasible(self, nlp: NonlinearProgram) -> bool:
         last = self.outcome.last
@@ -542,13 +502,22 @@ class Solver:
         return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
 
 
-def _expected_iteration(nlp: NonlinearProgram, settings: AnytimeSettings) -> float:
-    """Seconds that an iteration takes on the machine of the benchmarks."""
-    corners = math.prod(nlp.scene.body.vertices.shape[:2])
-    return _expected(nlp, settings.iteration_seconds) + corners * settings.iteration_per_corner
+def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
+    """The program with the view of the dock, where the problem asks for it."""
+    view = call.whole.required_view
+    if view is None:
+        return nlp
+    bound = ViewBound(view, call.whole, nlp.ends.signs, call.problem.dock.final_straight + call.after)
+    loop = replace(
+        nlp.settings.loop, goal_penalty=chosen.goal_penalty, goal_above_clearance=chosen.goal_above_clearance
+    )
+    settings = replace(nlp.settings, loop=loop)
+    return replace(nlp, view=bound, settings=settings)
 
 
-def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
-    """Seconds that something takes on the machine of the benchmarks."""
-    obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
-    return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
+def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:
+    """The program that keeps more off obstacles and looks at more of them."""
+    seen = nlp.scene.settings
+    seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
+    step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
+    return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))

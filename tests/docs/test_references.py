@@ -246,7 +246,7 @@ def test_every_parameter_of_the_ros_servers_is_on_their_page():
     assert len(models) > 8
     told = {*heads, *(head.rpartition(".")[2] for head in heads)}
     assert {name for model in models for name in model.model_fields} - told == set()
-    assert set(generated.ros_models("simulated_robot")["PARAMETERS"]) <= set(heads)
+    assert set(generated.ros_models("simulation_parameters")["PARAMETERS"]) <= set(heads)
 
 
 def test_the_stops_of_a_robot_are_told_with_the_defaults():

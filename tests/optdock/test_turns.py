@@ -21,7 +21,16 @@ from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
-from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
+from optdock.model.path import (
+    ClothoidSegment,
+    Direction,
+    Path,
+    PolylineSegment,
+    TurnSegment,
+    driven_stretches,
+    parts_between_turns,
+    place_before_end,
+)
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
@@ -106,11 +115,11 @@ def test_a_path_knows_what_it_drives():
     assert ROUTE.length == pytest.approx(3.0 + 3.5)
     assert ROUTE.driven == pytest.approx(3.0)
     assert ROUTE.turns
-    np.testing.assert_allclose(ROUTE.driven_stretches, [(0.0, 1.0), (3.5, 4.3), (5.3, 6.5)])
+    np.testing.assert_allclose(driven_stretches(ROUTE), [(0.0, 1.0), (3.5, 4.3), (5.3, 6.5)])
     for left, s in ((0.0, 6.5), (1.2, 5.3), (1.5, 4.0), (2.0, 3.5), (2.5, 0.5), (3.0, 0.0)):
-        assert ROUTE.before_end(left) == pytest.approx(s)
-    assert ROUTE.before_end(4.0) < 0.0
-    first, turn, second, again, third = ROUTE.parts()
+        assert place_before_end(ROUTE, left) == pytest.approx(s)
+    assert place_before_end(ROUTE, 4.0) < 0.0
+    first, turn, second, again, third = parts_between_turns(ROUTE)
     assert (turn, again) == (ROUTE.segments[1], ROUTE.segments[3])
     assert [part.segments for part in (first, second, third)] == [(s,) for s in ROUTE.segments[::2]]
     assert ROUTE.sample(0.02).direction.tolist().count(0) == pytest.approx(3.5 / 0.02, abs=4)

@@ -14,7 +14,7 @@ from optdock.costmap import Costmap
 from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.obstacles import ObstacleSet, box_distance
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits, SpeedZone
@@ -152,7 +152,7 @@ def test_box_distance_agrees_with_shapely(seed):
     obstacles = ObstacleSet.from_rectangles(lower, lower + rng.uniform(0.1, 1.0, (4, 2)), "map")
     points = rng.normal(size=(6, 2)) * 2.0
     truth = shapely.distance(shapely.points(points)[:, None], shapely.polygons(obstacles.vertices)[None])
-    assert np.allclose(obstacles.box_distance(points), truth, atol=1e-12)
+    assert np.allclose(box_distance(obstacles, points), truth, atol=1e-12)
 
 
 POSE = Pose2(0.0, 0.0, 0.0)

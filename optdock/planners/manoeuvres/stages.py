@@ -6,21 +6,20 @@ import functools
 import heapq
 import itertools
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
-from optdock.model.dock import DockDirection
 from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, promising
+from optdock.planners.manoeuvres.end_trees import BOTH, EXIT_TURN, GENTLE, EndTrees, gears_into, turning_radius
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybrid_a_star
+from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
 from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
-from optdock.planners.manoeuvres.tree import ArcTree, Moves
+from optdock.planners.manoeuvres.tree import ArcTree
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.plugins.outcomes import Guess
 from optdock.verification import end_clearances
@@ -28,7 +27,7 @@ from optdock.verification import end_clearances
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
     from optdock.planners.manoeuvres.arcs import Arcs
     from optdock.planners.manoeuvres.turns import TurnSearch
@@ -36,37 +35,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Stages"]
 
-# Straight runs beyond the shortest one, in turning radii.
-_RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
-_EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
-# A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
-_GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
-_BOTH = 1.0, -1.0  # gears, or sides
-# A slot leaves less than this share of the first arcs; how many at full lock lead out of it; [rad] that each must turn.
-_SLOT, _MOST_STROKES, _LEAST_TURN = 0.15, 30, 0.01
 # The dock is tight where less than this share of the last arcs is free.
 _TIGHT = 0.5
 # A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at
 # full speed: then a better one is looked for, with so many nodes. On 352 cases a multiple of 1.6 makes plans 0.4 %
 # dearer on average and one 41 %, at the same CPU time; three times as many nodes make one plan 2 % cheaper.
 _DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
-_FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
-# Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
-_TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
-_NO_MORE = readonly(np.zeros(0))
 _TURN_TRIES = 4  # ways of turns and straight lines that are offered at most
 _STAGED = 4  # straight runs out of a dock along a wall that arcs lead away from
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
-
-
-class _Exits(NamedTuple):
-    """Ways out of the start by some curvatures, and the mean length of the first arcs that is free [m]."""
-
-    nodes: TreeNodes
-    bends: tuple[float, ...]
-    room: float
 
 
 class Stages:
@@ -83,11 +62,8 @@ class Stages:
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
         self.problem, self._poll, self._better_than = problem, poll, better_than
-        limits, footprint = problem.robot.limits, problem.robot.footprint
+        footprint = problem.robot.footprint
         self.radius = turning_radius(problem)
-        rate = limits.max_curvature_rate
-        # Half of the way on which the steering angle builds up lies before the arc.
-        self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         margin = 0.02 * footprint.width
         eased, sharp = slack * self.radius, self.radius
         # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
@@ -100,7 +76,6 @@ class Stages:
             Effort(sharp, 0.0, 80, 8000, relief),
         )
         self._known: list[FloatArray] = []
-        self._exits_by_effort: dict[tuple[Effort, tuple[float, ...]], _Exits] = {}
 
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
@@ -119,7 +94,7 @@ class Stages:
         if math.isinf(self._better_than()):
             yield from self._along_walls()
         # Where the dock itself is tight, the way to it is not what is hard to find.
-        is_tight = self._room_before_dock(self._efforts[0]) < _TIGHT * _EXIT_TURN * self._efforts[0].radius
+        is_tight = self.trees.room_before_dock(self._efforts[0]) < _TIGHT * EXIT_TURN * self._efforts[0].radius
         first, second = (self._along_routes, self._hybrid_a_star)[:: -1 if is_tight else 1]
         yield from first()
         if self._is_worth_a_search():
@@ -136,6 +111,15 @@ class Stages:
         """Where the robot may be."""
         return FreeSpace(self.problem, self._poll)
 
+    @functools.cached_property
+    def trees(self) -> EndTrees:
+        """Straight lines and arcs out of both ends."""
+        return EndTrees(self.problem, self.space)
+
+    def straight_runs(self) -> dict[str, float]:
+        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        return self.trees.straight_runs(self._efforts[-1])
+
     def _straight_on(self) -> float:
         """The least price of a straight line to the dock in the faster gear, headings ignored [s]."""
         distance = self.problem.start.distance_to(self.problem.goal)
@@ -144,7 +128,7 @@ class Stages:
     @functools.cached_property
     def _cheapest_word(self) -> float:
         """The least price of a word to the final straight, obstacles ignored [s]."""
-        straights = -self.problem.dock.final_straight * np.array(self._gears)
+        straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
         words = reeds_shepp_words(starts, np.stack([end.as_array() for end in ends]), self.radius).lengths
@@ -159,8 +143,8 @@ class Stages:
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return
             start, goal = self.problem.start.as_array(), self.problem.goal.as_array()
-            exits = self._straight_exits(effort, turning_places(start, goal, self.space))
-            entries = self._staging(effort, turning_places(goal, start, self.space))
+            exits = self.trees.straight_exits(effort, turning_places(start, goal, self.space))
+            entries = self.trees.staging(effort, turning_places(goal, start, self.space))
             found = search(exits, entries, self.space, effort, self._worthwhile)
             for way in itertools.islice(found, _TURN_TRIES):
                 path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
@@ -168,156 +152,25 @@ class Stages:
                     known.add(path.digest)
                     yield Guess(path, "turn and drive")
 
-    def _straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
-        """The start, and straight runs out of it; `more` as of `_staging`."""
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
-        stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
-        tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
-        return TreeNodes(tree, np.arange(len(tree)))
-
-    @property
-    def _start_gears(self) -> tuple[float, ...]:
-        """Signs of the lengths of the first motion."""
-        speed = self.problem.start_speed
-        return _BOTH if speed == 0.0 else (math.copysign(1.0, speed),)
-
-    @property
-    def _gears(self) -> tuple[float, ...]:
-        """Signs of the lengths of the last motion."""
-        wanted = self.problem.dock.direction
-        return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(wanted, (1.0, -1.0))
-
-    def straight_runs(self) -> dict[str, float]:
-        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
-        longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
-        root = np.zeros(1, dtype=np.int64)
-        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, self._efforts[-1])
-        return {
-            DockDirection.FORWARD.value: float(-min(tree.lengths)),
-            DockDirection.BACKWARD.value: float(max(tree.lengths)),
-        }
-
-    @functools.cached_property
-    def _start(self) -> TreeNodes:
-        return TreeNodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
-
-    def _staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
-        """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
-
-        Args:
-            effort: How closely to look.
-            more: Lengths at which runs may end too [m].
-        """
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
-        moves = Moves.of(tuple(-gear for gear in self._gears), (0.0,))
-        straight = self.problem.dock.final_straight
-        stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
-        if straight > 0.0:
-            stations = np.concatenate(([straight], stations))
-        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
-        rows = rows[np.abs(tree.lengths[rows]) >= straight]
-        return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
-
-    def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
-        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
-        key = effort._replace(nodes=0), bends
-        if key in self._exits_by_effort:
-            return self._exits_by_effort[key]
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
-        rows, room = self._grown(TreeNodes(tree, root), self._start_gears, effort, bends)
-        found = _Exits(TreeNodes(tree, np.concatenate((root, rows))), bends, room)
-        self._exits_by_effort[key] = found
-        return found
-
-    def _entries(self, effort: Effort) -> TreeNodes:
-        """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
-        tree, rows = self._staging(effort)
-        if self.problem.dock.final_straight > 0.0:
-            return TreeNodes(tree, rows)
-        arcs = Moves.of(tuple(-gear for gear in self._gears), (1.0 / effort.radius, -1.0 / effort.radius))
-        stations = self.radius * _RUNS[1:]
-        return TreeNodes(
-            tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort))
-        )
-
-    def _grown(
-        self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
-    ) -> tuple[IntArray, float]:
-        """Arcs and lines out of the nodes of an end, more of them one after another where hardly any is free.
-
-        Args:
-            end: Where they begin.
-            gears: Signs of the first lengths.
-            effort: How closely to look.
-            bends: Curvatures of arcs in those of the smallest radius.
-
-        Returns:
-            The rows of the new nodes, none where nothing leads out, and the mean free length of the first arcs [m].
-        """
-        tree, first = end
-        station, grid = np.array([effort.radius * _EXIT_TURN]), PoseGrid(self.space, effort.fineness)
-        moves, onwards = (Moves.of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, _BOTH))
-        rows = fresh = tree.grow(first, moves, station, self.space, effort)
-        lengths = np.abs(tree.lengths[rows])
-        room = float(lengths.sum()) / (moves.signs.size * first.size)
-        if first.size == 1 and room < _SLOT * station[0] and effort.margin > 0.0:
-            return self._strokes(tree, gears, effort), room
-        is_boxed_in = np.sum(lengths >= station) < _FREE_EXITS * first.size
-        while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
-            fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
-            rows = np.concatenate((rows, fresh))
-        if first.size == 1 and room < _SLOT * station[0]:
-            rows = np.concatenate((self._strokes(tree, gears, effort), rows))
-        return rows if fresh.size else fresh, room
-
-    def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
-        """The ends of arcs at full lock that turn the robot the same way in either gear, each as far as it is free.
-
-        So a car leaves a slot that is little longer than itself. They begin at the root; the last ones come first, and
-        none where they do not lead out.
-        """
-        station, found = np.array([effort.radius * _EXIT_TURN]), []
-        for side in _BOTH:
-            for gear in gears:
-                sign, bend, way = gear, side / effort.radius, [0]
-                while len(way) <= _MOST_STROKES and abs(tree.lengths[way[-1]]) < station[0]:
-                    fresh = tree.grow(np.array([way[-1]]), Moves.of((sign,), (bend,)), station, self.space, effort)
-                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
-                        break
-                    way.append(int(fresh[-1]))
-                    sign, bend = -sign, -bend
-                if abs(tree.lengths[way[-1]]) >= station[0]:
-                    found += way[1:]
-                    break
-        return np.array(found[::-1], dtype=np.int64)
-
-    def _room_before_dock(self, effort: Effort) -> float:
-        """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
-        moves = Moves.of(tuple(-gear for gear in self._gears), (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
-        tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
-        return float(np.abs(tree.lengths).sum()) / moves.signs.size
-
     @functools.cached_property
     def _staging_with_margin(self) -> TreeNodes:
         """Staging poses for words, of whatever radius."""
-        return self._staging(self._efforts[0])
+        return self.trees.staging(self._efforts[0])
 
     def _words(self, effort: Effort) -> Iterator[Guess]:
         """Words from the start to the staging poses, with a margin."""
         staging = self._staging_with_margin
         if staging.rows.size == 0:
             return
-        found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
+        found = connections(*all_pairs(self.trees.root, staging), effort.radius, self.space, _WORDS_PER_PAIR)
         found = found.rows(found.prices < self._worthwhile())
         # The price decides about most of them, so it comes first: a word's poses are a hundred times as much work.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
-        found = promising(found, self._start.tree, self.space)
+        found = promising(found, self.trees.root.tree, self.space)
         yield from self._offered(
             "Reeds-Shepp",
-            free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._better_than),
+            free_manoeuvres(found, self.trees.root.tree, staging.tree, self.space, effort, self._better_than),
         )
 
     def _is_worth_a_search(self) -> bool:
@@ -341,7 +194,7 @@ class Stages:
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)
         for effort in self._efforts[:2]:
-            exits, (tree, rows) = self._exits(effort).nodes, self._staging(effort)
+            exits, (tree, rows) = self.trees.exits(effort).nodes, self.trees.staging(effort)
             entries = TreeNodes(tree, rows[rows > 0])
             if entries.rows.size == 0:
                 return
@@ -356,12 +209,12 @@ class Stages:
     def _along_walls(self) -> Iterator[Guess]:
         """Words between arcs that lead away from a wall beside the start and from one beside the dock."""
         robot, effort = self.problem.robot, self._efforts[2]
-        gears = np.array(self._start_gears)
+        gears = np.array(self.trees.start_gears)
         exits, root = ArcTree(self.problem.start.as_array(), robot, 1), np.zeros(gears.size, dtype=np.int64)
         away = sharpest_arcs(exits, root, gears, self.space, effort)
         if away.size == 0:
             return
-        entries, rows = self._staging(effort)
+        entries, rows = self.trees.staging(effort)
         before, rows = len(entries), rows[rows > 0][:_STAGED]
         there = sharpest_arcs(entries, rows, entries.signs[rows], self.space, effort)
         if len(exits) - 1 == away.size and len(entries) - before == there.size:
@@ -381,15 +234,15 @@ class Stages:
             yield None
             return
         for effort in efforts:
-            exits, entries = self._exits(effort), self._entries(effort)
+            exits, entries = self.trees.exits(effort), self.trees.entries(effort)
             if exits.nodes.rows.size < 2 and effort.start_relief > 0.0:
-                exits = self._exits(effort, _GENTLE)  # along a wall
+                exits = self.trees.exits(effort, GENTLE)  # along a wall
             if exits.nodes.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
             # The search begins where space is tight: words reach the other end.
-            from_start = exits.room < self._room_before_dock(effort)
+            from_start = exits.room < self.trees.room_before_dock(effort)
             if from_start:
-                more, _ = self._grown(entries, _BOTH, effort)
+                more, _ = self.trees.grown(entries, BOTH, effort)
                 entries = TreeNodes(entries.tree, np.append(entries.rows, more))
             ways = hybrid_a_star(
                 exits.nodes,
@@ -430,14 +283,3 @@ class Stages:
             return False
         self._known.append(places)
         return True
-
-
-def turning_radius(problem: DockingProblem) -> float:
-    """The smallest turning radius that a search makes use of [m].
-
-    A robot that may turn more sharply than it can change its curvature on a turn of a radian, or than within itself,
-    gains little by it.
-    """
-    limits = problem.robot.limits
-    sharpest = min(limits.max_curvature, 2.0 / problem.robot.footprint.circumscribed_radius)
-    return 1.0 / min(sharpest, math.sqrt(2.0 * limits.max_curvature_rate))

@@ -6,7 +6,7 @@ import numpy as np
 
 from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.obstacles import ObstacleSet, box_distance
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
@@ -61,7 +61,7 @@ def room_costmap() -> Costmap:
     free, walls = free_costmap(), room()
     rows, columns = np.indices(free.data.shape)
     centres = np.array(free.origin) + free.resolution * (np.column_stack((columns.ravel(), rows.ravel())) + 0.5)
-    inside = np.any(walls.box_distance(centres) == 0.0, axis=1).reshape(free.data.shape)
+    inside = np.any(box_distance(walls, centres) == 0.0, axis=1).reshape(free.data.shape)
     return free.with_data(np.where(inside, LETHAL, FREE_SPACE).astype(np.uint8))
 
 

@@ -16,6 +16,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent, RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from optdock_ros.control_loop import TaskRun
 
-__all__ = ["UNKNOWN", "Goal", "GoalOutcome", "GoalQueue", "done", "failed"]
+__all__ = ["UNKNOWN", "Ended", "Goal", "GoalOutcome", "GoalQueue", "done", "failed"]
 
 UNKNOWN = 999
 """Nav2's error code for what has no other."""
@@ -58,6 +59,14 @@ def done(text: str) -> GoalOutcome:
 def failed(code: int, text: str, retries: int = 0) -> GoalOutcome:
     """The goal was not reached; code 0 where nothing went wrong."""
     return GoalOutcome(success=False, code=code, text=text, retries=retries)
+
+
+class Ended(Exception):
+    """The goal has ended before its task, or instead of one."""
+
+    def __init__(self, outcome: GoalOutcome) -> None:
+        super().__init__(outcome.text)
+        self.outcome = outcome
 
 
 class Goal:
@@ -105,6 +114,16 @@ class Goal:
                 setattr(message, name, value)
         with suppress(RCLError):  # the goal may have ended
             self.handle.publish_feedback(message)
+
+    def tell_progress(self, state: int, retries: int = 0) -> None:
+        """Publish feedback of a docking: Nav2's number of the state, and approaches after the first one."""
+        passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - self.began))).to_msg()
+        self.tell(state=state, docking_time=passed, num_retries=retries)
+
+    def stopped(self, where: str = "", retries: int = 0) -> GoalOutcome:
+        """How a goal ends that is to end before it is done."""
+        code = 0 if self.ending == "cancelled" else UNKNOWN
+        return failed(code, f"{self.ending}{where and ' '}{where}", retries)
 
 
 class GoalQueue:

@@ -74,6 +74,7 @@ class Server(LifecycleNode, Generic[S]):
 
     Attributes:
         settings: What `check` made of the parameters; there from configure to cleanup.
+        is_active: Whether it works.
         owns_process: Whether nobody else lives in this process; `run` sets it.
     """
 
@@ -107,7 +108,7 @@ class Server(LifecycleNode, Generic[S]):
         self.owns_process = False
         self._has_begun = False  # there is something to tear down
         self._is_configured = False
-        self._is_started = False
+        self.is_active = False
         self._told: frozenset[str] = frozenset()
         self._bond: Bond | None = None
         self.add_on_set_parameters_callback(self._may_set)
@@ -143,14 +144,6 @@ class Server(LifecycleNode, Generic[S]):
 
     # What all have in common.
 
-    def parameters_block(self) -> dict[str, object]:
-        """All parameters, nested.
-
-        Raises:
-            InvalidValue: A name is a value and a block at once.
-        """
-        return parameters_of(self)
-
     def own_parameters(self, block: dict[str, object], blocks: Sequence[str] = ()) -> ServerParameters:
         """The parameters of `Parameters`, checked; names at the top that nobody reads are told or refused.
 
@@ -176,11 +169,6 @@ class Server(LifecycleNode, Generic[S]):
             self.get_logger().info(f"parameters that mean nothing here: {', '.join(sorted(fresh))}")
         return parsed
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it works."""
-        return self._is_started
-
     def say(self, error: BaseException, what: str) -> None:
         """One line of the log per fault; of an error that is not ours, where it came from as well."""
         if isinstance(error, OptdockError):
@@ -194,15 +182,15 @@ class Server(LifecycleNode, Generic[S]):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check all parameters, and make what they say."""
         try:
-            block = self.parameters_block()
+            block = parameters_of(self)
             self.settings = self.check(block)
             self._has_begun = True
             self.set_up()
-            self._form_bond(block)
+            self._bond = self._bond or _bond_of(self, block)
             self._is_configured = True
         except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
             self.say(error, "configure failed")
-            self._torn_down()
+            self.end()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
@@ -214,7 +202,7 @@ class Server(LifecycleNode, Generic[S]):
             self.say(error, "activate failed")
             self._stopped()
             return TransitionCallbackReturn.FAILURE
-        self._is_started = True
+        self.is_active = True
         self.get_logger().info("active")
         if self._bond is not None:
             self._bond.start()
@@ -232,7 +220,7 @@ class Server(LifecycleNode, Generic[S]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Give everything back."""
-        self._torn_down()
+        self.end()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -253,35 +241,12 @@ class Server(LifecycleNode, Generic[S]):
 
     def halt(self) -> None:
         """End all work, in whatever state; nothing to do where none is done."""
-        if self._is_started:
+        if self.is_active:
             self._stopped()
 
     def end(self) -> None:
         """End all work and give everything back, in whatever state; nothing to do where it has been done."""
         self.halt()
-        self._torn_down()
-
-    def _stopped(self) -> None:
-        self._is_started = False
-        try:
-            self.stop()
-        except Exception as error:
-            self.say(error, "stop failed")
-        if self._bond is not None:
-            self._bond.end()
-
-    def _form_bond(self, block: dict[str, object]) -> None:
-        """What a lifecycle manager listens for, where its messages are installed."""
-        own = {name: block[name] for name in ServerParameters.model_fields if name in block}
-        period = parse_parameters(ServerParameters, own, self.get_name())
-        if self._bond is not None or period.bond_heartbeat_period == 0.0:
-            return
-        try:
-            self._bond = Bond(self, period.bond_heartbeat_period)
-        except ImportError:
-            self.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
-
-    def _torn_down(self) -> None:
         if not self._has_begun:
             return
         self._has_begun = self._is_configured = False
@@ -290,14 +255,23 @@ class Server(LifecycleNode, Generic[S]):
         except Exception as error:
             self.say(error, "cleanup failed")
 
+    def _stopped(self) -> None:
+        self.is_active = False
+        try:
+            self.stop()
+        except Exception as error:
+            self.say(error, "stop failed")
+        if self._bond is not None:
+            self._bond.end()
+
     def _may_set(self, changes: list[Parameter[Any]]) -> SetParametersResult:
         """Judge a change of parameters; before a configure any may come, which judges them all."""
         if not self._is_configured:
             return SetParametersResult(successful=True)
         try:
-            block = merged(self.parameters_block(), changes)
+            block = merged(parameters_of(self), changes)
             for parameter in changes:
-                self._check_fixed(parameter)
+                _require_changeable(self, parameter)
             self.check(block)
         except Exception as error:
             if not isinstance(error, OptdockError):
@@ -305,22 +279,41 @@ class Server(LifecycleNode, Generic[S]):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _check_fixed(self, parameter: Parameter[Any]) -> None:
-        fixed = self.fixed | ServerParameters.model_fields.keys()
-        name = next((n for n in fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
-        if name is None and not parameter.name.endswith(".plugin"):
-            return
-        if parameter.value != self.get_parameter_or(parameter.name).value:
-            raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
-
     def _have_set(self, _changes: list[Parameter[Any]]) -> None:
         if not self._is_configured:
             return
         try:
-            before, self.settings = self.settings, self.check(self.parameters_block())
+            before, self.settings = self.settings, self.check(parameters_of(self))
             self.changed(before)
         except Exception as error:
             self.say(error, "a change of parameters failed")
+
+
+def _require_changeable(node: Server[Any], parameter: Parameter[Any]) -> None:
+    """Refuse to change a parameter that is read at configure only.
+
+    Raises:
+        InvalidValue: It is one, and the value is another one.
+    """
+    fixed = node.fixed | ServerParameters.model_fields.keys()
+    name = next((n for n in fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
+    if name is None and not parameter.name.endswith(".plugin"):
+        return
+    if parameter.value != node.get_parameter_or(parameter.name).value:
+        raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
+
+
+def _bond_of(node: Server[Any], block: dict[str, object]) -> Bond | None:
+    """What a lifecycle manager listens for, where its messages are installed."""
+    own = {name: block[name] for name in ServerParameters.model_fields if name in block}
+    period = parse_parameters(ServerParameters, own, node.get_name())
+    if period.bond_heartbeat_period == 0.0:
+        return None
+    try:
+        return Bond(node, period.bond_heartbeat_period)
+    except ImportError:
+        node.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
+    return None
 
 
 class _Left(Exception):

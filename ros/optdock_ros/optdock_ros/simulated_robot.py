@@ -18,7 +18,7 @@ a detector of docks and Nav2's local costmap would publish is published here, wi
     ~/reset                               srv  Trigger: the world anew, by the parameters as they are then
     /clock                                out  Clock, where `speed` is not 0
 
-`PARAMETERS` lists the parameters; those of `faults` act at once, all others at the next `~/reset`.
+`simulation_parameters` lists the parameters; those of `faults` act at once, all others at the next `~/reset`.
 """
 
 from __future__ import annotations
@@ -27,9 +27,6 @@ import math
 import sys
 import threading
 import time
-from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -60,214 +57,32 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from optdock import simulation
-from optdock.config import load_scenario
 from optdock.costmap.costs import LETHAL
-from optdock.errors import InvalidValue, OptdockError
-from optdock.geometry.checked import finite_number, instance
+from optdock.errors import OptdockError
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
-from optdock.model.dock import DockDirection
-from optdock.plugins.parameters import closest
 from optdock.ros.transforms import quaternion_product, rotated
+from optdock_ros.simulation_parameters import PARAMETERS, SimulationParameters, about_z
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from rclpy.parameter import Parameter
 
     from optdock.geometry.arrays import FloatArray
     from optdock.model.measurements import Detection
-    from optdock.model.problem import DockingProblem
     from optdock.ros.transforms import Quaternion as Rotation
 
-__all__ = ["PARAMETERS", "SimulatedRobotNode", "main"]
-
-BAY = Path(__file__).with_name("simulated_bay.yaml")
-PARAMETERS: dict[str, tuple[object, str]] = {
-    "scenario": (
-        "",
-        "scenario file (optdock-scenario/1): robot, dock, obstacles, start; empty: a bay that comes along",
-    ),
-    "start": ([], "x [m], y [m], yaw [rad] of the robot in the map; empty: the scenario's"),
-    "dock_offset": ([0.0, 0.0, 0.0], "where the dock truly stands, seen from where the scenario says [m, m, rad]"),
-    "seed": (0, "of all noise"),
-    "rate": (100.0, "steps of the simulation [Hz]"),
-    "speed": (
-        0.0,
-        "0: real time, on the system's clock; else /clock is published and goes this many times as fast [1]",
-    ),
-    "map_frame": ("map", "of localization, the scenario and the truth"),
-    "odom_frame": ("odom", "of odometry and costmap"),
-    "base_frame": ("base_link", "of the robot"),
-    "enable_stamped_cmd_vel": (True, "whether cmd_vel is a TwistStamped, or a Twist"),
-    "command_timeout": (0.25, "after which the base stops by itself [s]"),
-    "actuation.linear_lag": (0.1, "time constant of the speed [s]"),
-    "actuation.angular_lag": (0.1, "time constant of the yaw rate [s]"),
-    "actuation.latency": (0.06, "between a command and its first effect [s]"),
-    "actuation.linear_dead_band": (0.0, "speeds below do nothing [m/s]"),
-    "actuation.angular_dead_band": (0.0, "yaw rates below do nothing [rad/s]"),
-    "odometry.rate": (50.0, "of odom, odom -> base_link and joint_states [Hz]"),
-    "odometry.linear_gain": (1.0, "measured over true speed [1]"),
-    "odometry.angular_gain": (1.0, "measured over true yaw rate [1]"),
-    "odometry.linear_sigma": (0.002, "white noise of the speed [m/s]"),
-    "odometry.angular_sigma": (0.002, "white noise of the yaw rate [rad/s]"),
-    "localization.rate": (20.0, "of map -> odom [Hz]"),
-    "localization.transform_tolerance": (0.1, "by which map -> odom is dated into the future, as AMCL does [s]"),
-    "localization.position_sigma": (0.005, "white noise of x and y, each [m]"),
-    "localization.yaw_sigma": (0.009, "white noise of yaw [rad]"),
-    "detection.rate": (15.0, "pictures [Hz]; 0: there is no detector"),
-    "detection.latency": (0.06, "from the picture to its message [s]"),
-    "detection.position_sigma": (0.003, "white noise of the dock's x and y within `near`, each [m]"),
-    "detection.yaw_sigma": (0.005, "white noise of its yaw within `near` [rad]"),
-    "detection.near": (1.0, "[m]"),
-    "detection.growth": (1.0, "of both sigmas for every metre beyond `near` [1/m]"),
-    "detection.drop_out": (0.0, "probability that nothing is found in a picture [1]"),
-    "detection.field_of_view": (2.0, "whole angle of the camera [rad]"),
-    "detection.max_range": (4.0, "farthest marker that is found [m]"),
-    "camera.frame": ("camera_optical_frame", "x right, y down, z forward"),
-    "camera.pose": ([0.0, 0.0, 0.3], "of the camera on the robot: x, y, z [m]; it looks where the dock is approached"),
-    "marker.distance": (
-        0.2,
-        "from the docked robot's origin into the dock; Nav2's external_detection_translation_x [m]",
-    ),
-    "marker.height": (0.3, "above the floor [m]"),
-    "station.stops": (True, "whether the station holds the robot where it stands docked"),
-    "station.depth": (0.0, "how much deeper than docked it can be driven [m]"),
-    "battery.charging_current": (2.0, "in contact [A]"),
-    "battery.idle_current": (-1.0, "else [A]"),
-    "battery.delay": (0.5, "of the charger after contact [s]"),
-    "wheels.radius": (0.1, "[m]"),
-    "wheels.stall_effort": (5.0, "of a wheel that is held [N m]"),
-    "costmap.rate": (5.0, "[Hz]; 0: there is none"),
-    "costmap.size": (3.0, "side of the window [m]"),
-    "costmap.resolution": (0.05, "[m]"),
-    "costmap.station": (True, "whether the station is seen in it"),
-    "faults.transforms": (False, "both transforms stop"),
-    "faults.localization": (False, "map -> odom stops"),
-    "faults.odometry": (False, "odom stops; the transforms go on"),
-    "faults.detections": (False, "the dock is not seen any more"),
-    "faults.costmap": (False, "costmap and footprint stop"),
-}
-"""Name, default, and what it is."""
+__all__ = ["SimulatedRobotNode", "main"]
 
 SHARED = ("use_sim_time", "start_type_description_service", "qos_overrides")  # every node of rclpy has these
-POSITIVE = (
-    "rate", "command_timeout", "odometry.rate", "localization.rate", "wheels.radius", "costmap.size",
-    "costmap.resolution",
-)  # fmt: skip
-NOT_NEGATIVE = ("speed", "costmap.rate", "detection.rate", "battery.delay", "marker.distance")
 CATCH_UP = 0.25  # [s]: a loop that is later than this was suspended; what it missed is not driven
 REPORTS = 10.0  # [Hz]
 DEFAULT_TRACK = 0.4  # [m], where the scenario's limits name none
 CHARGED = 0.8  # [1], what the battery says of itself
 ROLLING_TORQUE = 0.3  # [N m] of a wheel that is not held
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-CAMERA_LOOKS = (-0.5, 0.5, -0.5, 0.5)  # z forward, x right, y down, seen from a frame with x forward, z up
 MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z towards who drives into the dock, y up, x to the right as the camera sees it
-
-
-@dataclass(frozen=True, eq=False)
-class SimulationParameters:
-    """Everything that the parameters say, checked.
-
-    Args:
-        values: By the parameters' names.
-
-    Raises:
-        OptdockError: What is wrong, with the parameter's name.
-    """
-
-    values: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.values if name not in PARAMETERS]
-        if unknown:
-            raise InvalidValue("\n".join(f"{name}: no such parameter{closest(name, PARAMETERS)}" for name in unknown))
-        for name, value in self.values.items():
-            default = PARAMETERS[name][0]
-            if isinstance(default, list):
-                self.numbers(name)
-            elif isinstance(default, float):
-                check(name, finite_number(value, name))
-            else:
-                instance(type(default), value, name)
-        cells = self.values["costmap.size"] / self.values["costmap.resolution"]
-        if not 2.0 <= cells <= 2000.0:
-            raise InvalidValue(f"costmap.resolution: must make 2 to 2000 cells of {self.values['costmap.size']} m")
-        self.robot()
-
-    def numbers(self, name: str) -> tuple[float, ...]:
-        """Three numbers, or none where the default is none."""
-        found = tuple(finite_number(value, name) for value in self.values[name])
-        if len(found) != 3 and not (len(found) == 0 and not PARAMETERS[name][0]):
-            raise InvalidValue(f"{name}: must be three numbers, got {list(found)}")
-        return found
-
-    def block(self, name: str, *others: str) -> dict[str, Any]:
-        """The parameters of a block, without `others`."""
-        found = {key.partition(".")[2]: value for key, value in self.values.items() if key.startswith(f"{name}.")}
-        return {key: value for key, value in found.items() if key not in others}
-
-    @cached_property
-    def problem(self) -> DockingProblem:
-        """Of the scenario."""
-        return load_scenario(self.values["scenario"] or BAY).problem
-
-    @cached_property
-    def gear(self) -> float:
-        """1 where the robot drives forward into the dock, -1 backward."""
-        return -1.0 if self.problem.dock.direction is DockDirection.BACKWARD else 1.0
-
-    @cached_property
-    def camera(self) -> tuple[tuple[float, float, float], Rotation]:
-        """Position and orientation of the camera's frame on the robot."""
-        x, y, z = self.numbers("camera.pose")
-        return (x, y, z), quaternion_product(about_z(0.0 if self.gear > 0.0 else math.pi), CAMERA_LOOKS)
-
-    def robot(self) -> simulation.SimulatedRobot:
-        """The robot at its start, at rest."""
-        (x, y, _), values, problem = self.numbers("camera.pose"), self.values, self.problem
-        start = Pose2(*self.numbers("start")) if values["start"] else problem.start
-        detector = None
-        if values["detection.rate"] > 0.0:
-            detector = simulation.DockSensor(
-                **self.block("detection"),
-                camera=Pose2(x, y, 0.0 if self.gear > 0.0 else math.pi),
-                marker=Pose2(self.gear * values["marker.distance"], 0.0, 0.0),
-            )
-        actuation = simulation.Actuation(**self.block("actuation"))
-        direction = DockDirection.FORWARD if self.gear > 0.0 else DockDirection.BACKWARD
-        return simulation.SimulatedRobot(
-            simulation.plant_of(problem.robot, actuation),
-            start,
-            problem.goal @ Pose2(*self.numbers("dock_offset")),
-            simulation.Sensors(
-                simulation.PoseSensor(**self.block("localization", "rate", "transform_tolerance")),
-                simulation.Odometry(**self.block("odometry", "rate")),
-                detector,
-            ),
-            station=simulation.Station(direction, values["station.depth"]) if values["station.stops"] else None,
-            seed=values["seed"],
-        )
-
-    def station(self) -> ObstacleSet:
-        """The outline of the dock, where it truly stands."""
-        outline = self.problem.dock.footprint
-        if outline is None:
-            return ObstacleSet.empty()
-        return ObstacleSet.from_footprint(outline, self.problem.goal @ Pose2(*self.numbers("dock_offset")), "dock")
-
-
-def check(name: str, value: float) -> None:
-    """Of the numbers that nobody else checks.
-
-    Raises:
-        InvalidValue: It may not be so small.
-    """
-    if name in POSITIVE and not value > 0.0:
-        raise InvalidValue(f"{name}: must be > 0, got {value}")
-    if name in NOT_NEGATIVE and value < 0.0:
-        raise InvalidValue(f"{name}: must be >= 0, got {value}")
 
 
 class LocalWindow(NamedTuple):
@@ -489,13 +304,8 @@ class SimulatedRobotNode:
         message.velocity = [rim / values["wheels.radius"] for rim in rims]
         return message
 
-    @property
-    def _is_charging(self) -> bool:
-        since = self._contact_since
-        return since is not None and self._now - since >= self._world.values["battery.delay"]
-
     def _battery_state(self, stamp: Time) -> BatteryState:
-        block, charges = self._world.block("battery"), self._is_charging
+        block, charges = self._world.block("battery"), _charges(self._contact_since, self._now, self._world)
         message = BatteryState(present=True, voltage=24.0, percentage=CHARGED)
         message.header.stamp = stamp
         message.current = float(block["charging_current"] if charges else block["idle_current"])
@@ -568,7 +378,8 @@ class SimulatedRobotNode:
             "speed": state.twist.linear,
             "yaw_rate": state.twist.angular,
             "contact": self._contact_since is not None,
-            "charging": self._is_charging,
+            "charging": self._contact_since is not None
+            and self._now - self._contact_since >= self._world.values["battery.delay"],
             "commands": self._commands,
             "watchdog_stops": self._watchdog_stops,
         }
@@ -623,9 +434,9 @@ class SimulatedRobotNode:
         }
 
 
-def about_z(angle: float) -> Rotation:
-    """Turned by an angle [rad] about the vertical."""
-    return 0.0, 0.0, math.sin(0.5 * angle), math.cos(0.5 * angle)
+def _charges(contact_since: float | None, now: float, world: SimulationParameters) -> bool:
+    """Whether the charger has been in contact for so long that its current flows."""
+    return contact_since is not None and now - contact_since >= world.values["battery.delay"]
 
 
 def points_along(outlines: FloatArray, step: float) -> FloatArray:

@@ -8,7 +8,7 @@ import pytest
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers import tracking_controller
+from optdock.controllers import feedback_gains
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.controllers.tracking_law import DelayBounds, Gains
 from optdock.costmap.costmap import Costmap
@@ -521,7 +521,7 @@ class TestLateDrive:
 
     def test_it_does_not_weave(self, monkeypatch):
         assert max(self.off_line(seed) for seed in range(3)) < 0.02
-        monkeypatch.setattr(tracking_controller, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
+        monkeypatch.setattr(feedback_gains, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
         assert min(self.off_line(seed) for seed in range(3)) > 0.1
 
 
@@ -552,13 +552,13 @@ class TestBeforeTheEnd:
         assert across < 0.0045
         assert turned < math.radians(0.3)
         shortest = Gains(2.0, 0.05, 1.0, 1.0)
-        monkeypatch.setattr(TrackingController, "_gains", lambda *_: shortest)
+        monkeypatch.setattr(feedback_gains.FeedbackGains, "at", lambda *_, **__: shortest)
         assert self.left(Pose2(0.0, 0.004, 0.0), 0.05)[1] > math.radians(0.8)
 
     def test_a_turn_is_taken_back_as_fast_as_the_drive_allows(self, monkeypatch):
         across, turned = self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)
         assert across < 0.005
         assert turned < math.radians(0.3)
-        monkeypatch.setattr(tracking_controller, "_LEFT", math.inf)
-        monkeypatch.setattr(tracking_controller, "_QUICKEST_TURN", 1.0)
+        monkeypatch.setattr(feedback_gains, "_LEFT", math.inf)
+        monkeypatch.setattr(feedback_gains, "_QUICKEST_TURN", 1.0)
         assert self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)[1] > math.radians(0.6)

@@ -12,7 +12,8 @@ from optdock.calibration.recording import recording_of_log
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, SimpleDock, State
 from optdock.executor.checked_dock_type import CheckedDockType
-from optdock.executor.log import DockingLog, LogWriter, read_log
+from optdock.executor.log import DockingLog, LogWriter
+from optdock.executor.log_reader import read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import AtDock, Detection, Measurements

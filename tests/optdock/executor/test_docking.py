@@ -9,7 +9,8 @@ import pytest
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
-from optdock.executor.log import LogWriter, read_log
+from optdock.executor.log import LogWriter
+from optdock.executor.log_reader import read_log
 from optdock.executor.replay import replay
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2

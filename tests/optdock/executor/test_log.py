@@ -10,7 +10,8 @@ from optdock.cli import app
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile
 from optdock.executor import ExecutorSettings
-from optdock.executor.log import LogWriter, read_log
+from optdock.executor.log import LogWriter
+from optdock.executor.log_reader import read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2
 

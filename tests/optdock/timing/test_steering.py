@@ -14,7 +14,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
 from optdock.model.limits import LIMITS, MotionLimits, SpeedZone
-from optdock.model.path import ClothoidSegment, Path, PolylineSegment
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, joint_curvatures
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
@@ -22,7 +22,7 @@ from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
-from optdock.verification import certify_motion, certify_trajectory, trajectory_rules
+from optdock.verification import certify_motion, certify_trajectory, turning_rules
 
 NO_ZONE = SpeedZone()
 CAR = MotionLimits(
@@ -290,7 +290,7 @@ def test_a_bicycle_that_is_steered_so_drives_the_path(seed, make):
     path = make.random_path(np.random.default_rng(seed), gears=3, length=1.5)
     limits = MotionLimits(wheelbase=0.7, max_steering_rate=0.6)
     motion = timed(path, limits)
-    joints = path.joint_curvatures
+    joints = joint_curvatures(path)
     starts = np.concatenate(([0.0], path.cusps))
     pose = path.start.as_array()
     for i, (segment, begin) in enumerate(zip(path.segments, starts, strict=True)):
@@ -331,23 +331,21 @@ def test_the_curvature_of_the_second_derivative_bounds_the_steering_rate():
         v, a, j, k, r = rng.uniform(0.0, 3.0), *rng.normal(0.0, 2.0, 2), *rng.normal(0.0, 3.0, 2)
         width = 10.0 ** rng.uniform(-3.0, -0.5)
         t = np.linspace(0.0, width, 400)
-        cell = trajectory_rules._Cells(
-            *(np.array([value]) for value in (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf))
-        )
+        cell = turning_rules.Cells(*(np.array([value]) for value in (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)))
         along = cell.rows(np.zeros(t.size, dtype=int)).advanced(t)
         drive = dataclasses.replace(CAR, wheelbase=rng.uniform(0.1, 3.0))
         rate = LIMITS["max_steering_rate"].size(along, drive)
-        sizes = trajectory_rules._Sizes.over(cell, cell.advanced(cell.width))
+        sizes = turning_rules.Sizes.over(cell, cell.advanced(cell.width))
         # What moves backwards within a cell is refused elsewhere; speeds count by their size.
-        bent = trajectory_rules._BENDS["max_steering_rate"](sizes, drive)[0]
+        bent = turning_rules._BENDS["max_steering_rate"](sizes, drive)[0]
         bound = max(rate[0], rate[-1]) + width**2 / 8.0 * bent
         assert rate.max() <= bound * (1.0 + 1e-12)
 
 
 def test_cusps_of_one_path_are_its_joints():
     path = fold(0.2, 0.1)
-    np.testing.assert_allclose(path.joint_curvatures, [[0.2, -0.1]], atol=1e-12)
-    assert s_bend(0.0, 0.1).joint_curvatures.shape == (0, 2)
+    np.testing.assert_allclose(joint_curvatures(path), [[0.2, -0.1]], atol=1e-12)
+    assert joint_curvatures(s_bend(0.0, 0.1)).shape == (0, 2)
 
 
 @pytest.mark.parametrize("period", [0.02, 0.3, 5.0])

@@ -17,7 +17,7 @@ from optdock.io.plan_file import TrajectoryColumns
 from optdock.model.dock import Dock
 from optdock.model.limits import DIMENSIONS, LimitKind, MotionLimits, SpeedZone
 from optdock.model.limits import LIMITS as KINDS
-from optdock.model.path import ClothoidSegment, Path, TurnSegment
+from optdock.model.path import ClothoidSegment, Path, TurnSegment, joint_curvatures
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
@@ -128,7 +128,7 @@ def test_a_sample_just_behind_a_cusp_is_not_judged_by_the_gear_before_it(late):
     """It still rests, but it accelerates, and the path bends another way there."""
     path = unsteered_gears(1.0, 1.0)
     trajectory = timed(path, limits=STEERED)
-    wait = STEERED.steering_times(path.joint_curvatures)[0]
+    wait = STEERED.steering_times(joint_curvatures(path))[0]
     times = np.union1d(trajectory.sample(0.02).t, trajectory.cusp_times + wait + late)
     samples = trajectory.sample_at(times)
     motion = TrajectoryColumns(**{name: getattr(samples, name) for name in TrajectoryColumns._fields})

@@ -17,7 +17,7 @@ from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegme
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_trajectory, path_rules, trajectory_rules
+from optdock.verification import certify_trajectory, path_rules, trajectory_rules, turning_rules
 
 OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5, wheelbase=0.8)
 QUANTITIES = {
@@ -172,7 +172,7 @@ def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
         (LimitKind.PATH, ([], [said])),
     ):
         row = Limit("max_foo", "m", kind, "", "", lambda at, _: at.v)
-        for module in (trajectory_rules, path_rules):
+        for module in (trajectory_rules, turning_rules, path_rules):
             monkeypatch.setattr(module, "LIMITS", {**LIMITS, "max_foo": row})
         assert refusals(limited) == expected
 
@@ -487,7 +487,7 @@ def test_too_many_cells_are_given_up(monkeypatch):
     peak = float(np.max(motion.sample(1e-4).speed ** 2 * motion.path.curvature_at(motion.sample(1e-4).s)))
     limits = dataclasses.replace(OPEN, max_lateral_acceleration=peak * (1.0 + 1e-6))
     assert certify_trajectory(motion, limits, SpeedZone()).certified
-    monkeypatch.setattr(trajectory_rules, "_MAX_CELLS", -1)
+    monkeypatch.setattr(turning_rules, "_MAX_CELLS", -1)
     again = Trajectory(motion.path, TimeLaw(motion.time_law.durations, motion.time_law.jerks))  # nothing is kept of it
     assert kinds(again, limits) == ["unproven"]
 
@@ -496,7 +496,7 @@ def test_blocks_of_cells_change_nothing(monkeypatch):
     motion = trajectory()
     limits = dataclasses.replace(OPEN, max_yaw_rate=0.7, max_yaw_acceleration=0.8, max_lateral_acceleration=0.3)
     whole = certify_trajectory(motion, limits, SpeedZone())
-    monkeypatch.setattr(trajectory_rules, "_BLOCK", 7)
+    monkeypatch.setattr(turning_rules, "_BLOCK", 7)
     again = Trajectory(motion.path, TimeLaw(motion.time_law.durations, motion.time_law.jerks))  # nothing is kept of it
     parts = certify_trajectory(again, limits, SpeedZone())
     assert parts is not whole
@@ -516,8 +516,8 @@ def test_second_derivatives_stay_within_their_bounds(seed):
             continue
         drive = MotionLimits(track_width=0.7, wheelbase=1.3, max_steering_rate=1.0)
         columns = (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)
-        first = trajectory_rules._Cells(*(np.array([value]) for value in columns))
-        sizes = trajectory_rules._Sizes.over(first, first.advanced(first.width))
+        first = turning_rules.Cells(*(np.array([value]) for value in columns))
+        sizes = turning_rules.Sizes.over(first, first.advanced(first.width))
         t = np.arange(0.0, width + 0.5 * h, h)
         along = first.rows(np.zeros(t.size, dtype=int)).advanced(t)
         signed = {
@@ -528,7 +528,7 @@ def test_second_derivatives_stay_within_their_bounds(seed):
             "wheel_speed": along.v * (1.0 + 0.35 * along.k),
             "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
         }
-        for name, bend in trajectory_rules._BENDS.items():
+        for name, bend in turning_rules._BENDS.items():
             values = signed[LIMITS[name].quantity]
             bent = np.max(np.abs(np.diff(values, 2))) / h**2
             assert bent <= float(bend(sizes, drive)[0]) * (1.0 + 1e-9) + 1e-6, name

@@ -14,7 +14,7 @@ from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment, place_before_end
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot, TrackingTube
 from optdock.verification import certify_path
@@ -88,7 +88,7 @@ def test_steps_that_turn_at_the_end_of_a_polyline_are_seen_whatever_rounding_mak
         poses = way * [math.cos(0.3), math.sin(0.3), 0.0] + [0.0, 0.0, 0.3]
         last = np.concatenate((poses[20:], poses[-1] + np.arange(1, 11)[:, None] * [0.0, 0.0, 0.3]))
         path = Path(tuple(PolylineSegment(some, 1) for some in (poses[:11], poses[10:21], last)))
-        if path.before_end(0.0) - path.segment_starts[2] < path.segments[2].knots[-1]:
+        if place_before_end(path, 0.0) - path.segment_starts[2] < path.segments[2].knots[-1]:
             lost += 1
             seen = asked(path, Camera(CENTRE, 1.0), (9.0 * math.cos(0.3), 9.0 * math.sin(0.3)), visible=0.05)
             assert [violation.kind for violation in prove_view(path, seen).violations] == ["view"]

@@ -1,0 +1,207 @@
+"""Straight lines and arcs that lead out of the start, and out of the dock: between their ends the search connects."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from optdock.model.dock import DockDirection
+from optdock.planners.manoeuvres.connections import TreeNodes
+from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid
+from optdock.planners.manoeuvres.tree import ArcTree, Moves
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.dock import Dock
+    from optdock.model.problem import DockingProblem
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+
+__all__ = ["BOTH", "EXIT_TURN", "GENTLE", "EndTrees", "gears_into", "turning_radius"]
+
+# Straight runs beyond the shortest one, in turning radii.
+_RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
+EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
+# A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
+GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
+BOTH = 1.0, -1.0  # gears, or sides
+# A slot leaves less than this share of the first arcs; how many at full lock lead out of it; [rad] that each must turn.
+_SLOT, _MOST_STROKES, _LEAST_TURN = 0.15, 30, 0.01
+_FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
+# Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
+_TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
+_NO_MORE = readonly(np.zeros(0))
+
+
+class Exits(NamedTuple):
+    """Ways out of the start by some curvatures, and the mean length of the first arcs that is free [m]."""
+
+    nodes: TreeNodes
+    bends: tuple[float, ...]
+    room: float
+
+
+class EndTrees:
+    """The trees at both ends of one problem.
+
+    Args:
+        problem: From where, to where, among what.
+        space: Where the robot may be.
+    """
+
+    def __init__(self, problem: DockingProblem, space: FreeSpace) -> None:
+        self.problem, self.space = problem, space
+        self.radius = turning_radius(problem)
+        rate = problem.robot.limits.max_curvature_rate
+        # Half of the way on which the steering angle builds up lies before the arc.
+        self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
+        self._by_effort: dict[tuple[Effort, tuple[float, ...]], Exits] = {}
+
+    def straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
+        """The start, and straight runs out of it; `more` as of `_staging`."""
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
+        stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
+        tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
+        return TreeNodes(tree, np.arange(len(tree)))
+
+    @property
+    def start_gears(self) -> tuple[float, ...]:
+        """Signs of the lengths of the first motion."""
+        speed = self.problem.start_speed
+        return BOTH if speed == 0.0 else (math.copysign(1.0, speed),)
+
+    def straight_runs(self, effort: Effort) -> dict[str, float]:
+        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
+        longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
+        root = np.zeros(1, dtype=np.int64)
+        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
+        return {
+            DockDirection.FORWARD.value: float(-min(tree.lengths)),
+            DockDirection.BACKWARD.value: float(max(tree.lengths)),
+        }
+
+    @functools.cached_property
+    def root(self) -> TreeNodes:
+        """The start alone."""
+        return TreeNodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
+
+    def staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
+        """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
+
+        Args:
+            effort: How closely to look.
+            more: Lengths at which runs may end too [m].
+        """
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
+        moves = Moves.of(tuple(-gear for gear in gears_into(self.problem.dock)), (0.0,))
+        straight = self.problem.dock.final_straight
+        stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
+        if straight > 0.0:
+            stations = np.concatenate(([straight], stations))
+        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
+        rows = rows[np.abs(tree.lengths[rows]) >= straight]
+        return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
+
+    def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
+        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
+        key = effort._replace(nodes=0), bends
+        if key in self._by_effort:
+            return self._by_effort[key]
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
+        rows, room = self.grown(TreeNodes(tree, root), self.start_gears, effort, bends)
+        found = Exits(TreeNodes(tree, np.concatenate((root, rows))), bends, room)
+        self._by_effort[key] = found
+        return found
+
+    def entries(self, effort: Effort) -> TreeNodes:
+        """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
+        tree, rows = self.staging(effort)
+        if self.problem.dock.final_straight > 0.0:
+            return TreeNodes(tree, rows)
+        arcs = Moves.of(
+            tuple(-gear for gear in gears_into(self.problem.dock)), (1.0 / effort.radius, -1.0 / effort.radius)
+        )
+        stations = self.radius * _RUNS[1:]
+        return TreeNodes(
+            tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort))
+        )
+
+    def grown(
+        self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
+    ) -> tuple[IntArray, float]:
+        """Arcs and lines out of the nodes of an end, more of them one after another where hardly any is free.
+
+        Args:
+            end: Where they begin.
+            gears: Signs of the first lengths.
+            effort: How closely to look.
+            bends: Curvatures of arcs in those of the smallest radius.
+
+        Returns:
+            The rows of the new nodes, none where nothing leads out, and the mean free length of the first arcs [m].
+        """
+        tree, first = end
+        station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)
+        moves, onwards = (Moves.of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, BOTH))
+        rows = fresh = tree.grow(first, moves, station, self.space, effort)
+        lengths = np.abs(tree.lengths[rows])
+        room = float(lengths.sum()) / (moves.signs.size * first.size)
+        if first.size == 1 and room < _SLOT * station[0] and effort.margin > 0.0:
+            return self._strokes(tree, gears, effort), room
+        is_boxed_in = np.sum(lengths >= station) < _FREE_EXITS * first.size
+        while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
+            fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
+            rows = np.concatenate((rows, fresh))
+        if first.size == 1 and room < _SLOT * station[0]:
+            rows = np.concatenate((self._strokes(tree, gears, effort), rows))
+        return rows if fresh.size else fresh, room
+
+    def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
+        """The ends of arcs at full lock that turn the robot the same way in either gear, each as far as it is free.
+
+        So a car leaves a slot that is little longer than itself. They begin at the root; the last ones come first, and
+        none where they do not lead out.
+        """
+        station, found = np.array([effort.radius * EXIT_TURN]), []
+        for side in BOTH:
+            for gear in gears:
+                sign, bend, way = gear, side / effort.radius, [0]
+                while len(way) <= _MOST_STROKES and abs(tree.lengths[way[-1]]) < station[0]:
+                    fresh = tree.grow(np.array([way[-1]]), Moves.of((sign,), (bend,)), station, self.space, effort)
+                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
+                        break
+                    way.append(int(fresh[-1]))
+                    sign, bend = -sign, -bend
+                if abs(tree.lengths[way[-1]]) >= station[0]:
+                    found += way[1:]
+                    break
+        return np.array(found[::-1], dtype=np.int64)
+
+    def room_before_dock(self, effort: Effort) -> float:
+        """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
+        moves = Moves.of(
+            tuple(-gear for gear in gears_into(self.problem.dock)), (0.0, 1.0 / effort.radius, -1.0 / effort.radius)
+        )
+        tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
+        return float(np.abs(tree.lengths).sum()) / moves.signs.size
+
+
+def turning_radius(problem: DockingProblem) -> float:
+    """The smallest turning radius that a search makes use of [m].
+
+    A robot that may turn more sharply than it can change its curvature on a turn of a radian, or than within itself,
+    gains little by it.
+    """
+    limits = problem.robot.limits
+    sharpest = min(limits.max_curvature, 2.0 / problem.robot.footprint.circumscribed_radius)
+    return 1.0 / min(sharpest, math.sqrt(2.0 * limits.max_curvature_rate))
+
+
+def gears_into(dock: Dock) -> tuple[float, ...]:
+    """Signs of the lengths of the last motion into a dock."""
+    return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(dock.direction, BOTH)

@@ -1,0 +1,181 @@
+"""A robot under way on its plan: where it is, and where it will be when another plan can take over."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import Pose2
+from optdock.verification import TOLERANCE, WayVerdict, pose_clearance, prove_way, unchanged_way
+
+if TYPE_CHECKING:
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.planning.plan import DockPlan
+
+__all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive"]
+
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
+_REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
+NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+
+
+class DriveState(NamedTuple):
+    """How far a robot is on the trajectory that it drives.
+
+    Attributes:
+        time: Of the reference, on the trajectory's own clock [s].
+        rate: How fast that clock runs, 1 where the robot keeps up [1].
+        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
+            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
+        moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
+            `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
+        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
+    """
+
+    time: float
+    rate: float = 1.0
+    pose: Pose2 | None = None
+    moved: Pose2 | None = None
+    is_filtered: bool = False
+
+
+class BranchPoint(NamedTuple):
+    """A place on the running trajectory, and the robot there.
+
+    `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
+    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, from where the robot will be; None: nothing is left.
+    """
+
+    time: float
+    s: float
+    pose: Pose2
+    speed: float
+    acceleration: float
+    gear: int
+    rest: Path | None
+
+    @property
+    def rests(self) -> bool:
+        """Whether the robot stands there."""
+        return self.speed == 0.0 and self.acceleration == 0.0
+
+
+class RunningDrive:
+    """The rest of a running plan, for a robot that is somewhere on it or beside it.
+
+    Args:
+        plan: The running plan.
+        world: The problem as it is now.
+        state: How far the robot is.
+
+    Attributes:
+        ahead: The running path, or that path moved as a whole to where the robot is: what is ahead of the robot.
+        now: The robot on it.
+    """
+
+    def __init__(self, plan: DockPlan, world: DockingProblem, state: DriveState) -> None:
+        self.plan, self.world, self.state = plan, world, state
+        self.ahead = self.path
+        self.now = self.branch_point(0.0)
+        if not self.is_on_the_path and (state.is_filtered or not self.is_in_tube(self.reference)):
+            self.move_ahead()
+
+    @functools.cached_property
+    def path(self) -> Path:
+        """The running path, where it is being followed."""
+        path, moved = self.plan.path, self.state.moved
+        return path if moved is None else path.moved(moved)
+
+    def move_ahead(self) -> None:
+        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
+        assert self.state.pose is not None
+        self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
+        self.now = self.branch_point(0.0)
+
+    @functools.cached_property
+    def reference(self) -> Pose2:
+        """Where the running trajectory has the robot."""
+        return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
+
+    @functools.cached_property
+    def is_on_the_path(self) -> bool:
+        """Whether the robot is there."""
+        return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
+
+    def is_in_tube(self, place: Pose2) -> bool:
+        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
+        pose, footprint = self.state.pose, self.world.robot.footprint
+        assert pose is not None
+        off = footprint.displacement(pose, self.reference)
+        if not off <= self.world.robot.tracking.width(footprint):
+            return False
+        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
+
+    def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
+        """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
+        running, rate = self.plan.trajectory, self.state.rate
+        path, length = self.ahead, self.ahead.length
+        time = min(max(self.state.time + rate * lead, 0.0), running.duration)
+        if at_a_rest:
+            time = self._next_rest(time)
+        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
+        if s > length - NO_WAY:  # its last micrometre is a millisecond
+            time, s, speed, acceleration = running.duration, length, 0.0, 0.0
+        if max(abs(speed), abs(acceleration)) <= _AT_REST:
+            speed = acceleration = 0.0
+            s = next((cusp for cusp in path.cusps if abs(cusp - s) <= NO_WAY), s)
+        gear = int(path.direction_at(s)[0])
+        rest = path.piece(s) if s < length - NO_WAY else None
+        pose = path.end if rest is None else rest.start
+        sign = gear or 1
+        return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
+
+    def _next_rest(self, time: float) -> float:
+        """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
+        running = self.plan.trajectory
+        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        if self.state.rate <= 0.0:
+            return time  # a clock that stands never comes to any other
+        if max(abs(speed), abs(acceleration)) <= _AT_REST:
+            return self._steered(time)
+        turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
+        ends = running.cusp_times.tolist() if running.path.cusps else []
+        due = next((end for end in [*ends, running.duration] if end >= time), time)
+        return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
+
+    def _steered(self, rest: float) -> float:
+        """The time itself; or, where the robot rests until its wheels are turned, when they are."""
+        law = self.plan.trajectory.time_law
+        if not math.isfinite(self.world.robot.limits.max_steering_rate):
+            return rest
+        phase = int(np.searchsorted(law.times, rest, side="right")) - 1
+        while phase < law.durations.size and law.jerks[phase] == 0.0 and max(abs(law.states[phase, 1:])) <= _AT_REST:
+            phase, rest = phase + 1, float(law.times[phase + 1])
+        return rest
+
+    def way_until(self, joint: BranchPoint) -> WayVerdict | None:
+        """Whether the way from here to the joint is proven to be clear; None: there is none."""
+        now = self.now
+        if now.rest is None or joint.s - now.s <= NO_WAY:
+            return None
+        if self.ahead is self.plan.path and self.is_on_the_path:
+            known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
+            if known is not None:
+                return WayVerdict(known)
+        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
+
+    def problem_at(self, joint: BranchPoint) -> DockingProblem:
+        """The problem of a robot at the joint."""
+        limits = self.world.robot.limits
+        turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
+        free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
+        curvature = None
+        if not free and joint.gear != 0:
+            curvature = float(self.plan.path.curvature_at(joint.s)[0])
+        return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)

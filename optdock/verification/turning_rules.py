@@ -1,0 +1,364 @@
+"""The limits that depend on curvature, proven over the whole of a motion by subdivision.
+
+Within a cell (no phase border, no knot of the path inside) jerk and curvature rate are constant, so every limited
+quantity f(t) is smooth and `max |f| <= max(|f(t0)|, |f(t1)|) + width^2 / 8 * max |f''|`. With v the speed, a its rate,
+j the jerk, k the curvature and r its rate per metre:
+
+    yaw rate v k          f'' = j k + 3 a v r
+    lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
+    yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
+    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
+     2 v a k + v^3 r
+    wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
+
+and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
+
+    f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
+    |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
+
+Cells that the bound does not clear are bisected.
+
+Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
+wait nor a long path costs digits. The cells of a phase run from event to event (its start, knots of the path, a grid),
+each in the phase and the piece of the path that are in force then; an event later in the list is in force later, also
+where two fall on the same instant. So every piece of the path has a cell, however short: where its width in time is
+none, what it asks of the drive is still looked at, and a jump of curvature within less than the resolution of time
+counts with the rate at which it jumps.
+
+A polyline is judged three times: with the curvature that it claims between its poses, with that of its steps, and with
+the rate at which that swings from step to step, where the means at the poses hide it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.model.limits import LIMITS
+from optdock.model.path import PolylineSegment, TurnSegment
+from optdock.model.trajectory import constant_jerk
+from optdock.verification.certificate import TOLERANCE, Violation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.limits import MotionLimits
+    from optdock.model.path import Path, Segment
+    from optdock.model.trajectory import TimeLaw
+
+__all__ = [
+    "STEP_RTOL",
+    "Instants",
+    "Judge",
+    "Sizes",
+    "TurningRule",
+    "crossings",
+    "initial_cells",
+    "path_pieces",
+    "subdivide",
+    "turning_rules",
+]
+
+STEP_RTOL = 0.05  # accepted excess over a limit, relative, of a polyline's step: its curvature is a difference quotient
+_MAX_WIDTH = 0.05  # [s], first cells
+_MAX_GRID = 20_000  # first cells of a long motion are wider
+_MAX_LEVELS = 22  # of bisection
+_MAX_CELLS = 1_000_000  # added by refinement; some seconds
+_BLOCK = 8_000  # cells judged in one go, some milliseconds; a deadline is looked at in between
+_BISECTIONS = 60  # leave 1e-18 of a phase
+_STEEPEST = 1e300  # [1/m^2]: a curvature rate beyond counts as this one, which no limit allows either
+
+
+class Instants(NamedTuple):
+    """Moments of a motion, Shape (n,) each: the phase, and the time since its start [s]."""
+
+    phase: IntArray
+    since: FloatArray
+
+    def motion(self, law: TimeLaw) -> FloatArray:
+        """Distance, speed and acceleration, Shape (n, 3)."""
+        s, v, a = law.states[self.phase].T
+        return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
+
+    def rows(self, keep: slice) -> Instants:
+        """The moments at `keep`."""
+        return Instants(self.phase[keep], self.since[keep])
+
+    def times(self, law: TimeLaw) -> FloatArray:
+        """The moments as times since the start of the motion, for messages. Shape (n,) [s]."""
+        times: FloatArray = law.times[self.phase] + self.since
+        return times
+
+
+def crossings(law: TimeLaw, s: FloatArray) -> Instants:
+    """First moments at which the distance reaches `s`, Shape (n,) [m], by bisection, as s(t) never decreases."""
+    reached = np.maximum.accumulate(law.states[:, 0])
+    phase = np.clip(np.searchsorted(reached, s, side="left") - 1, 0, law.durations.size - 1)
+    base, v, a = law.states[phase].T
+    half_a, sixth_j, wanted = a / 2.0, law.jerks[phase] / 6.0, s - base
+    low: FloatArray = np.zeros(s.size)
+    high: FloatArray = law.durations[phase]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        ahead = middle * (v + middle * (half_a + middle * sixth_j)) >= wanted
+        low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
+    return Instants(phase, 0.5 * (low + high))
+
+
+class Pieces(NamedTuple):
+    """Stretches of a path with a constant curvature rate, Shape (n,) each.
+
+    `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
+    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself; `swing`: how fast the
+    curvature of a polyline swings over the step, 0 on others.
+    """
+
+    begin: FloatArray
+    first: FloatArray
+    last: FloatArray
+    rate: FloatArray
+    step: FloatArray
+    swing: FloatArray
+
+
+def path_pieces(path: Path) -> Pieces:
+    """The pieces of a path, in order."""
+    parts = [
+        _segment_pieces(segment, float(start))
+        for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
+    ]
+    return Pieces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _segment_pieces(segment: Segment, start: float) -> Pieces:
+    knots, step, swing = segment.knots, np.full(segment.knots.size - 1, np.nan), np.zeros(segment.knots.size - 1)
+    curvature = segment.curvature_at(knots)
+    if isinstance(segment, TurnSegment):
+        step[:] = np.inf
+    elif isinstance(segment, PolylineSegment):
+        # Repeated poses have no length: the curvature between the poses beside them is what counts.
+        kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
+        step, swing = (
+            column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)
+        )
+        knots, curvature = knots[kept], curvature[kept]
+    with np.errstate(over="ignore"):
+        rate = np.clip(np.diff(curvature) / np.diff(knots), -_STEEPEST, _STEEPEST)
+    return Pieces(start + knots[:-1], curvature[:-1], curvature[1:], rate, step, swing)
+
+
+class Cells(NamedTuple):
+    """Motion at the first instant of each cell, Shape (n,) each; r, j, the bounds of k and width do not change in it.
+
+    `t`: since the start of the motion, for messages [s]; `low`, `high`: curvature of the whole piece of the path.
+    """
+
+    t: FloatArray
+    width: FloatArray
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    k: FloatArray
+    r: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    def advanced(self, dt: FloatArray) -> Cells:
+        """The motion `dt` later, by the cell's own polynomials."""
+        gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
+        k = np.clip(self.k + self.r * gain, self.low, self.high)
+        return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
+
+    def rows(self, keep: IntArray | slice) -> Cells:
+        """The cells at `keep`."""
+        return Cells(*(column[keep] for column in self))
+
+    def and_also(self, more: Cells) -> Cells:
+        """These cells, then more."""
+        return Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
+
+    def halves(self) -> Cells:
+        """Every cell cut in two."""
+        half = 0.5 * self.width
+        return self._replace(width=half).and_also(self.advanced(half))
+
+    def blocks(self) -> Iterator[Cells]:
+        """The cells in groups that are judged in one go."""
+        for start in range(0, self.t.size, _BLOCK):
+            yield self.rows(slice(start, start + _BLOCK))
+
+
+def initial_cells(law: TimeLaw, pieces: Pieces, knots: Instants, *, has_turns: bool) -> Cells:
+    """Cells from event to event: starts of phases, knots of the path, and a grid of `_MAX_WIDTH` within each phase."""
+    phases = np.arange(law.durations.size)
+    most = max(1, _MAX_GRID // phases.size)
+    parts = np.clip(np.ceil(law.durations / _MAX_WIDTH), 1.0, most).astype(np.int64)
+    owner = np.repeat(phases, parts)
+    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)  # 0 is the start of the phase
+    phase = np.concatenate((owner, knots.phase))
+    since = np.concatenate((law.durations[owner] * rank / parts[owner], knots.since))
+    kind = np.concatenate((np.where(rank == 0, 0, -1), np.arange(1, knots.phase.size + 1)))
+    order = np.lexsort((kind, since, phase))
+    phase, since, kind = phase[order], since[order], kind[order]
+    piece = np.cumsum(kind > 0)
+    at_knot = kind > 0
+    # Rounding may swap knots of one instant; the order along the path is the one that holds.
+    begins = pieces.begin[piece]
+    end = np.append(since[1:], 0.0)
+    is_last = np.append(phase[1:] != phase[:-1], True)
+    width = np.where(is_last, law.durations[phase], end) - since
+    s, v, a = Instants(phase, since).motion(law).T
+    s = np.where(at_knot, begins, s)
+    first, last, rate = pieces.first[piece], pieces.last[piece], pieces.rate[piece]
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
+    cells = Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
+    if has_turns:
+        driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
+        cells, piece = cells.rows(driven), piece[driven]
+    # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
+    step = pieces.step[piece]
+    turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
+    swinging = cells._replace(r=np.copysign(pieces.swing[piece], cells.r))
+    hidden = np.flatnonzero(np.abs(swinging.r) > np.abs(cells.r))
+    return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step)))).and_also(swinging.rows(hidden))
+
+
+class Sizes(NamedTuple):
+    """Bounds of |speed|, |acceleration|, |jerk|, |curvature| and |curvature rate| over cells, Shape (n,) each."""
+
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    k: FloatArray
+    r: FloatArray
+
+    @classmethod
+    def over(cls, first: Cells, last: Cells) -> Sizes:
+        """Over the cells from their first to their last instants."""
+        # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
+        v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
+        a, k = np.maximum(np.abs(first.a), np.abs(last.a)), np.maximum(np.abs(first.k), np.abs(last.k))
+        return cls(v, a, np.abs(first.j), k, np.abs(first.r))
+
+
+def _yaw_rate_bend(b: Sizes) -> FloatArray:
+    return b.j * b.k + 3.0 * b.a * b.v * b.r
+
+
+def _steering_rate_bend(b: Sizes, drive: MotionLimits) -> FloatArray:
+    steepest = drive.wheelbase * b.r
+    turned = steepest * b.v
+    return steepest * b.j + 2.0 * turned * steepest * b.a + 2.0 * turned**3
+
+
+# Bounds of |f''| over cells, of quantities f of `LimitKind.TURNING`, by the names of their limits.
+_BENDS: dict[str, Callable[[Sizes, MotionLimits], FloatArray]] = {
+    "max_yaw_rate": lambda b, _: _yaw_rate_bend(b),
+    "max_lateral_acceleration": lambda b, _: (
+        2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r
+    ),
+    "max_yaw_acceleration": lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
+    "max_lateral_jerk": lambda b, _: 6.0 * b.a * b.j * b.k + 12.0 * b.v * b.a * b.a * b.r + 7.0 * b.v * b.v * b.j * b.r,
+    "max_wheel_speed": lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
+    "max_steering_rate": _steering_rate_bend,
+}
+
+
+class TurningRule(NamedTuple):
+    """How a finite limit is proven: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
+
+    limit: float
+    size: Callable[[Cells, MotionLimits], FloatArray]
+    bend: Callable[[Sizes, MotionLimits], FloatArray]
+
+
+def turning_rules(finite: Mapping[str, float]) -> dict[str, TurningRule]:
+    """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
+    found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
+    return {name: TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
+
+
+def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
+    """Judge cells, and bisect those that are neither cleared nor broken.
+
+    Cells that are not cleared when `is_late()` turns true, or when there have been too many, are `unproven`; the
+    ratios are infinite then.
+    """
+    waiting = deque((0, block) for block in first.blocks())
+    added = 0
+    while waiting:
+        level, cells = waiting.popleft()
+        if is_late():
+            judge.give_up(cells)
+            break
+        open_cells = judge.look_at(cells)
+        if open_cells.size == 0:
+            continue
+        rest = cells.rows(open_cells)
+        if level == _MAX_LEVELS or added > _MAX_CELLS:
+            judge.give_up(rest)
+            continue
+        halves = rest.halves()
+        added += halves.t.size
+        waiting.extend((level + 1, block) for block in halves.blocks())
+
+
+class Judge:
+    """Looks at cells and keeps the worst of each quantity."""
+
+    def __init__(self, rules: Mapping[str, TurningRule], drive: MotionLimits) -> None:
+        self.drive = drive
+        self.rules = {LIMITS[name].quantity: rule for name, rule in rules.items()}
+        self.ratios = dict.fromkeys(self.rules, 0.0)
+        self.found: dict[str, Violation] = {}
+
+    def look_at(self, cells: Cells) -> IntArray:
+        """Judge cells; the rows of those that are neither cleared nor broken."""
+        last = cells.advanced(cells.width)
+        most = Sizes.over(cells, last)
+        open_cells = np.zeros(cells.t.size, dtype=np.bool_)
+        for kind, (limit, size, bend) in self.rules.items():
+            at_ends = size(cells, self.drive), size(last, self.drive)
+            # What is no number proves nothing: it counts as infinite where it arises.
+            seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
+            stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
+            proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
+            broken = seen > limit * (1.0 + TOLERANCE)
+            cleared = proven <= limit * (1.0 + TOLERANCE)
+            self._raise_ratio(kind, float(np.max(np.where(cleared, proven, seen), initial=0.0)))
+            if broken.any():
+                ends = (cells, at_ends[0]), (last, at_ends[1])
+                worst = int(np.argmax(np.where(broken, seen, -1.0)))
+                self._note(kind, max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount))
+            open_cells |= ~cleared & ~broken
+        return np.flatnonzero(open_cells)
+
+    def give_up(self, cells: Cells) -> None:
+        """Nothing is known of these cells."""
+        for kind in self.rules:
+            self._raise_ratio(kind, np.inf)
+        k = int(np.argmin(cells.t))
+        message = f"the limits on turning near t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m are not proven"
+        self._note("unproven", Violation("unproven", message, float(cells.s[k]), np.inf))
+
+    def violations(self) -> Iterator[Violation]:
+        """The worst of each quantity that breaks its limit, and of what is not proven."""
+        return (self.found[kind] for kind in (*self.rules, "unproven") if kind in self.found)
+
+    def _raise_ratio(self, kind: str, value: float) -> None:
+        self.ratios[kind] = max(self.ratios[kind], value / self.rules[kind].limit)
+
+    def _note(self, kind: str, violation: Violation) -> None:
+        if kind not in self.found or violation.amount > self.found[kind].amount:
+            self.found[kind] = violation
+
+
+def _exceeded(kind: str, limit: float, cells: Cells, value: FloatArray, k: int) -> Violation:
+    name, found = kind.replace("_", " "), float(np.nan_to_num(value[k], nan=np.inf, posinf=np.inf))
+    message = f"{name} {found:.5g} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g}"
+    return Violation(kind, message, float(cells.s[k]), max(found - limit, 0.0))
