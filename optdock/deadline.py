@@ -43,7 +43,7 @@ class Deadline:
     Args:
         seconds: Wall-clock allowance [s]; infinite means no deadline.
         clock: Monotonic seconds.
-        stop: Asked whenever somebody asks whether it has passed; True: it has, whatever the clock says.
+        stop: Polled with the clock; True: the deadline has passed, whatever the clock says.
 
     >>> now = iter([10.0, 10.2, 10.6])
     >>> deadline = Deadline(0.5, lambda: next(now))

@@ -102,11 +102,11 @@ class PluginError(OptdockError):
 
 
 class TimedOut(OptdockError):
-    """The deadline came first, whoever was at work: the planner, the smoother or the time parameterizer."""
+    """The deadline came first, in whatever stage: the planner, the smoother or the time parameterizer."""
 
 
 class Cancelled(OptdockError):
-    """The cancel checker asked to stop, whoever was at work."""
+    """The cancel checker asked to stop, in whatever stage."""
 
 
 class CertificationFailed(OptdockError):

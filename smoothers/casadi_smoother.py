@@ -75,7 +75,7 @@ class CasadiSmootherParameters(PluginParameters):
     @classmethod
     def _no_reference(cls, value: object) -> object:
         if value == "ipopt":
-            message = "the ipopt reference is no part of the smoother any more; call"
+            message = "the ipopt reference is not part of the smoother any more; call"
             raise ValueError(f"{message} smooth_by_ipopt in experiments/benchmarks/ipopt_reference.py")
         return value
 

@@ -149,7 +149,7 @@ def _plugin(kind: str, name: str) -> str:
 
 
 def _settings(dotted: str) -> str:
-    """The parameters of a model that is no plugin."""
+    """The parameters of a model that is not a plugin."""
     from optdock.config.reference import _reference
 
     module, _, name = dotted.rpartition(".")

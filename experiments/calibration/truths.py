@@ -96,7 +96,7 @@ def _latency(hidden: HiddenRobot, rate: float) -> float:
 
 
 def _odometry_age(hidden: HiddenRobot, rate: float) -> float:
-    """The age of the newest message by its stamp, in the mean [s]; robots differ in the window, which is no part."""
+    """The age of the newest message by its stamp, in the mean [s]; robots differ in the window, which is not part."""
     world = hidden.world
     return _mean_age(dataclasses.replace(world.odometry, window=0.04), world.drive, rate, _MESSAGES)
 

@@ -214,7 +214,7 @@ def told_otherwise(
 
 
 def no_number(_: Run) -> Callable[[Measurements], Measurements]:
-    """Localization and odometry tell what is no number."""
+    """Localization and odometry tell what is not a number."""
     return lambda now: now._replace(pose=math.nan, twist=math.nan)  # type: ignore[arg-type]  # on purpose
 
 

@@ -50,7 +50,7 @@ class WatchedPlanning(InlinePlanning):
         self._job: Job | None = None
 
     def submit(self, job: Job) -> None:
-        """As the others; the CPU that it takes is no part of the control cycle."""
+        """As the others; the CPU that it takes is not part of the control cycle."""
         self._job, began = job, time.thread_time()
         super().submit(job)
         self.spent.append(time.thread_time() - began)

@@ -67,7 +67,7 @@ def _gear_spec(segment: object) -> Case:
 
 
 def zone_of(case: Case) -> SpeedZone:
-    """The slow zone of a case; a speed of None is no limit."""
+    """The slow zone of a case; a speed of None is not a limit."""
     speed, distance = case["zone"]
     return SpeedZone(np.inf if speed is None else speed, distance)
 

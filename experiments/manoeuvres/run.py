@@ -172,7 +172,7 @@ def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 -
     record = record._replace(faults="" if verdict.proven else f"proof refused: {verdict.reason}")
     if found is None or truth is None or truth.place is None:
         return record
-    # The body is as tight in a gap wherever along its length the gap holds it: so much is no error.
+    # The body is as tight in a gap wherever along its length the gap holds it: so much is not an error.
     dx, dy = found.x - truth.place[0], found.y - truth.place[1]
     c, s = math.cos(truth.heading or 0.0), math.sin(truth.heading or 0.0)
     beyond = max(0.0, abs(c * dx + s * dy) - 0.5 * case.problem.robot.footprint.length)

@@ -170,10 +170,10 @@ _SLIPPED = 0.012  # [s]: 3 mm at 0.25 m/s, of slip that begins or ends within th
 
 _SLOPES = 1, 3
 _LEAST_RANGES = 0.3  # [m]
-_MOST_MISSED = 3  # pictures on the last centimetres without a detection that are no blindness yet
+_MOST_MISSED = 3  # pictures on the last centimetres without a detection that are not yet blindness
 _NEAR = 0.5  # [m] beyond the nearest detection, where it is counted how many pictures show the dock
 _CHANCE = 0.05
-_AS_NEAR = 0.01  # [m]: who saw the dock from as near as that to where it stopped was not blind
+_AS_NEAR = 0.01  # [m]: a robot that saw the dock from as near as that to where it stopped was not blind
 
 
 def _blind(motion: RecordedMotion, wrong: FloatArray) -> Quantity:

@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 __all__ = ["DriveResponse", "answered", "drive_response"]
 
-_GRID = 0.005  # [s]: a tenth of the shortest lag of motors, so that the grid is no part of the answer
+_GRID = 0.005  # [s]: a tenth of the shortest lag of motors, so that the grid is not part of the answer
 _SPAN = 0.1  # [s] of a residual: longer than the stamps of odometry jitter, shorter than any change of speed
 _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common, as the answer to a command takes less
 # Latency [s], lag [s], gain [1], and the square of half the spread of the latency [s^2], from which the answer depends
 # evenly down to 0.
 _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
-_LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, of which nobody sees anything
+_LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, which has no visible effect
 _BOUNDS = (0.0, 1e-3, 0.2, _LEAST_SPREAD), (1.0, 2.0, 2.0, 0.04)
 # [s]: lost commands, and latencies that are not spread evenly, move latency and lag against each other by about this.
 _UNMODELLED = 0.0015
-_MOST_UNCERTAIN = 0.5  # [s]: who knows no better knows nothing of a drive
+_MOST_UNCERTAIN = 0.5  # [s]: a larger uncertainty says nothing about a drive
 _LEAST_CHANGE = 0.05, 0.1  # [m/s], [rad/s]: commands that change by less than this tell nothing of delays
 _MOST_BAND, _BAND_STEP = 0.12, 0.001  # [m/s] of the dead bands that are looked at; motors beyond that are broken
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["as_text", "as_yaml", "written_values"]
 
-# What has no key is said in the report all the same: whoever drives can act on it.
+# What has no key is said in the report all the same: the operator can act on it.
 _USES = {
     "detections late by": "the executor learns it; take it off the stamps in the detector's driver",
     "twist window": "hand in the odometry's poses (Measurements.odometry): a twist is late by half of it",

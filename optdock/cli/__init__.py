@@ -27,7 +27,6 @@ __all__ = ["app", "main"]
 app = typer.Typer(
     help="Certified docking trajectories for wheeled robots: plan, smooth, prove, time, drive.",
     epilog=f"Exit status: {'; '.join(f'{status:d} {meaning}' for status, meaning in EXIT_STATUSES.items())}.",
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

@@ -55,7 +55,7 @@ VerboseOption: TypeAlias = Annotated[
 
 
 class _Console(logging.Formatter):
-    """A warning as such, and what the library does with the name of who does it."""
+    """A warning as such, and what the library does with the name of the module."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The line of a record."""

@@ -67,6 +67,10 @@ def plan(  # noqa: PLR0913 - one parameter per option
     period: Annotated[
         float, typer.Option(metavar=SECONDS, help="Largest step of trajectory samples in the file.")
     ] = _USUAL.period,
+    csv: Annotated[
+        Path | None,
+        typer.Option(help="Write the trajectory as a table (CSV), sampled by --period.", show_default=False),
+    ] = None,
     plot: PlotOption = None,
     profile: Annotated[
         Path | None,
@@ -99,9 +103,9 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         check_picture("--profile", profile)
-        spare(scenario, out, plot, profile)
+        spare(scenario, out, csv, plot, profile)
         found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
-        _plan_and_tell(found, time_budget, PlanOutputs(out, plot, spacing, period), profile)
+        _plan_and_tell(found, time_budget, PlanOutputs(out, plot, spacing, period), profile, csv)
 
 
 class _Nav2Sources(NamedTuple):
@@ -127,14 +131,18 @@ def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     raise InvalidValue("give either a scenario file, or --nav2-params with --map, --dock and --start")
 
 
-def _plan_and_tell(scenario: Scenario, time_budget: float | None, outputs: PlanOutputs, profile: Path | None) -> None:
+def _plan_and_tell(
+    scenario: Scenario, time_budget: float | None, outputs: PlanOutputs, profile: Path | None, csv: Path | None
+) -> None:
     from optdock.reports.report import limit_rows, plan_rows, table
 
     found = solved(scenario, time_budget, outputs)
     write(scenario, found, outputs)
     if profile is not None:
         draw_profile(profile, scenario, found)
-    written = ", ".join(str(path) for path in (outputs.file, outputs.picture, profile) if path is not None)
+    if csv is not None:
+        found.save_csv(csv, period=outputs.period)
+    written = ", ".join(str(path) for path in (outputs.file, csv, outputs.picture, profile) if path is not None)
     rows = [
         *plan_rows(found),
         *limit_rows(scenario.problem.robot.limits, scenario.default_limits),

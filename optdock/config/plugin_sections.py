@@ -36,7 +36,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
     Args:
         kind: Key of the section.
-        section: Its value; a value that is no mapping is left to the structure's check.
+        section: Its value; a value that is not a mapping is left to the structure's check.
         faults: Where an unknown plugin and every wrong parameter are noted.
     """
     name = PLUGIN_DEFAULTS[kind]

@@ -93,7 +93,7 @@ def load_scenario(source: str | Path) -> Scenario:
     said = located.value.get("format")
     if said != "optdock-scenario/1" and not {"robot", "dock", "start"} & set(located.value):
         format_ = "" if said is None else f"; its format is {shown(said)}"
-        raise InvalidFile(f"{source}: is no scenario: it has none of the keys robot, dock and start{format_}")
+        raise InvalidFile(f"{source}: is not a scenario: it has none of the keys robot, dock and start{format_}")
     faults: list[Fault] = []
     document = _document(located.value, faults)
     choices = {kind: plugin_choice(kind, located.value.get(kind, {}), faults) for kind in SECTIONS}

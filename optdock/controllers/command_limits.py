@@ -38,7 +38,7 @@ _EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
 _NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
 _HALVINGS = 40  # to a rounding error
 _EQUAL = 0.99  # of a period: jitter of a clock
-_SLOWER = 1.2  # times the usual period: a late call or two are no new rate
+_SLOWER = 1.2  # times the usual period: one or two late calls do not change the rate
 _QUARTER = 1.57  # [rad]: wheels turn no further
 
 
@@ -66,7 +66,7 @@ class CommandLimiter:
         """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit.
 
         Args:
-            period: For how long the command has been rest [s]; 0: nobody knows.
+            period: For how long the command has been rest [s]; 0: unknown.
         """
         usual = min(period, _SLOWER * self._usual)
         self.restart(Twist2())
@@ -144,7 +144,7 @@ class CommandLimiter:
         """The acceleration towards the wanted speed, whatever the turn."""
         before = self.command.linear
         if self._feed_forward is None:
-            return 0.0  # how long the command has been in force nobody knows
+            return 0.0  # how long the command has been in force is unknown
         slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
         jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
         self._feed_slope = slope

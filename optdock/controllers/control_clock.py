@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 __all__ = ["ControlClock"]
 
 _FIRST = 0.005  # [s]: of the first call nothing is known; so little that its command is admissible at 200 Hz too
-_LONGEST = 0.5  # [s]: after a longer silence nobody knows what the drive made of the last command
-_MOST_GROWTH = 2.0  # a single late call is no new rate
+_LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
+_MOST_GROWTH = 2.0  # a single late call is not a new rate
 _SMOOTHING = 0.2  # share of the newest period in the usual one: five calls
 
 
@@ -48,7 +48,7 @@ class ControlClock:
 
         Raises:
             NoValidControl: The clock went back; it is refused until it has caught up, or the controller is reset.
-            InvalidValue: The stamp is no finite number.
+            InvalidValue: The stamp is not a finite number.
         """
         stamp = context.clock() if stamp is None else finite_number(stamp, f"{context.name}: stamp")
         before = self.now

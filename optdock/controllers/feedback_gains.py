@@ -53,7 +53,7 @@ class FeedbackGains:
         last, speed = before
         driven = Twist2(0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular))
         off, share = last.moved(driven, period).in_frame_of(pose), min(1.0, period / _SCATTER_SMOOTHING)
-        most = _GROWTH * self.scatter + _LEAST_SCATTER  # a jump is no noise
+        most = _GROWTH * self.scatter + _LEAST_SCATTER  # a jump is not noise
         self.scatter += share * (min(0.5 * off.y * off.y, most) - self.scatter)
         most = _GROWTH * self._yaw_scatter + _LEAST_SCATTER
         self._yaw_scatter += share * (min(0.5 * off.yaw * off.yaw, most) - self._yaw_scatter)

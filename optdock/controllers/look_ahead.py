@@ -46,7 +46,7 @@ def stopping_time(command: Twist2, deceleration: float, yaw_deceleration: float 
     Args:
         command: The velocity to brake from.
         deceleration: Of the speed [m/s^2].
-        yaw_deceleration: Of the yaw rate [rad/s^2]; unlimited where nobody knows.
+        yaw_deceleration: Of the yaw rate [rad/s^2]; unlimited where it is unknown.
     """
     return max(abs(command.linear) / deceleration, abs(command.angular) / yaw_deceleration)
 

@@ -404,7 +404,7 @@ class _Remembering(CommandLimiter):
 
     @property
     def acceleration(self) -> float:
-        """Of the last command [m/s^2]; 0 at first, for how long that has been in force nobody knows."""
+        """Of the last command [m/s^2]; 0 at first: how long the command before has been in force is unknown."""
         return self._acceleration
 
     def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them

@@ -189,7 +189,7 @@ class CommandBounds(NamedTuple):
         about: Commands, Shape (n, 2).
         curvature: Of a drive that cannot turn as it likes; None for one that can [1/m].
         curvature_rate: How fast it may change between the commands, a number [1/(m s)].
-        gear: Sign of the speeds of such a drive, Shape (n,); 0 where nobody knows it yet, and it is to keep straight.
+        gear: Sign of the speeds of such a drive, Shape (n,); 0 while it is unknown, and the drive is to keep straight.
     """
 
     speed: FloatArray

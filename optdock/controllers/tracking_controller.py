@@ -285,7 +285,7 @@ class TrackingController(Controller):
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
+            InvalidValue: The limit is negative or not finite, or `percentage` is not a bool.
         """
         limit = checked_speed_limit(limit, percentage, "TrackingController")
         self._rate.speed_limit = (limit, percentage) if limit > 0.0 else None
@@ -327,7 +327,7 @@ class TrackingController(Controller):
         problem, timing = self.context.problem, self.parameters.time_parameterizer
         moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)
         moving = moving if moving > _CREEP else 0.0
-        # Of a robot that stands nobody knows how its wheels do.
+        # The steering angle of a robot that stands is unknown.
         wait = problem.robot.limits.start_wait(path) if problem is not None and moving == 0.0 else 0.0
         try:
             return timed_by(timing, path, problem, start_speed=moving, start_wait=wait)

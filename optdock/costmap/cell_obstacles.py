@@ -47,7 +47,7 @@ def obstacles_from_costmap(
     """The occupied cells as exact, disjoint, axis-aligned rectangles, and the world off the map.
 
     Occupied cells are called `map`, unknown ones `unknown`, the outside of the map `map border`. The border is an
-    obstacle by default: nobody has seen what lies beyond it, and Nav2's collision checkers refuse poses off the map.
+    obstacle by default: what lies beyond it is unknown, and Nav2's collision checkers refuse poses off the map.
     It is four half-planes, so that everything off the map is an obstacle, however far.
 
     Args:

@@ -90,7 +90,7 @@ class Costmap:
         return _writable(np.full(shape, fill, dtype=np.uint8), resolution, origin)
 
     def frozen(self) -> Costmap:
-        """The grid itself where nobody can write into it; else a read-only copy."""
+        """The grid itself where it is read-only; else a read-only copy."""
         return Costmap(self.data, self.resolution, self.origin) if self._is_writable else self
 
     @property

@@ -44,7 +44,7 @@ _OCCUPANCY_INSCRIBED = 99
 class OccupancyRule:
     """How occupancy becomes cost; the fields are Nav2's costmap parameters.
 
-    `track_unknown_space` is True here (Nav2: False), because a dock planner must not drive into what nobody has seen.
+    `track_unknown_space` is True here (Nav2: False), because a dock planner must not drive into unknown space.
 
     Args:
         track_unknown_space: Unknown stays unknown (255); False makes it free.

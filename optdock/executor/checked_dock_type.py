@@ -1,4 +1,4 @@
-"""A dock type's answers, checked: what it returns decides over a moving robot, whoever wrote it."""
+"""A dock type's answers, checked: what it returns steers a moving robot."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ __all__ = ["SURE_SEEN", "confirm", "has_arrived", "perceive", "stands_docked", "
 
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
-_HIDDEN_FOR = 2.5  # [s] for whoever stands before a dock that has been seen from near, to walk on
+_HIDDEN_FOR = 2.5  # [s] for a person who hides a dock that has been seen from near to walk on
 # Standard deviations within its tolerances at which a robot stands in the dock: where it was seen there, and where it
 # was not, as every detection of a camera that is blind there is from before.
 SURE_SEEN, _SURE_UNSEEN = 2.0, 1.0
@@ -92,7 +92,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
     Raises:
         Interrupted: The robot stands elsewhere.
-        AttemptFailed: Nobody knows where.
+        AttemptFailed: The dock is not found.
     """
     situation, perception, since = cycles.situation, cycles.situation.perception, cycles.now
     if cycles.situation.settings.use_detections:
@@ -128,7 +128,7 @@ def has_arrived(cycles: ControlCycles) -> Generator[Wish, None, bool]:
 
 
 def _require_certainty(cycles: ControlCycles) -> None:
-    """Raises AttemptFailed if nobody knows whether the robot stands in its dock."""
+    """Raises AttemptFailed if it is unknown whether the robot stands in its dock."""
     situation, perception = cycles.situation, cycles.situation.perception
     kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "it cannot be known whether the robot is docked"
     if perception.detections.is_contradicted:

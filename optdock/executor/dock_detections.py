@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["STALE", "DockDetections", "covariance_from_dock"]
 
-_VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
+_VAGUE = 1.0  # [m], [rad]: a less certain detection says nothing, and must not count
 # [s]: a detection that is stamped farther ahead of the clock is not used; one that is less far counts as of now, and up
 # to `AHEAD`, which is rounding, as it is stamped.
 _CLOCKS_APART = 0.25

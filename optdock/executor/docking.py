@@ -46,7 +46,7 @@ _FEEDBACK = {
 }
 
 
-# Settings that are parameters of `SimpleDock`, for whoever names no dock type; another one says itself what it does.
+# Settings that are parameters of `SimpleDock`, used where no dock type is named; another one says itself what it does.
 _OF_SIMPLE_DOCK = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
 _STILL = 1e-8  # [m/s], [rad/s]: what is left of a stop by rounding, of no jerk at any rate
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
@@ -73,7 +73,7 @@ class DockingExecutor:
         goal_checker: Says when the robot is docked; likewise.
         dock_type: What kind of dock it is, likewise; None: a `SimpleDock` as the settings describe it.
         planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
-        log: Takes everything down; None: nobody does.
+        log: Writes the log; None: no log is written.
         last_command: What the drive was told last, where it is taken over in motion, as from another executor; None:
             the velocity that is measured first.
 
@@ -165,7 +165,7 @@ class DockingExecutor:
 
         Args:
             measurements: What has been measured since the last one; their stamp may come at any rate from 10 to 200 Hz.
-                What is of the wrong kind or no number is left out, and the event `... not used` says so.
+                What is of the wrong type or not a number is left out, and the event `... not used` says so.
         """
         self._events.clear()
         robot, intake = self.problem.robot, usable(measurements)
@@ -254,7 +254,7 @@ class DockingExecutor:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):
             self._report("late cycle", f"{period:.3f} s passed since the last one")
-        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is no new rate
+        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is not a new rate
         return _Tick(period, period)
 
     def _interrupt(self, name: str, reason: str) -> None:
@@ -275,7 +275,7 @@ class DockingExecutor:
         return self._limited(wish, period)
 
     def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
-        """What is wished for, or a stop along the present curve, as far as the limits allow; whoever asks for it."""
+        """What is wished for, or a stop along the present curve, as far as the limits allow."""
         limiter, robot = self._limiter, self.problem.robot
         if period <= 0.0:
             return limiter.command

@@ -35,7 +35,7 @@ AHEAD = 0.01  # [s]: rounding and jitter of stamps; what is stamped later than t
 # that was restarted. Far more than a twist is ever wrong, plus what a fast robot drives while no twist comes.
 _LEAP = 0.3, 0.5  # [m], [rad]
 _FASTEST = 3.0, 6.0  # [m/s], [rad/s]
-_IDLE = 0.05, 0.1  # [m], [rad] by the twists while the pose never changes at all: nobody writes it
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists while the pose never changes at all: the field is not filled in
 
 
 class DeadReckoning:
@@ -94,7 +94,7 @@ class DeadReckoning:
         elif odometry.stamp <= known.stamp:
             return
         elif odometry.pose == known.pose and _is_beyond(self._idle, _IDLE):
-            found = self._at_known @ self._idle  # nobody writes the pose: the twists alone tell the way
+            found = self._at_known @ self._idle  # the pose is not filled in: the way is that of the twists
             self._since, self.pose = [(self._stamp, found)], found
             return
         else:

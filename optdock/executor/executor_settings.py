@@ -36,7 +36,7 @@ class ExecutorSettings(PluginParameters):
     )
     contact_speed: float = Field(default=0.03, gt=0.0, description="speed while pressing on towards contact [m/s]")
     contact_overrun: float = Field(default=0.03, ge=0.0, description="how far beyond the docked pose to press on [m]")
-    stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is no motion [m/s]")
+    stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is standing [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="no motion against a command for so long is a stall [s]")
 
     timeout: float | None = Field(default=None, gt=0.0, description="of the whole task [s]; None: none")

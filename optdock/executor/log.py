@@ -84,7 +84,7 @@ class Planned(NamedTuple):
     """What planning delivered, as far as a replay needs it.
 
     Attributes:
-        result: Of a job; its motion's problem is filled in by whoever handed the job in.
+        result: Of a job; its motion's problem is filled in by the sender of the job.
         trajectory: Of the motion; None where there is none.
         start: Of the motion's problem.
         start_relief: Of the motion.

@@ -45,13 +45,13 @@ def read_log(source: str | Path) -> DockingLog:
     A last line that is cut off, as a crash leaves it, is left out.
 
     Raises:
-        InvalidFile: The file cannot be read, is no log, or is damaged; the message names file and line.
+        InvalidFile: The file cannot be read, is not a log, or is damaged; the message names file and line.
     """
     source = Path(source)
     lines = read_text(source, MostBytes.LOG).split("\n")
     cut_off = bool(lines.pop())  # what comes after the last end of line
     if not lines:
-        raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
+        raise InvalidFile(f"{source}:1: is not a log: it has not a single whole line")
     with _said_of(source, 1):
         check_json_size(lines[0], _MOST_VALUES)
         task = _TaskLine.model_validate_json(lines[0]).read()

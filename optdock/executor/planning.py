@@ -187,7 +187,7 @@ def _replanned(job: Job) -> PlanResult:
     assert job.running is not None
     plan = job.running.plan
     if plan is None:
-        return PlanResult(job.number, Outcome.FAILED, reason="what is being driven is no plan, so nothing follows it")
+        return PlanResult(job.number, Outcome.FAILED, reason="what is driven is not a plan, so nothing follows it")
     state = DriveState(job.time, job.rate, job.pose, job.moved, is_filtered=True)
     found = replan(plan, job.problem, state, job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:

@@ -1,6 +1,6 @@
 """Planning in a process of its own, so that a control loop never waits for the interpreter that plans.
 
-A thread is not enough for that: whoever plans holds the interpreter for milliseconds at a time.
+A thread is not enough for that: planning holds the interpreter for milliseconds at a time.
 `ThreadPlanning(process.planned)` hands jobs to the process. What both sides need again and again, costmaps and
 motions, crosses once, so that what has been found out about them stays known on either side.
 """
@@ -84,7 +84,7 @@ class PlanningProcess:
         """End the process; a job at work fails."""
         self._closed = True
         with contextlib.suppress(ValueError):  # it is being replaced just now
-            self._worker.process.terminate()  # whoever waits for an answer holds the lock
+            self._worker.process.terminate()  # the thread that waits for an answer holds the lock
         with self._lock:
             self._worker.end()
 

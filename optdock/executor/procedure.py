@@ -220,7 +220,7 @@ class Procedure:
 
         Raises:
             Interrupted: It does not.
-            AttemptFailed: Nobody knows.
+            AttemptFailed: It is unknown.
         """
         docked = yield from self._travel.drive(motion, State.APPROACHING)
         if docked is None and self.cycles.situation.dock_type.is_pressed_on:

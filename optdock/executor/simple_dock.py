@@ -30,7 +30,7 @@ class SimpleDockParameters(PluginParameters):
         default="distance",
         description="distance: docked where the goal checker says so; touch: the robot presses on until it is felt",
     )
-    stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is no motion [m/s]")
+    stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is standing [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="no motion against a command for so long is a stall [s]")
     wait_for_charge: bool = Field(default=False, description="docked is not enough: it must charge")
     charging_current: float | None = Field(

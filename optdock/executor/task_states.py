@@ -46,7 +46,7 @@ class State(str, Enum):
 class EndingKind(str, Enum):
     """How a task ends; it counts as true where the task was done.
 
-    `code` is the error code of Nav2's docking actions, 0 for what is no error.
+    `code` is the error code of Nav2's docking actions, 0 for what is not an error.
 
     Nav2's 901 and 902, a dock that is not known or not valid, come before there is a task: `DockNotInDB`,
     `DockNotValid`.

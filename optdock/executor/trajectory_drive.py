@@ -32,7 +32,7 @@ __all__ = ["TrajectoryDrive"]
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
-_OF_NOISE = 1.5  # standard deviations: of a smaller error nobody knows whether it is one
+_OF_NOISE = 1.5  # standard deviations: a smaller error cannot be told from noise
 _NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
 _LOOK = 0.1  # [s] between two looks at what is left to be corrected
 _AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
@@ -187,7 +187,7 @@ class TrajectoryDrive:
         return target
 
     def end(self) -> None:
-        """Take back what the controller was asked for that is no part of the motion."""
+        """Take back what the controller was asked for that is not part of the motion."""
         self._limit_speed(1.0)
 
     def _share_while_hidden(self) -> float:
@@ -290,7 +290,7 @@ class TrajectoryDrive:
         self._requests.forget()
 
     def _stop_in_time(self) -> None:
-        """Whoever plans the way round what is ahead may take his time; the robot does not."""
+        """Stop the robot in time before what is ahead, while a way round is being planned."""
         at_time, reason = self._blocked
         if at_time - self._reference[0] < self._situation.braking_time + _STALE_STOP:
             raise Interrupted("obstacle ahead", reason)

@@ -27,7 +27,7 @@ __all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "frozen", "fro
 def readonly(array: _Array) -> _Array:
     """A copy of an array in memory that cannot be written to.
 
-    The memory is that of a `bytes` object of which nobody else knows. Whoever holds an array that owns its memory can
+    The memory is that of a `bytes` object that is not held elsewhere. The holder of an array that owns its memory can
     take the read-only flag back with `setflags(write=True)`; of this one, and of its views, numpy refuses that.
     """
     by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # what is computed of it rounds alike
@@ -42,7 +42,7 @@ class FrozenArrays:
     A dataclass that checks nothing gets that from here; one with a `__post_init__` of its own makes its arrays
     `readonly` there.
 
-    Numpy's own copies and what pickle restores are writable. Nobody needs copies of what cannot change, so a copy is
+    Numpy's own copies and what pickle restores are writable. What cannot change needs no copies, so a copy is
     the value itself; and what pickle restores is made `readonly` again.
     """
 

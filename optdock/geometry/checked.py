@@ -28,7 +28,7 @@ def number(value: object, name: str) -> float:
     """A number as a float; infinity and NaN are left to the caller's rule.
 
     Raises:
-        InvalidValue: Text, a switch, or anything else that is no real number.
+        InvalidValue: Text, a switch, or anything else that is not a real number.
     """
     if type(value) is float:
         return value

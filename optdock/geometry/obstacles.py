@@ -82,7 +82,7 @@ class ObstacleSet(FrozenArrays):
         )
 
     def _hold(self, names: tuple[str, ...], **arrays: FloatArray | IntArray) -> ObstacleSet:
-        """Set every field, once; nobody else may hold the arrays."""
+        """Set every field, once; the arrays must not be held elsewhere."""
         object.__setattr__(self, "names", names)
         for name, value in arrays.items():
             object.__setattr__(self, name, readonly(value))

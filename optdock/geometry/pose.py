@@ -98,7 +98,7 @@ class Pose2:
         yaw: Counter-clockwise heading [rad]; kept as given, not normalized; within +-1e6.
 
     Raises:
-        InvalidValue: A component is no number, NaN, infinite or out of range.
+        InvalidValue: A component is not a number, NaN, infinite or out of range.
 
     >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
     Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
@@ -183,7 +183,7 @@ class Twist2:
         lateral: Leftward speed [m/s].
 
     Raises:
-        InvalidValue: A component is no number, NaN or infinite.
+        InvalidValue: A component is not a number, NaN or infinite.
     """
 
     linear: float = 0.0

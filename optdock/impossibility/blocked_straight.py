@@ -6,7 +6,7 @@ dock allows (`path_rules`). So a path has every pose on one of these straights, 
 and for each of them the proof names a pose that is closer to an obstacle than the least that any certificate requires
 there (`least_required`), by more than is tolerated, or overlaps one.
 
-Whoever checks the proof measures the poses again, by distances of shapely.
+The check of a proof measures the poses again, by distances of shapely.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
     """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is measured again.
 
     Args:
-        proof: What somebody claims.
+        proof: To be checked.
         problem: What the robot must do.
 
     Returns:

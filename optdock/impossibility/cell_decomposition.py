@@ -3,7 +3,7 @@
 What such a proof is, and why it is one, stands in `impossibility`. Here tiles of cells are made until no route from
 start to goal is left, one is found that is wide open, or time is up ([Brooks1985], [Zhang2008]):
 
-    1. The plane is a quadtree of tiles. Of a tile that nobody has looked at everything counts as free.
+    1. The plane is a quadtree of tiles. Of a tile that was not looked at everything counts as free.
     2. A tile that was looked at falls into blocked cells, cells that look open, and narrow ones between. Connected
        cells of one kind are one node of a graph.
     3. The cheapest route through the graph is the one through the fewest narrow and unseen tiles. These are split.
@@ -275,7 +275,7 @@ class _Search:
         x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
-        # Of what lies outside nobody has looked.
+        # What lies outside was not looked at.
         kept = slice(math.ceil(border / step), -math.ceil(border / step))
         labels = np.zeros(is_free.shape, dtype=np.int32)
         ndimage.label(is_free[kept, kept], output=labels[kept, kept])
@@ -403,7 +403,7 @@ class _Search:
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
-            # What nobody looked at counts as wide, and hides how thick a wall is.
+            # What was not looked at counts as wide, and hides how thick a wall is.
             passed = {graph.tile_of[node] for node in route if node > GOAL}
             keys |= {key for key in passed if graph.tiles[key].margin is None}
             if not self._split(graph, keys):

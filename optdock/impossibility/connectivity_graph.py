@@ -1,6 +1,6 @@
 """The connectivity graph of a cell decomposition: connected cells of one kind are a node, cells that touch join two.
 
-Cells lie in tiles of a quadtree of the plane, with all headings ([Brooks1985], [Zhang2008]). A tile that nobody has
+Cells lie in tiles of a quadtree of the plane, with all headings ([Brooks1985], [Zhang2008]). A tile that was not
 looked at is one cell.
 """
 
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
-ROOM = 1e3  # [m] of clearance that nobody has
+ROOM = 1e3  # [m] of clearance: more than any place has
 FINEST = 4  # level of the finest tiles
 
 
@@ -67,7 +67,7 @@ class CellGrid(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """One tile of the quadtree; one that nobody has looked at has neither `blocked` nor `margin`.
+    """One tile of the quadtree; one that was not looked at has neither `blocked` nor `margin`.
 
     `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
     their middles, likewise [m].
@@ -90,7 +90,7 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
+    """Cells that look open, and others that are not blocked; what was not looked at may be anything."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.blocked is None or tile.margin is None:
@@ -265,7 +265,7 @@ class ConnectivityGraph:
 class PlaceGraph(ConnectivityGraph):
     """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
 
-    Costs are negative where it fits. What nobody has looked at costs less than anything.
+    Costs are negative where it fits. What was not looked at costs less than anything.
     """
 
     def _label(self, tile: Tile) -> None:

@@ -21,14 +21,14 @@ def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> Imposs
     """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
 
     Args:
-        proof: What somebody claims.
+        proof: To be checked.
         problem: What the robot must do.
     """
     if type(proof) is BlockedStraight:
         return check_blocked_straight(proof, problem)
     if type(proof) is ImpossibilityProof:
         return check_cells(proof, problem)
-    return ImpossibilityVerdict(proven=False, reason=f"it is no proof but a {type(proof).__name__}", cells=0)
+    return ImpossibilityVerdict(proven=False, reason=f"it is not a proof but a {type(proof).__name__}", cells=0)
 
 
 def impossibility_from_dict(values: Mapping[str, object]) -> NoMotionProof:

@@ -22,7 +22,7 @@ each level with cells half as large.
 cell is blocked only if it is so with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as
 well. Near the start the weakest relief counts that a certificate may grant.
 
-Whoever checks the proof judges the rim again, by exact distances of its own.
+The check of a proof judges the rim again, by exact distances of its own.
 """
 
 from __future__ import annotations
@@ -305,7 +305,7 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
     """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
 
     Args:
-        proof: What somebody claims.
+        proof: To be checked.
         problem: What the robot must do.
     """
     fault = _fault(proof, problem)

@@ -22,7 +22,7 @@ def replacing(target: str | Path) -> Iterator[Path]:
     """A temporary path beside `target` that takes its place when the block ends without an exception.
 
     A reader of `target` sees the old file or the new one, never a part. Missing folders are made, links are followed.
-    A device or a pipe, such as /dev/stdout, is no file to be replaced: there the path is `target` itself. The temporary
+    A device or a pipe, such as /dev/stdout, cannot be replaced: there the path is `target` itself. The temporary
     name keeps the suffix of the target, because writers of pictures choose their format by it.
 
     Raises:

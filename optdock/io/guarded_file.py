@@ -63,7 +63,7 @@ def is_regular(path: Path) -> bool:
 
 
 def check_regular(path: Path, most: int) -> None:
-    """Refuse what is no regular file, or too large; for libraries that open files by their names.
+    """Refuse what is not a regular file, or too large; for libraries that open files by their names.
 
     Args:
         path: The file.
@@ -84,7 +84,7 @@ def read_bytes(path: Path, most: int) -> bytes:
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: It cannot be read, is no regular file, or is larger.
+        InvalidFile: It cannot be read, is not a regular file, or is larger.
     """
     with _told(path):
         # Opening a device may act on it, and opening a pipe waits; so the name is asked before, and what was opened
@@ -107,7 +107,7 @@ def read_text(path: Path, most: int) -> str:
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: It cannot be read, is no regular file, is larger, or is not UTF-8.
+        InvalidFile: It cannot be read, is not a regular file, is larger, or is not UTF-8.
     """
     content = read_bytes(path, most)
     try:
@@ -157,7 +157,7 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """An object; of a repeated key readers differ in which value they believe, so nobody may judge one of them."""
+    """An object; readers of a repeated key differ in which value they take, so it is refused."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:

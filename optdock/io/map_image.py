@@ -111,7 +111,7 @@ def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
 
 def _grey_of(path: Path, image: Image, maxval: int) -> GreyImage:
     if image.mode == "F":
-        raise InvalidFile(f"{path}: floating-point images are no maps; save it with 8 bit")
+        raise InvalidFile(f"{path}: floating-point images are not maps; save it with 8 bit")
     has_alpha = image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
     has_alpha = has_alpha and image.mode not in _DEEP_MODES
     grey = np.empty((image.height, image.width), dtype=np.uint8)

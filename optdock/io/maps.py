@@ -137,7 +137,7 @@ def load_map(path: str | Path) -> OccupancyGrid:
     _refuse_picture(Path(path))
     document = load_yaml(path)
     if not isinstance(document.value, Mapping):
-        # Only the kind: what a map's name leads to may be any file, and is nobody's to print.
+        # Only the kind: the name of a map may lead to any file, whose content must not be printed.
         kind = "a list" if isinstance(document.value, list) else "text or a number"
         raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {kind}"))
     faults: list[Fault] = []

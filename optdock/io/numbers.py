@@ -66,7 +66,7 @@ def check_yaw(yaw: float) -> None:
 
 
 def check_speed(speed: float) -> None:
-    """Refuse a speed that no robot docks with [m/s]; infinity, which is no limit, is none.
+    """Refuse a speed that no robot docks with [m/s]; infinity means that there is no limit.
 
     Raises:
         InvalidValue: It is beyond 50 m/s; the message asks for the unit.

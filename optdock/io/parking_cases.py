@@ -8,7 +8,7 @@ dock: there is no station, no last straight stretch, and either gear may end in 
   vertex, obstacle after obstacle.
 - OBCA, the scenes of the optimization-based collision avoidance paper [Zhang2021]: a JSON file of a car,
   the scenes `backwards` and `parallel`, and the grid of starts that both share. Its bounds of x and y hold for the rear
-  axle, not for the body: they are no walls, and every wall that the scenes have is an obstacle in the file.
+  axle, not for the body: they are not walls, and every wall that the scenes have is an obstacle in the file.
 """
 
 from __future__ import annotations

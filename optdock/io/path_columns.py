@@ -39,13 +39,13 @@ _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll wit
 
 
 def _no_boolean(value: object) -> object:
-    """JSON's true is no gear, though Python counts it as 1."""
+    """JSON's true is not a gear, though Python counts it as 1."""
     return repr(value) if isinstance(value, bool) else value
 
 
 Gear: TypeAlias = Annotated[Literal[1, -1], BeforeValidator(_no_boolean)]
 GearOrTurn: TypeAlias = Annotated[Literal[1, -1, 0], BeforeValidator(_no_boolean)]  # 0: it turns in place
-# Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
+# Numbers beyond this are not plan of anything; a polyline that turns in place has this curvature.
 Number: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Json: TypeAlias = Mapping[str, object]
 

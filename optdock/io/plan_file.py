@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import json
 import math
@@ -41,6 +43,7 @@ __all__ = [
     "TrajectoryColumns",
     "load_plan",
     "parse_plan",
+    "save_columns_csv",
     "save_plan",
     "strict_json",
 ]
@@ -218,6 +221,25 @@ def save_plan(target: str | FilePath, plan: PlanFile, *, spacing: float = DEFAUL
         InvalidValue: A number is not finite; nothing has been written then.
     """
     write_text(FilePath(target), plan.as_json(spacing=spacing))
+
+
+_CSV_UNITS = {
+    "t": "s", "x": "m", "y": "m", "yaw": "rad", "speed": "m/s", "acceleration": "m/s^2", "jerk": "m/s^3",
+    "yaw_rate": "rad/s", "yaw_acceleration": "rad/s^2",
+}  # fmt: skip
+
+
+def save_columns_csv(target: str | FilePath, columns: SampledMotion) -> None:
+    """Write a sampled motion as CSV: a row of names with units, then a row per sample, with all digits.
+
+    Raises:
+        InvalidFile: The file cannot be written.
+    """
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(f"{name} [{_CSV_UNITS[name]}]" for name in columns._fields)
+    rows.writerows(np.column_stack(columns).tolist())
+    write_text(FilePath(target), text.getvalue())
 
 
 class _Model(BaseModel):

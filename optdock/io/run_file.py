@@ -70,7 +70,7 @@ def load_run(source: str | Path) -> RunColumns:
     """Read a run file.
 
     Raises:
-        InvalidFile: It cannot be read, is no run file, lacks a column, or its columns differ in length.
+        InvalidFile: It cannot be read, is not a run file, lacks a column, or its columns differ in length.
     """
     source = Path(source)
     try:
@@ -80,7 +80,7 @@ def load_run(source: str | Path) -> RunColumns:
         place = shortened(".".join(str(part) for part in first["loc"]))
         raise InvalidFile(f"{source}: {place}: {first['msg']}") from error
     except ValueError as error:
-        raise InvalidFile(f"{source}: is no run file: {shortened(str(error))}") from error
+        raise InvalidFile(f"{source}: is not a run file: {shortened(str(error))}") from error
     columns, wanted = document.columns, len(document.columns.get("t", ()))
     for name in _NAMES:
         found = len(columns.get(name, ()))

@@ -31,7 +31,7 @@ _SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
 # Keys, numbers, ..., with those that aliases repeat; the largest parameter files have two thousand.
 _MAX_VALUES = 50_000
-_MAX_NUMBER = 1000  # characters of what is no text; whole numbers in base 60 take a time that is quadratic in them
+_MAX_NUMBER = 1000  # characters of what is not text; whole numbers in base 60 take a time that is quadratic in them
 _LONGEST_LINE = 400  # characters of a message about one value
 
 
@@ -194,7 +194,7 @@ class _Reader:
             return [self._entry(entry, entry, keys, i) for i, entry in enumerate(node.value)]
         if not isinstance(node, yaml.MappingNode) or node.tag != "tag:yaml.org,2002:map":
             raise InvalidFile(
-                f"{self._place(node)}: is not valid YAML: {shortened(node.tag)} is no plain list or mapping"
+                f"{self._place(node)}: is not valid YAML: {shortened(node.tag)} is not a plain list or mapping"
             )
         if is_first_visit:
             self._check_keys(node)

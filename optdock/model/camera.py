@@ -38,7 +38,7 @@ class Camera:
         max_range: Farthest such distance, > min_range; may be infinite [m].
 
     Raises:
-        InvalidValue: A value is out of these ranges, or the mount is no pose.
+        InvalidValue: A value is out of these ranges, or the mount is not a pose.
     """
 
     mount: Pose2

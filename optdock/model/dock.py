@@ -84,7 +84,7 @@ class Dock:
 
     Raises:
         InvalidValue: final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
-            direction is none, the marker is no pair of finite numbers, visible_distance is > 0 without a marker,
+            direction is none, the marker is not a pair of finite numbers, visible_distance is > 0 without a marker,
             blind_distance is not >= 0 and, where there is one, < visible_distance; or a part is of another class.
     """
 

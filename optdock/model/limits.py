@@ -219,7 +219,7 @@ class MotionLimits:
         wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
         max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
         max_steering_rate: At which they turn [rad/s], at rest too: the robot waits for them where the curvature jumps,
-            and at a start from rest where nobody knows their angle.
+            and at a start from rest where their angle is unknown.
         max_lateral_jerk: Change of the lateral acceleration, |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; none at rest
             and in turns in place, where there is no speed.
 
@@ -323,7 +323,7 @@ def finite_limits(limits: MotionLimits) -> dict[str, float]:
 
 
 def check_steering(wheelbase: float, angle: float, rate: float) -> None:
-    """Refuse limits of a steering whose geometry nobody knows.
+    """Refuse limits of a steering whose geometry is unknown.
 
     Args:
         wheelbase: Distance between the axles [m]; 0 where it is not known.

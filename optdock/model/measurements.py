@@ -1,4 +1,4 @@
-"""What a robot measures while it docks, as it reaches whoever steers it."""
+"""What a robot measures while it docks, as the executor receives it."""
 
 from __future__ import annotations
 

@@ -62,14 +62,14 @@ class Path(FrozenArrays):
 
     Args:
         segments: At least one; each begins where the one before it ends.
-        frame: Name of the coordinate frame; empty where nobody said.
+        frame: Name of the coordinate frame; empty where it was not given.
 
     Attributes:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
         InvalidPath: No segment, one that is neither a clothoid segment nor a polyline segment nor a turn segment, or a
-            frame that is no name.
+            frame that is not a name.
     """
 
     segments: tuple[Segment, ...]
@@ -194,7 +194,7 @@ class Path(FrozenArrays):
 
     @functools.cached_property
     def digest(self) -> str:
-        """Short digest of its exact curves: equal for equal paths, whoever made them."""
+        """Short digest of its exact curves: equal for equal paths, whatever their source."""
         return digest(*(part for segment in self.segments for part in _definition(segment)))
 
     def pose_at(self, s: float) -> Pose2:

@@ -192,7 +192,7 @@ class DockingProblem(FrozenArrays):
         costmap: What is known of the surroundings as a grid; None where only obstacles are. Read when the problem is
             made, a grid that layers write into is copied.
         frame: Name of the coordinate frame.
-        unknown_is_obstacle: Whether the cells of the costmap that nobody has seen are obstacles.
+        unknown_is_obstacle: Whether unknown cells of the costmap are obstacles.
 
     Attributes:
         all_obstacles: The obstacles, the cells of the costmap, and the station last.
@@ -229,7 +229,7 @@ class DockingProblem(FrozenArrays):
         start_curvature: float | None = None,
         costmap: Costmap | None = None,
         frame: str = "map",
-        unknown_is_obstacle: bool = True,  # noqa: FBT001, FBT002 - nobody counts so far
+        unknown_is_obstacle: bool = True,  # noqa: FBT001, FBT002 - far down the list
         start_acceleration: float = 0.0,
     ) -> None:
         vars(self).update(
@@ -496,7 +496,7 @@ class DockingProblem(FrozenArrays):
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
     """A start state, both signed, without what rounding leaves of rest or of the end of a braking.
 
-    From such a state the robot would roll backwards by less than anybody can tell. So it is at rest; or it has just the
+    From such a state the robot would roll backwards by less than can be measured. So it is at rest; or it has just the
     speed that is left when its acceleration is led to rest.
     """
     if max(abs(speed), abs(acceleration)) <= _ROUNDING:

@@ -105,7 +105,7 @@ class Robot:
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
         """Digests of its outline, and of its limits, drive, camera and price of reversing."""
-        # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
+        # What a robot does not use is not part of its digest: certificates outlive the limits that came after them.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}
         defaults = {spec.name: spec.default for spec in fields(self.limits)}
@@ -128,7 +128,7 @@ def check_price(price: float) -> float:
     """The price of a metre in reverse as a float [s/m].
 
     Raises:
-        InvalidValue: It is no number, negative or not finite.
+        InvalidValue: It is not a number, negative or not finite.
     """
     found = finite_number(price, "robot.reverse_price")
     if found < 0.0:

@@ -252,7 +252,7 @@ class Trajectory(FrozenArrays):
 
     @property
     def frame(self) -> str:
-        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        """Name of the coordinate frame that its poses stand in, its path's; empty where it was not given."""
         return self.path.frame
 
     @property

@@ -81,7 +81,7 @@ def nav2_scenario(
         DockNotValid: The dock stands in another frame than the map, or it is of none of the parameter file's dock types
             (a file without any says nothing: forward, as Nav2's default).
         DockNotInDB: There is no dock of that name, or no name and several docks.
-        InvalidValue: The start is no pose.
+        InvalidValue: The start is not a pose.
     """
     params = load_nav2_params(params_source)
     docks = params.docks if docks_source is None else load_dock_database(docks_source)

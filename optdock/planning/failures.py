@@ -92,7 +92,7 @@ class Failures:
         That there was too little time wherever more of it might have found a plan; else the failure that tells most.
 
         Args:
-            is_cut_off: By the clock, with guesses that nobody has made, or tried, yet.
+            is_cut_off: By the clock, with guesses not made, or not tried, yet.
             is_late: Whether no time is left for another guess.
         """
         late = [failure for failure in self._all if isinstance(failure.error, TimedOut)]

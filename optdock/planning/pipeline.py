@@ -164,7 +164,7 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         NoValidPathCouldBeFound: No planner finds a raw path.
         FailedToSmoothPath: No path near a raw one keeps every bound.
         FailedToTimePath: No time law keeps the motion limits.
-        TimedOut: Nothing was found, and somebody ran out of time on the way: a planner (PlannerTimedOut), the smoothing
+        TimedOut: Nothing was found, and a stage ran out of time on the way: a planner (PlannerTimedOut), the smoothing
             of a guess or its proof (SmootherTimedOut), or the time law or its proof (TimingTimedOut). With a larger
             `time_budget` there may be a plan, whatever the other guesses failed for.
         Cancelled: `cancel_checker` returned True; PlannerCancelled, SmootherCancelled or TimingCancelled.
@@ -296,7 +296,7 @@ _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: what is longer i
 def _margin(budget: float) -> float:
     """Seconds before the end of the budget at which a call stops working, on a machine with other work to do.
 
-    Whoever shares a core is kept waiting for some milliseconds whenever it is the others' turn. Where that happened to
+    A process that shares a core waits for some milliseconds whenever it is the others' turn. Where that happened to
     two of the last calls or more it may happen to the next one, just before its deadline; one alone is an accident.
     """
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
@@ -334,7 +334,7 @@ class _Portfolio:
     tried: list[Attempt] = field(default_factory=list)
     failures: Failures = field(init=False)
     cut_short: list[_CutShort] = field(default_factory=list)
-    is_cut_off: bool = False  # by the clock, with guesses that nobody has made, or tried, yet
+    is_cut_off: bool = False  # by the clock, with guesses not made, or not tried, yet
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.errors import CertificationFailed, InvalidFile, OptdockError
+from optdock.errors import CertificationFailed, InvalidFile, MissingExtra, OptdockError
 from optdock.geometry.checked import exactly, instance
 from optdock.geometry.obstacles import in_words
 from optdock.io.plan_file import (
@@ -16,6 +17,7 @@ from optdock.io.plan_file import (
     PlanFile,
     TrajectoryColumns,
     load_plan,
+    save_columns_csv,
     save_plan,
 )
 from optdock.model.path import Path
@@ -79,7 +81,7 @@ class DockPlan:
             price.
 
     Raises:
-        InvalidValue: `motion` is no proven motion, or `raw_path` no path.
+        InvalidValue: `motion` is not a proven motion, or `raw_path` not a path.
     """
 
     motion: ProvenMotion
@@ -139,7 +141,7 @@ class DockPlan:
 
     @property
     def stage(self) -> str:
-        """Where the guess of this plan came from; empty where nobody said."""
+        """Where the guess of this plan came from; empty where it was not given."""
         return next((attempt.stage for attempt in self.tried if attempt.guess is self.raw_path), "")
 
     @property
@@ -179,6 +181,19 @@ class DockPlan:
             InvalidValue: Spacing or period is not > 0, or far too small.
         """
         save_plan(target, self.as_file(period), spacing=spacing)
+
+    def save_csv(self, target: str | FilePath, *, period: float = DEFAULT_PERIOD) -> None:
+        """Write the trajectory as a table, a row per sample; the first row names columns and units.
+
+        Args:
+            target: Where.
+            period: Largest time between samples [s]; ends and cusps are among them.
+
+        Raises:
+            InvalidFile: The file cannot be written.
+            InvalidValue: The period is not > 0, or far too small.
+        """
+        save_columns_csv(target, TrajectoryColumns.from_trajectory(self.trajectory, period))
 
     @classmethod
     def load(cls, source: str | FilePath, problem: DockingProblem) -> DockPlan:
@@ -231,6 +246,24 @@ class DockPlan:
             certificate=self.certificate,
             title=title or str(self),
         )
+
+    def show(self) -> None:
+        """Open a window with the picture that `plot` draws; a notebook shows it below a cell that ends with the plan.
+
+        Raises:
+            MissingExtra: Matplotlib is not installed.
+        """
+        from optdock.plotting import show_plan
+
+        show_plan(self)
+
+    def _repr_png_(self) -> bytes | None:
+        """The picture, as notebooks ask for it; None without Matplotlib."""
+        from optdock.plotting import plan_png
+
+        with suppress(MissingExtra):
+            return plan_png(self)
+        return None
 
 
 @dataclass(eq=False, repr=False)

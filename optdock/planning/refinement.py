@@ -93,7 +93,7 @@ _T = TypeVar("_T")
 
 
 class Cancellation:
-    """The caller's cancel checker: what it raises is the caller's own, whoever polls it; a yes is never taken back."""
+    """The caller's cancel checker: what it raises is the caller's own, in whatever stage; once True it stays True."""
 
     def __init__(self, checker: Callable[[], bool]) -> None:
         self._checker, self._said_yes = checker, False
@@ -251,7 +251,7 @@ class Refinement:
             raw: The guess.
             so_far: Filled in on the way.
             most: Seconds that smoothing may take.
-            is_given: Whether the guess is the caller's, so that a wrong one is no plugin's fault.
+            is_given: Whether the guess is the caller's, so that a wrong one is not a plugin's fault.
             begun: How far the smoother came with it before it was cut short.
 
         Raises:
@@ -436,7 +436,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()
-    except GeneratorExit:  # nobody wants the planner's next guess
+    except GeneratorExit:  # the planner's next guess is not wanted
         raise
     except BaseException as error:
         if cancelled.raised is not None:
@@ -449,7 +449,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
 
 
 def ran_out_of_time(what: str, budget: float) -> str:
-    """The message of a time-out: who needed more, and which option gives it.
+    """The message of a time-out: which stage needed more, and which option gives it.
 
     >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
     'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from optdock.errors import (
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import BlockedStraight, NoMotionProof
-from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.scene import (
     DRAWN_BY_THE_MAP,
     OutlineStyle,
@@ -30,19 +31,23 @@ from optdock.plotting.scene import (
     view_of,
 )
 from optdock.plotting.view_drawing import draw_cone, draw_view
+from optdock.verification import TOLERANCE, pose_clearances
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path as FilePath
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
+    from optdock.planning.plan import DockPlan
     from optdock.verification import Certificate
 
-__all__ = ["save_plan_picture"]
+__all__ = ["plan_png", "save_plan_picture", "show_plan"]
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
@@ -77,12 +82,61 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         MissingExtra: Matplotlib is not installed.
         InvalidFile: The file cannot be written.
     """
+    drawing = _Drawing(problem, raw_path, path, certificate, refusal, title)
+    save_figure(_drawn(drawing, new_figure), target)
+
+
+def show_plan(plan: DockPlan) -> None:
+    """Open a window with the picture of a plan; returns when it is closed, or at once where Matplotlib is interactive.
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+    """
+    new_figure(1.0, 1.0)  # raises without Matplotlib
+    import matplotlib.pyplot as plt
+
+    def window(width: float, height: float) -> Figure:
+        figure: Figure = plt.figure(figsize=(width, height), layout="constrained")
+        return figure
+
+    _drawn(_of_plan(plan), window)
+    plt.show()
+
+
+def plan_png(plan: DockPlan) -> bytes:
+    """The picture of a plan as the bytes of a PNG file.
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+    """
+    pixels = io.BytesIO()
+    canvas_of(_drawn(_of_plan(plan), new_figure)).print_png(pixels)
+    return pixels.getvalue()
+
+
+class _Drawing(NamedTuple):
+    """What is drawn; see `save_plan_picture`."""
+
+    problem: DockingProblem
+    raw_path: Path | None
+    path: Path | None
+    certificate: Certificate | None
+    refusal: OptdockError | None
+    title: str
+
+
+def _of_plan(plan: DockPlan) -> _Drawing:
+    return _Drawing(plan.problem, plan.raw_path, plan.path, plan.certificate, None, str(plan))
+
+
+def _drawn(drawing: _Drawing, make_figure: Callable[[float, float], Figure]) -> Figure:
+    problem, raw_path, path, certificate, refusal, title = drawing
     drawn = [each for each in (raw_path, path) if each is not None]
     pose = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None)
     place = None if pose is None else pose.as_array()[None]
     shown = [each.sample(_SPACING).poses for each in drawn]
     view = view_of(problem, shown if place is None else [*shown, place])
-    figure = new_figure(*view.figure_size())
+    figure = make_figure(*view.figure_size())
     axes = figure.add_subplot()
     draw_scene(axes, problem, view)
     if drawn:
@@ -90,7 +144,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     if problem.required_view is not None:
         draw_view(axes, problem.required_view, path)
     if raw_path is not None:
-        _draw_raw(axes, raw_path)
+        _draw_raw(axes, raw_path, problem)
     if path is not None:
         is_proven = refusal is None or (certificate is not None and certificate.certified)
         _draw_smoothed(axes, path, "path" if is_proven else "best path found, not certified")
@@ -108,7 +162,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         _draw_closest(axes, problem, path, certificate)
     entitle(figure, title)
     legend_below(figure, axes)
-    save_figure(figure, target)
+    return figure
 
 
 def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
@@ -117,10 +171,17 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
     draw_sweep(axes, problem.robot.footprint, poses)
 
 
-def _draw_raw(axes: Axes, path: Path) -> None:
+def _draw_raw(axes: Axes, path: Path, problem: DockingProblem) -> None:
+    """The raw path; where the robot on it would overlap an obstacle, in another colour."""
     samples = path.sample(_SPACING)
     # Wide and below the smoothed path: where the two coincide both are seen.
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)
+    clearances, _ = pose_clearances(samples.poses, problem.robot.footprint, problem.all_obstacles, within=_SPACING)
+    hits = clearances < -TOLERANCE
+    if hits.any():
+        x, y = (np.where(hits, column, math.nan) for column in (samples.x, samples.y))
+        label = "raw path, overlaps an obstacle"
+        axes.plot(x, y, color=COLOURS["hot"], linewidth=_RAW_WIDTH, label=label, zorder=4.6)
 
 
 def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:

@@ -100,7 +100,7 @@ class GlobalPlanner(Plugin):
 
         It works only while it is asked for the next one. A planner that knows many stops when none that could follow
         can have a lower price, and looks far afield only while nothing has been found. None is a pause: what follows
-        takes longer than what went before, and whoever asks may do something else first.
+        takes longer than what went before, and the caller may do something else first.
 
         Args:
             start: As of `create_plan`.
@@ -204,7 +204,7 @@ class TimeParameterizer(Plugin):
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: `max_time`, the start state or `start_wait` is no number, or the wait negative.
+            InvalidValue: `max_time`, the start state or `start_wait` is not a number, or the wait negative.
             TimingCancelled: `cancel_checker` returned True.
         """
 
@@ -251,7 +251,7 @@ class Controller(Plugin):
             percentage: Whether `limit` is in percent.
 
         Raises:
-            InvalidValue: `limit` is negative or not finite, or `percentage` is no bool.
+            InvalidValue: `limit` is negative or not finite, or `percentage` is not a bool.
         """
 
     def reset(self) -> None:
@@ -355,7 +355,7 @@ class GoalChecker(Plugin):
 class DockType(Plugin):
     """A kind of dock: where approaches begin, what counts as a detection, when there is contact, when it charges.
 
-    Whoever drives asks it; it drives nothing itself, and what it is asked takes a small part of a control cycle.
+    The executor asks it; it drives nothing itself, and each answer takes a small part of a control cycle.
     """
 
     @abstractmethod

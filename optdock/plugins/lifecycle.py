@@ -1,4 +1,4 @@
-"""Plugin base: parameters, and Nav2's lifecycle for those who want it.
+"""Plugin base: parameters, and Nav2's lifecycle, which is optional.
 
 A plugin is ready to use as soon as it is constructed. Servers that manage plugins may in addition walk it through
 unconfigured -> inactive -> active -> finalized; a transition that its state does not allow is refused.
@@ -59,7 +59,7 @@ class PluginContext:
         clock: Monotonic seconds.
         logger: Where the plugin reports.
         local_costmap: The grid around the robot, read anew in every call: behaviors see it where they ask for it,
-            everybody else beside what else there is. It is no part of the problem, since it changes in motion. Where
+            all other plugins, beside the others. It is not part of the problem, since it changes in motion. Where
             neither a problem nor a second grid is given, the one that is serves everybody.
 
     Raises:
@@ -106,7 +106,7 @@ class PluginContext:
             found = found.among(self.costmap)
         if self.local_costmap is None:
             return found
-        # As it is now, and without the world beyond it: a local grid ends where nobody has looked yet.
+        # As it is now, and without the world beyond it: a local grid ends at unknown space.
         local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
@@ -131,7 +131,7 @@ class PluginContext:
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Which costmaps count beside the problem; who does not choose sees both.
+            needs: Which costmaps count beside the problem; both where none is chosen.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)

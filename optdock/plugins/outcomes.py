@@ -65,9 +65,9 @@ class SmoothingReport:
         certify_s: Seconds spent on proofs.
         first_certified_s: Seconds until the first certified path.
         total_s: Seconds of the call.
-        certificate: Of the path, where the smoother proved it; nobody has to believe it.
+        certificate: Of the path, where the smoother proved it; it is proven again.
         extra: Whatever else a plugin has to say.
-        warning: What whoever drives the result should know; empty: nothing.
+        warning: What a user of the result should know; empty: nothing.
     """
 
     status: SmoothingStatus | None = None

@@ -79,7 +79,7 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
         owner: The plugin's name, for messages.
 
     Raises:
-        InvalidValue: Unknown names, wrong types, values out of range; one line per fault. Or `values` is no mapping.
+        InvalidValue: Unknown names, wrong types, values out of range; one line per fault. Or `values` is not a mapping.
     """
     if not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
@@ -109,11 +109,11 @@ _MOST_KEPT = 256  # of many a process uses few
 _CHECKED: dict[tuple[object, ...], PluginParameters] = {}
 
 
-_PLAIN = (bool, int, float, str, type(None))  # what nobody can write into, and whose text tells two of them apart
+_PLAIN = (bool, int, float, str, type(None))  # immutable, and distinguished by their text
 
 
 def _is_constant(checked: PluginParameters) -> bool:
-    """Whether nobody can write into parameters, and equal values make equal ones: then many may hold the same."""
+    """Whether parameters are immutable, and equal values make equal ones: then they can be shared."""
     model = type(checked)
     is_sealed = bool(model.model_config.get("frozen")) and not model.__private_attributes__
     makes_anew = any(spec.default_factory is not None for spec in model.model_fields.values())

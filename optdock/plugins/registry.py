@@ -79,7 +79,7 @@ class PluginChoice:
     """A plugin by name, and its parameters, as a file asks for it.
 
     Raises:
-        InvalidValue: The name is no text.
+        InvalidValue: The name is not text.
     """
 
     name: str

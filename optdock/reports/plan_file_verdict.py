@@ -109,7 +109,7 @@ def _refuse_contradictions(plan: PlanFile) -> None:
     if plan.status == CERTIFIED and "path" not in held:
         raise InvalidFile(f"status: is {CERTIFIED!r}, but the file holds no path")
     if "error" in held and not _is_refusal(plan):
-        raise InvalidFile(f"error: stands beside status {shown(plan.status)}, which is no error's name")
+        raise InvalidFile(f"error: stands beside status {shown(plan.status)}, which is not an error's name")
     if _is_refusal(plan) and "trajectory" in held:
         raise InvalidFile(f"trajectory: stands beside status {plan.status!r}, which says that there is no plan")
     if "certificate" in held and "path" not in held:
@@ -179,7 +179,7 @@ def _said(violation: Violation) -> str:
 
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """One row of what nobody can judge; none where the file holds nothing of that."""
+    """One row of what cannot be judged; none where the file holds nothing of that."""
     foreign = (
         [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
     )

@@ -14,6 +14,7 @@ from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null,
 from optdock.io.run_file import RUN_FORMAT
 from optdock.model.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.planning.plan import PartialPlan
+from optdock.verification import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -37,6 +38,7 @@ __all__ = [
 ]
 
 _WIDE = 78  # letters of a value on a line
+_LOOK, _FAR = 0.01, 2.0  # [m]: between two poses whose clearance is measured; farther obstacles are not
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -78,8 +80,38 @@ def plan_rows(plan: DockPlan) -> list[Row]:
         *([Row("found by", _tried(plan))] if plan.tried else []),
         Row("duration", f"{plan.trajectory.duration:.3f} s"),
         *certificate_rows(plan.certificate),
+        *_tightest_rows(plan),
+        *_straight_rows(plan),
         Row("time [ms]", times),
     ]
+
+
+def _tightest_rows(plan: DockPlan) -> list[Row]:
+    """Where the robot keeps least more than the clearance that is required away from start and dock."""
+    problem, s = plan.problem, np.arange(0.0, plan.path.length, _LOOK)
+    poses, required = plan.path.poses_at(s), problem.clearance.required
+    ends = problem.goal, problem.start
+    from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
+    asked = problem.clearance.required_at(
+        from_goal, from_start, end_clearances(problem).start, plan.certificate.start_relief
+    )
+    s, poses = s[asked >= required], poses[asked >= required]
+    if not s.size or not len(problem.all_obstacles):
+        return []
+    clearances, obstacles = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
+    k = int(np.argmin(clearances))
+    if not clearances[k] < _FAR:
+        return []
+    what = in_words(problem.all_obstacles.name_of(int(obstacles[k])))
+    margin = clearances[k] - required
+    said = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
+    return [Row("least margin", said)]
+
+
+def _straight_rows(plan: DockPlan) -> list[Row]:
+    """The straight way into the dock; where none is asked for, it may be entered in a bend."""
+    straight = plan.problem.dock.final_straight
+    return [Row("final straight", f"{straight:g} m" if straight > 0.0 else "none: dock.final_straight is 0")]
 
 
 def _tried(plan: DockPlan) -> str:
@@ -95,7 +127,7 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
     if math.isfinite(certificate.min_clearance):
         where = f"to {in_words(certificate.nearest)} at s = {certificate.at_s:.3f} m"
         required = f"required there {certificate.required_clearance:.4f} m"
-        rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}, {required}"))
+        rows.append(Row("min clearance", f"{round(certificate.min_clearance, 4) + 0.0:.4f} m {where}, {required}"))
     if certificate.view_margin is not None and certificate.certified:
         inside = f", at least {certificate.view_margin:.4f} m inside" if math.isfinite(certificate.view_margin) else ""
         rows.append(Row("dock in view", f"where it must be{inside}"))
@@ -103,11 +135,11 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
 
 
 def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row]:
-    """The motion limits that hold, and those that do not because nobody gave them.
+    """The motion limits that hold, and those that do not hold because they were not given.
 
     Args:
         limits: Of the robot.
-        defaults: Names of those that nobody gave.
+        defaults: Names of those that were not given.
     """
     units = LIMIT_UNITS | (STEERING_UNITS if limits.wheelbase > 0.0 else {})
     values = {name: getattr(limits, name) for name in units}

@@ -89,7 +89,7 @@ def _store() -> Typestore:
 def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
     """The classes that a type of message needs, as a recording defines them.
 
-    Of every type for itself: a definition that nobody can read is no obstacle to reading the others.
+    Of every type for itself: a definition that cannot be read does not keep the others from being read.
     """
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore

@@ -160,7 +160,7 @@ def _path(path: Path, frame: str, time: float) -> object:
 
 
 def _markers(path: Path, problem: DockingProblem | None, frame: str, time: float, *, certified: bool = True) -> object:
-    nameless = Path(path.segments)  # what the recording calls the frame is up to whoever makes it
+    nameless = Path(path.segments)  # the name of the frame is that of the recording
     if problem is None:
         return path_markers(bag_types, nameless, frame, time)
     return path_markers(

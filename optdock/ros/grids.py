@@ -146,7 +146,7 @@ def _origin(types: MessageTypes, grid: Costmap) -> Message:
 def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
     """The costs of a message, Shape (rows, columns); its cells are occupancies where there is a rule for them."""
     given = message.data
-    if isinstance(given, list | tuple):  # of a stand-in, or of whoever sets a field of rclpy to one
+    if isinstance(given, list | tuple):  # of a stand-in, or where a field of rclpy was set to one
         given = bytes(value % 256 for value in given)
     cells = np.frombuffer(given, dtype=np.uint8)
     if cells.size != columns * rows or cells.size == 0:

@@ -143,7 +143,7 @@ _NOTHING = readonly(np.zeros((0, 2)))
 def _closest(
     path: Path, footprint: Footprint | None, obstacles: ObstacleSet | None, certificate: Certificate | None
 ) -> _Closest:
-    """What a certificate says of it; nothing where it says nothing, or who knows robot and obstacles is not there."""
+    """What a certificate says of it; nothing where it says nothing, or robot and obstacles are unknown."""
     if footprint is None or obstacles is None or certificate is None or not math.isfinite(certificate.min_clearance):
         return _Closest(_NOTHING, _NOTHING, "")
     pose = path.poses_at(certificate.at_s)

@@ -154,7 +154,7 @@ def twist(message: Message) -> StampedTwist:
     A stamped one may have an empty frame: it is the robot's.
 
     Raises:
-        InvalidMessage: A number is not finite, or the stamp is no time.
+        InvalidMessage: A number is not finite, or the stamp is not a time.
     """
     if not hasattr(message, "header"):
         return StampedTwist("", None, _plain_twist(message, message, ""))

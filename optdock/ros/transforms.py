@@ -68,7 +68,7 @@ class Transform:
         if tilt > MOST_TILTED:
             raise TransformError(
                 f"{self.target} <- {self.source}: leans by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
-                f"pitch; it is no pose in the plane",
+                f"pitch; it is not a pose in the plane",
                 where={"target": self.target, "source": self.source, "tilt": tilt},
             )
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -258,7 +258,7 @@ class TransformTree:
         return found
 
     def _at(self, name: str, track: _Track, at: float) -> _Sample:
-        """Where a frame stood; later than the last time it is where it was then, whoever asks has seen to that."""
+        """Where a frame stood; later than the last time it is where it was then; callers check the time."""
         times, count = track.times, len(track.times)
         if track.is_static or at >= times[count - 1]:
             return track.sample(count - 1)
@@ -288,7 +288,7 @@ class TransformTree:
         tracks = dict(self._tracks)
         heard = {*tracks, *(track.parent for track in tracks.values())}
         unknown = [frame for frame in dict.fromkeys((target, source)) if frame not in heard]
-        what = f"nobody has told of {' or '.join(map(repr, unknown))}" if unknown else "they are not connected"
+        what = f"there is no transform of {' or '.join(map(repr, unknown))}" if unknown else "they are not connected"
         known = [
             f"{track.parent} <- {name} ({'static' if track.is_static else self.said_of(track.times[-1])})"
             for name, track in sorted(tracks.items(), key=lambda item: (item[1].parent, item[0]))

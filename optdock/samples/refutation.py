@@ -94,7 +94,7 @@ _ROUNDED = 1e-5  # [s], [m/s^3], ...: of every number of such phases; ten units,
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """What the samples of a motion say; it counts as true where they do not refute it, which is no proof of it.
+    """What the samples of a motion say; it counts as true where they do not refute it, which is not a proof of it.
 
     Args:
         violations: Every broken rule; empty when the samples do not refute the motion.
@@ -373,7 +373,7 @@ def _unproven(judged: SamplesOnPath, limits: MotionLimits) -> dict[str, float]:
 
 
 def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
-    """Whether phases that miss their samples or a limit may do so because somebody rounded them.
+    """Whether phases that miss their samples or a limit may do so because they were rounded.
 
     They have six decimals at most, and lead no further from the samples than numbers that are off by r = 1e-5 each can
     lead. With n phases of durations d and jerks j, the borders are off by n r, the acceleration by what its own

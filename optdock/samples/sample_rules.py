@@ -379,7 +379,7 @@ def _means(judged: SamplesOnPath, limits: MotionLimits, rows: IntArray, lag: int
 def through_rests(judged: SamplesOnPath, problem: DockingProblem) -> Iterator[Violation]:
     """Speeds and accelerations with their signs, which lead through the rest at a cusp without a jump.
 
-    So this holds as well for samples of which nobody knows on which side of the cusp they are.
+    So this holds as well for samples that may be on either side of the cusp.
     """
     motion, rounding, jerk = judged.motion, judged.rounding, problem.robot.limits.max_jerk
     h, a = np.diff(motion.t), motion.acceleration

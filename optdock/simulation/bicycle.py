@@ -3,7 +3,7 @@
 The bicycle model [DeLuca2001]: the robot's origin is the middle of the rear axle, and the yaw rate is speed / wheelbase
 * tan(steering angle). A command asks for the curvature angular / linear, so for the angle atan(wheelbase * curvature).
 
-At rest a velocity command says nothing about the wheels, for 0 / 0 is no curvature. The base controllers in use then
+At rest a velocity command says nothing about the wheels, for 0 / 0 is not a curvature. The base controllers in use then
 turn them straight: the steering controllers of ros2_control and the converter of teb_local_planner both make angle 0 of
 an all-zero command. That is the default here; some cars hold the last angle instead. Either way the wheels of a car at
 rest are turned by a command with the right ratio and a speed so small that nothing moves: within the dead band, or
@@ -62,7 +62,7 @@ class Steering:
         start: Where the wheels stand when the car is set down at rest, as the steering's sensor says [rad].
 
     Raises:
-        InvalidValue: A value is no number or not finite, the lag or the play negative, the gain not > 0, or no such
+        InvalidValue: A value is not a number or not finite, the lag or the play negative, the gain not > 0, or no such
             word.
     """
 

@@ -48,7 +48,7 @@ class Actuation:
         longest_substep: While the velocity changes a step is integrated in pieces of at most this [s].
 
     Raises:
-        InvalidValue: A value is no number, negative or not finite, the latency over 10 s, or the sub-step 0.
+        InvalidValue: A value is not a number, negative or not finite, the latency over 10 s, or the sub-step 0.
     """
 
     linear_lag: float = 0.0
@@ -123,7 +123,7 @@ class Wheels:
         stuck: Faults.
 
     Raises:
-        InvalidValue: A value is no number, negative or not finite; a width, a gain or the largest speed is 0.
+        InvalidValue: A value is not a number, negative or not finite; a width, a gain or the largest speed is 0.
     """
 
     track_width: float
@@ -195,8 +195,8 @@ class Slip:
         seed: Of the noise; equal seeds give equal floors.
 
     Raises:
-        InvalidValue: A value is no finite number, a sigma negative, the share lost not in [0, 1], the time or the seed
-            not > 0.
+        InvalidValue: A value is not a finite number, a sigma negative, the share lost not in [0, 1], or the time or the
+            seed not > 0.
     """
 
     lost: float = 0.0
@@ -435,7 +435,7 @@ class _Normals:
 
 
 def check_duration(value: float, name: str) -> None:
-    """Refuse what is no duration.
+    """Refuse what is not a duration.
 
     Raises:
         InvalidValue: Not finite and > 0.

@@ -51,7 +51,7 @@ class Run(FrozenArrays):
         verdicts: What each goal checker said at the end, the one that decides first, by name.
         min_clearance: Smallest clearance of the true poses [m]; None where no obstacles were given.
         differs: In what the run's world is not the one that the trajectory was certified for: `footprint`, `limits`,
-            `obstacles`; empty where it is the same, or nobody certified the trajectory.
+            `obstacles`; empty where it is the same, or the trajectory is not certified.
 
     Attributes:
         errors: True pose minus reference in the reference's frame: along, cross [m] and yaw [rad], Shape (n, 3).

@@ -67,7 +67,7 @@ class PoseSensor:
         lost: Faults: when there is no pose.
 
     Raises:
-        InvalidValue: A sigma or a walk is no number, negative or not finite; a time no number.
+        InvalidValue: A sigma or a walk is not a number, negative or not finite; a time not a number.
     """
 
     position_sigma: float = 0.0
@@ -134,7 +134,7 @@ class Odometry:
         track_width: Distance of the wheels that the ticks are counted at [m]; needed with ticks.
 
     Raises:
-        InvalidValue: A value is no number, negative or not finite; ticks without a track width.
+        InvalidValue: A value is not a number, negative or not finite; ticks without a track width.
     """
 
     linear_gain: float = 1.0
@@ -218,8 +218,8 @@ class DockSensor:
         outliers: Faults: the first picture taken at `time` or later is displaced by `offset`, in the robot's frame.
 
     Raises:
-        InvalidValue: A value is no number, negative or not finite, the rate 0, a drop-out more than 1, or the smallest
-            range not below the largest.
+        InvalidValue: A value is not a number, negative or not finite, the rate 0, a drop-out more than 1, or the
+            smallest range not below the largest.
     """
 
     rate: float = 15.0

@@ -61,7 +61,7 @@ class Station:
         stalls: Whether the wheels stand still against the stop (weak motors), or slip: odometry then goes on.
 
     Raises:
-        InvalidValue: Not forward or backward, or a length or angle is no number, negative or not finite.
+        InvalidValue: Not forward or backward, or a length or angle is not a number, negative or not finite.
     """
 
     direction: DockDirection = DockDirection.FORWARD
@@ -148,7 +148,7 @@ class SimulatedRobot:
         dock_sensor: Likewise `lose` and `displace_next`; None without a detector.
 
     Raises:
-        InvalidValue: The seed is no whole number >= 0.
+        InvalidValue: The seed is not a whole number >= 0.
     """
 
     def __init__(  # noqa: PLR0913 - one parameter for each part of the world

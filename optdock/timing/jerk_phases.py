@@ -105,7 +105,7 @@ class Motion(NamedTuple):
 
     def at(self, t: FloatArray) -> FloatArray:
         """Distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
-        if not self.durations.size:  # an acceleration whose square is no number but 0 is no motion
+        if not self.durations.size:  # an acceleration whose square is NaN, but not 0, is not a motion
             return np.repeat(self.states, t.size, axis=1)
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]

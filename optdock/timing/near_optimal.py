@@ -169,7 +169,7 @@ class ReferenceMotion(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether every move was found within the checked limits; where the reference is the motion, nobody looked."""
+        """Whether every move was found within the checked limits; the reference itself is not checked."""
         return bool(self.moves) and not self.bad
 
 

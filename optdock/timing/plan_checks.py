@@ -31,7 +31,7 @@ class SegmentPlan(NamedTuple):
     Args:
         status: How it ended.
         phases: The motion; empty where there is none.
-        ratio: Largest quotient of a quantity and its limit along it; 0 where nobody looked.
+        ratio: Largest quotient of a quantity and its limit along it; 0 where it was not computed.
         overshoot: Distance that full braking needs beyond the end [m].
         how: What led to the result, for the report.
         reason: Why it is not OK.

@@ -42,7 +42,7 @@ _CRAWL = 1e-3  # [m/s]: speeds below it break no limit
 def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
     """The time-optimal motion between two states; None where there is none without driving backwards.
 
-    The speed bound is raised to what the two states make inevitable; whoever needs it kept checks the result.
+    The speed bound is raised to what the two states make inevitable; a caller that needs it kept checks the result.
 
     Args:
         start: First state.

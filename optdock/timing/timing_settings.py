@@ -61,7 +61,7 @@ class Clock:
     Attributes:
         windows_and_proof: With less left the search for a faster motion ends.
         proof: With less left no motion is worth beginning.
-        refusal: Whoever asks for the impossible hears of it within [s].
+        refusal: Within which an impossible request is refused [s].
     """
 
     windows_and_proof: float = 10.0
@@ -77,7 +77,7 @@ class WindowedSettings:
         max_window: Longest window [m].
         cap_ratio: Largest quotient of two speed caps within a window.
         yaw_share: Share of the turning limits left to the curvature rate; the rest is for accelerating in a bend.
-        margin: Share of the speed caps left unused: curvature between the nodes of a curve that is no clothoid.
+        margin: Share of the speed caps left unused: curvature between the nodes of a curve that is not a clothoid.
     """
 
     max_window: float = 1.0

@@ -17,7 +17,7 @@ __all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Vi
 # rounding of arithmetic over kilometres (1e-9) and of files with six decimals, and what a solver leaves of an equation
 # (1e-8). It must not be felt by any robot: sensors and drives are a thousand times as coarse.
 TOLERANCE = 1e-6
-# [m]: the proven minimum of the clearance is at most this far below a clearance that occurs. Nobody plans finer; where
+# [m]: the proven minimum of the clearance is at most this far below a clearance that occurs. No plan is finer; where
 # the minimum is at the dock, as it mostly is, sharpness costs nothing.
 SHARPNESS = 1e-3
 

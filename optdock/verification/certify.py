@@ -190,7 +190,7 @@ def certify_motion(
 ) -> TrajectoryCertificate:
     """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does.
 
-    Steered wheels whose angle at the start nobody knows (no `start_curvature`) may have to be turned from anywhere: the
+    Steered wheels whose angle at the start is unknown (no `start_curvature`) may have to be turned from anywhere: the
     motion must rest for that first (`DockingProblem.start_wait`), or it is refused as `rest`.
 
     Args:

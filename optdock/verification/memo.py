@@ -1,7 +1,7 @@
 """Memo: what was proven of a frozen value, kept for as long as that value lives.
 
 What is judged and what it is judged against are frozen, so the same two have the same verdict. The verdicts are held
-here, so that nobody can hand in one of their own.
+here, so that a caller cannot pass one of its own.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Proven motions: path, time law, problem and the robot's pose, tied together by the proofs that were made of them.
 
-Certificates are plain values, which anybody may write down. What the rest of the library acts on are `ProvenMotion` and
+Certificates are plain values, which any program can write. What the rest of the library acts on are `ProvenMotion` and
 `ProvenWay`, which only the functions of this module make. Such an object holds nothing itself: what it speaks of is
 looked up in the proofs that were made here. One that was built or changed by other means speaks of nothing.
 """

@@ -324,7 +324,7 @@ class Judge:
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
         for kind, (limit, size, bend) in self.rules.items():
             at_ends = size(cells, self.drive), size(last, self.drive)
-            # What is no number proves nothing: it counts as infinite where it arises.
+            # What is not a number proves nothing: it counts as infinite where it arises.
             seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
             stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
             proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)

@@ -156,7 +156,7 @@ def test_what_is_not_known_is_said(buffer: TransformBuffer) -> None:
     buffer.insert(told("map", "odom"), is_static=True)
     buffer.insert(told("world", "camera"))
     with pytest.raises(
-        TransformError, match=r"nobody has told of 'base'; known: map <- odom \(static\), world <- camera \(.* s old"
+        TransformError, match=r"no transform of 'base'; known: map <- odom \(static\), world <- camera \(.* s old"
     ):
         buffer.lookup("map", "base")
     with pytest.raises(TransformError, match="they are not connected"):

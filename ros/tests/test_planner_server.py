@@ -130,7 +130,7 @@ def test_starts_at_the_robot_and_the_goal_may_be_in_another_frame(fresh: Surroun
     [
         (CODES.INVALID_PLANNER, "available: dock, manoeuvres", {"planner": "GridBased"}),
         (CODES.INVALID_PLANNER, "available: dock, manoeuvres", {"planner": ""}),
-        (CODES.TF_ERROR, "nobody has told of 'nowhere'", {"frame": "nowhere"}),
+        (CODES.TF_ERROR, "there is no transform of 'nowhere'", {"frame": "nowhere"}),
         (CODES.START_OUTSIDE_MAP, "Start (-30", {"start": Pose2(-30.0, 0.0, 0.0)}),
         (CODES.GOAL_OUTSIDE_MAP, "Goal (30", {"goal": Pose2(30.0, 0.0, 0.0)}),
         (CODES.START_OCCUPIED, "overlaps an obstacle", {"start": Pose2(5.0, 5.0, 0.0)}),

@@ -163,7 +163,8 @@ def refused(client: Client, code: int, words: str, *args: Any, **kwargs: Any) ->
 
 @pytest.mark.usefixtures("fresh")
 def test_unknown_frame(client_node: Client) -> None:
-    refused(client_node, SmoothPath.Result.UNKNOWN, "nobody has told of 'nowhere'", message(raw_path(), "nowhere"))
+    elsewhere = message(raw_path(), "nowhere")
+    refused(client_node, SmoothPath.Result.UNKNOWN, "there is no transform of 'nowhere'", elsewhere)
 
 
 @pytest.mark.parametrize(("age", "words"), [(10.0, "s old"), (-30.0, "s into the future")])

@@ -102,7 +102,7 @@ class Surroundings:
 
     Args:
         costmap: The grid whose cells stop a point, or None.
-        footprint: The robot's outline; None where nobody said.
+        footprint: The robot's outline; None where it was not given.
         obstacles: Everything near the path that the robot must not touch.
     """
 

@@ -108,7 +108,7 @@ class SavitzkyGolaySmoother(Smoother):
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative; `problem` or `warm_start` is of another class.
-            InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
+            InvalidPath: Not a path, another frame than that of the problem, or too few distinct poses afterwards.
             SmootherTimedOut: The time was over before the first piece. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """

@@ -93,7 +93,7 @@ class _End(str, Enum):
 
 @dataclass
 class _Run:
-    """One call of `smooth`: when it ends, what it must not enter, who may stop it, the sweeps and ends so far."""
+    """One call of `smooth`: when it ends, what it must not enter, what may stop it, the sweeps and ends so far."""
 
     deadline: Deadline
     costmap: Costmap | None
@@ -156,7 +156,7 @@ class SimpleSmoother(Smoother):
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative; `problem` or `warm_start` is of another class.
-            InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
+            InvalidPath: Not a path, another frame than that of the problem, or too few distinct poses afterwards.
             SmootherTimedOut: The time was over before the first sweep. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """

@@ -162,7 +162,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
     count = nlp.settings.step.zones
     zones = np.zeros(count)
     if found.margin.size:
-        # The end poses are given and were checked before: the cautious bound next to them is no fault of the path.
+        # The end poses are given and were checked before: the cautious bound next to them is not a fault of the path.
         at_ends = (pairs.interval == 0) | (pairs.interval == basis.num_intervals - 1)
         short = np.where(at_ends, -settings.end_allowance, 0.0) - found.margin
         np.maximum.at(zones, zone_of(basis, basis.left[pairs.interval], count), short)

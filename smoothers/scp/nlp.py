@@ -6,7 +6,7 @@
                 clearance of the swept footprint >= required clearance       (`collision`)
                 marker of the dock inside the camera's view                  (`visibility_constraint`)
 
-K: curvatures at the knots, L: lengths of the gears. The final straight is no variable: its poses are given.
+K: curvatures at the knots, L: lengths of the gears. The final straight is not a variable: its poses are given.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["TurningSolver", "with_turns"]
 
 _STRAIGHT_SAMPLES = 33
-_MEANT = 0.5  # [rad]: who turns by more than that without moving does not sample a curve coarsely
+_MEANT = 0.5  # [rad]: a larger turn without motion is not a coarsely sampled curve
 # Share of what is left of the time that is kept back for the certificate of the whole: that of the pieces took about a
 # fifth of theirs.
 _CERTIFICATE_SHARE = 0.2

@@ -84,7 +84,7 @@ class GuessSettings:
     pursuit_longest: float = 3.0  # times the input, and a loop
     earlier_spacing: float = 0.02  # [m], of the search for the robot on the earlier path
     earlier_lost: float = 0.5  # [m]: a robot further from the earlier path does not follow it
-    earlier_shortest: float = 0.02  # [m]: less left of a gear is no guess
+    earlier_shortest: float = 0.02  # [m]: less left of a gear is not a guess
     trust_region: float = 0.45  # [rad]: first bound of the heading changes; 0.2 to 1.0 make no difference
     bold_length: float = 12.0  # times the smallest radius: longer paths begin with smaller steps
     proximal: float = 0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 likewise

@@ -176,7 +176,7 @@ def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
 
 
 def _inner_nodes(basis: Basis) -> IntArray:
-    """Nodes that are no end of a gear."""
+    """Nodes inside the gears."""
     is_inner: BoolArray = (basis.fraction > 0.0) & (basis.fraction < 1.0)
     return np.flatnonzero(is_inner)
 

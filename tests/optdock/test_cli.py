@@ -571,7 +571,7 @@ def test_no_command_writes_over_its_scenario(command):
 def test_a_file_of_another_kind_is_said_to_be_no_scenario(text, format_):
     result = run("plan", write(text))
     assert result.exit_code == 2
-    assert result.stderr == f"bay.yaml: is no scenario: it has none of the keys robot, dock and start{format_}\n"
+    assert result.stderr == f"bay.yaml: is not a scenario: it has none of the keys robot, dock and start{format_}\n"
 
 
 def test_a_map_of_one_pixel_is_a_map():

@@ -99,6 +99,36 @@ def test_spacing_and_period_are_those_asked_for(plan, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["plan.json"]
 
 
+def test_its_motion_is_written_as_a_table_with_units(plan, tmp_path):
+    plan.save_csv(tmp_path / "motion.csv", period=0.1)
+    head, *rows = (tmp_path / "motion.csv").read_text(encoding="utf-8").splitlines()
+    assert head.startswith("t [s],x [m],y [m],yaw [rad],speed [m/s]")
+    table = np.array([[float(value) for value in row.split(",")] for row in rows])
+    np.testing.assert_array_equal(table[:, 0], plan.trajectory.sample(0.1).t)
+    np.testing.assert_allclose(table[-1, 1:4], plan.problem.goal.as_array(), atol=1e-6)
+    with pytest.raises(InvalidFile, match="cannot be written"):
+        plan.save_csv(tmp_path)
+
+
+def test_a_notebook_shows_it_and_without_matplotlib_its_line(plan, monkeypatch):
+    assert plan._repr_png_().startswith(b"\x89PNG")
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert plan._repr_png_() is None
+    with pytest.raises(MissingExtra, match="plot"):
+        plan.show()
+
+
+def test_a_window_is_opened(plan, monkeypatch):
+    import matplotlib.pyplot as plt
+
+    shown = []
+    monkeypatch.setattr(plt, "show", lambda: shown.append(plt.gcf().get_suptitle()))
+    plt.switch_backend("agg")
+    plan.show()
+    plt.close("all")
+    assert shown == [str(plan)]
+
+
 @pytest.mark.parametrize("kind", [str, FilePath])
 def test_a_plan_draws_itself(plan, tmp_path, kind):
     plan.plot(kind(tmp_path / "plan.png"))

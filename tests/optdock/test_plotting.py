@@ -333,6 +333,16 @@ def test_the_view_holds_what_stands_close_by_but_no_more_of_a_long_wall(problem,
     assert views["far"].top < top + 3.0
 
 
+def test_a_raw_path_that_overlaps_an_obstacle_is_drawn_so(tmp_path, problem, path):
+    save_plan_picture(tmp_path / "free.png", problem, raw_path=path)
+    poses = path.poses_at(np.linspace(0.0, path.length, 3))
+    x, y = poses[1, :2]
+    wall = ObstacleSet.from_polygons([[(x, y), (x + 0.05, y), (x + 0.05, y + 0.05), (x, y + 0.05)]])
+    save_plan_picture(tmp_path / "hit.png", dataclasses.replace(problem, obstacles=wall), raw_path=path)
+    free, hit = (colours_in(tmp_path / name).get(COLOURS["hot"], 0) for name in ("free.png", "hit.png"))
+    assert hit > free + 200
+
+
 def test_raw_and_smoothed_path_are_both_seen_where_they_coincide(tmp_path, problem, path):
     save_plan_picture(tmp_path / "p.png", problem, raw_path=path, path=path)
     colours = colours_in(tmp_path / "p.png")

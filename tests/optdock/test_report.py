@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import math
 
@@ -5,11 +6,17 @@ import numpy as np
 
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
 from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
+from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import PartialPlan
-from optdock.reports.report import certificate_rows, failed_plan_file, limit_rows, run_json, run_rows, table
+from optdock.reports.report import certificate_rows, failed_plan_file, limit_rows, plan_rows, run_json, run_rows, table
 from optdock.simulation import Run
 from optdock.verification import Certificate
 
@@ -73,6 +80,20 @@ def test_a_failure_takes_along_whatever_exists():
 def test_a_failure_before_anything_exists_has_nothing_but_its_reason():
     plan = failed_plan_file(OptdockError("early"), "map")
     assert (plan.raw_path, plan.path, plan.certificate, dict(plan.timing_ms)) == (None, None, None, {})
+
+
+def test_a_plan_tells_its_least_margin_away_from_the_dock_and_its_straight():
+    """By hand: along y = 0 a robot 0.5 m wide is 0.35 m from a wall that begins at y = 0.6."""
+    wall = ObstacleSet.from_polygons([[(-4.0, 0.6), (1.0, 0.6), (1.0, 0.8), (-4.0, 0.8)]])
+    dock = Dock(Pose2(0.0, 0.0, 0.0), Footprint.rectangle(0.6, -0.3, 0.5), final_straight=0.0)
+    robot, rule = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits()), ClearanceRule(0.1, 0.0)
+    plan = plan_dock(DockingProblem(Pose2(-3.0, 0.0, 0.0), dock, robot, wall, rule), time_budget=20.0)
+    rows = {row.name: row.value for row in plan_rows(plan)}
+    assert rows["min clearance"].startswith("0.0000 m to dock")
+    assert rows["least margin"].startswith("0.2500 m more than the required 0.1000 m, to obstacles[0] at s = ")
+    assert rows["final straight"] == "none: dock.final_straight is 0"
+    free = plan_dock(dataclasses.replace(plan.problem, obstacles=ObstacleSet.empty()), time_budget=20.0)
+    assert "to dock" in {row.name: row.value for row in plan_rows(free)}["least margin"]
 
 
 def test_a_certificate_without_obstacles_has_no_clearance_to_tell():

@@ -131,7 +131,7 @@ class FieldRobot:
         """How long it takes until the next control cycle [s]: a period, or two where one is dropped.
 
         Raises:
-            ValueError: A period is no whole number of sub-steps.
+            ValueError: A period is not a whole number of sub-steps.
         """
         substeps = round(1.0 / (rate * SUBSTEP))
         if abs(substeps * SUBSTEP * rate - 1.0) > 1e-9 or substeps < 1:

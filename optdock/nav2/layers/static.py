@@ -112,7 +112,7 @@ class StaticLayer(SwitchedLayer):
         self._pending = NOWHERE
 
     def is_current(self) -> bool:
-        """Whether it has a map, and nobody said that it is out of date."""
+        """Whether it has a map that was not declared out of date."""
         return super().is_current() and self._map is not None
 
     def _write(self, master: Costmap, costs: Costmap, window: CellWindow) -> None:

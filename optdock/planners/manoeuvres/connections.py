@@ -40,7 +40,7 @@ _GLANCE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which it is loo
 _CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
 _ROUGH_BATCH = 256  # words of which a quick look is taken in one go
 _BATCH = 24  # words glanced at in one go
-_NOTHING = 1e-6  # [m]: shorter arcs are no motion
+_NOTHING = 1e-6  # [m]: shorter arcs are not motion
 
 
 class Connections(NamedTuple):
@@ -85,7 +85,7 @@ class TreeNodes(NamedTuple):
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
     """The cheapest words of every pair of a node of the start's tree and one of the goal's, both of as many rows.
 
-    Nobody has looked yet whether they are free.
+    Whether they are free was not checked yet.
     """
     blocks = []
     for k in range(0, exits.rows.size, _PAIRS):
@@ -218,7 +218,7 @@ def free_manoeuvres(
 
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
-    """A close look at one way alone, without the margin: what a search glances over must not reach anybody."""
+    """A close look at one way alone, without the margin: what a search skips must not be returned."""
     space.poll()
     poses = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH)
     return bool(space.is_free(poses, 0.0, effort.start_relief).all())

@@ -3,7 +3,7 @@
 The field holds exact distances from grid points to the nearest obstacle piece; between grid points a distance changes
 by no more than the way there, so it bounds the distance of any point from below and above ([Ericson2005] ch. 7 has
 grids, [Ziegler2010] discs that cover a car). Discs that cover the footprint prove a pose free, discs inside it prove it
-blocked; what lies between is measured exactly. The field is computed in tiles, where somebody looks.
+blocked; what lies between is measured exactly. The field is computed in tiles, on demand.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class DistanceField:
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: nobody has looked there yet
+        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: not computed yet
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
 

@@ -62,7 +62,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: The planner is not configured.
-            NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
+            NoValidPathCouldBeFound: Nothing was found; that is not a proof that there is nothing.
             PlannerCancelled: `cancel_checker` returned True.
         """
         return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
@@ -78,7 +78,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: The planner is not configured.
-            NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
+            NoValidPathCouldBeFound: Nothing was found; that is not a proof that there is nothing.
             PlannerCancelled: `cancel_checker` returned True.
         """
         problem = self._problem(start, goal)
@@ -125,6 +125,6 @@ def _why_not(problem: DockingProblem, runs: Mapping[str, float]) -> str:
             f"the clearance leaves {sides}{hint}"
         )
     return (
-        f"no free manoeuvre found from {problem.start.brief} to {problem.goal.brief}; that is no proof, there may "
+        f"no free manoeuvre found from {problem.start.brief} to {problem.goal.brief}; that is not a proof, there may "
         "still be one"
     )

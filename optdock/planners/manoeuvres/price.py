@@ -32,7 +32,7 @@ __all__ = [
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
 CUSP_PRICE = 1.0
-_TURNS_GEAR = 1e-6  # [m]: shorter arcs are no motion
+_TURNS_GEAR = 1e-6  # [m]: shorter arcs are not motion
 _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 

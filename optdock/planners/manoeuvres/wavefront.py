@@ -2,7 +2,7 @@
 
 A wave runs over a coarse grid from one place, alternately to the four and to the eight neighbours of its front, so that
 it grows as an octagon: the number of steps is never more than the length in cells, and at most 11 % less. It goes on
-only as far as somebody asks.
+only as far as is asked for.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def moved_path(path: Path, motion: Pose2) -> Path:
     """A path carried along by a rigid motion: the same polyline steps elsewhere.
 
     Args:
-        path: Sampled every 5 cm where it is no polyline.
+        path: Sampled every 5 cm where it is not a polyline.
         motion: Applied to every pose.
     """
     return Path.from_poses([motion @ Pose2.from_sequence(row) for row in path.sample(0.05).poses])

@@ -154,7 +154,7 @@ class ControllerContract(PluginContract[Controller]):
         require(self._peak_after(limited_and_freed) == free, "0 removes the limit")
 
     def test_a_speed_limit_is_a_number_that_is_not_negative(self) -> None:
-        """`set_speed_limit`: only 0 removes the limit; what is no speed is refused and nothing changes."""
+        """`set_speed_limit`: only 0 removes the limit; what is not a speed is refused and nothing changes."""
         for percentage in (False, True):
             for bad in (math.nan, math.inf, -0.1):
                 controller = self.ready_plugin()

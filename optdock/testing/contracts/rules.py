@@ -43,7 +43,7 @@ def refused(call: Callable[[], object], error: type[Exception], sentence: str) -
     Raises:
         ContractBroken: It returned, or raised something else.
 
-    >>> str(refused(lambda: int("x"), ValueError, "text is no number"))[:15]
+    >>> str(refused(lambda: int("x"), ValueError, "text is not a number"))[:15]
     'invalid literal'
     """
     try:

@@ -171,7 +171,7 @@ class SmootherContract(PluginContract[Smoother]):
                     self._require_same_ends(result.path, path)
 
     def test_a_time_limit_is_a_finite_number_that_is_not_negative(self) -> None:
-        """`max_time`: wall-clock seconds for the whole call; NaN, infinity and negative values are no seconds."""
+        """`max_time`: wall-clock seconds for the whole call; NaN, infinity and negative values are not seconds."""
         smoother = self.ready_plugin()
         path, problem = self.tasks()[0]
         for bad in (math.nan, math.inf, -math.inf, -1.0):

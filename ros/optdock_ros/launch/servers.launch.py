@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-SERVERS = {"smoother": "true", "planner": "false", "docking": "true"}  # whether it is started where nobody says
+SERVERS = {"smoother": "true", "planner": "false", "docking": "true"}  # whether it is started by default
 SWITCHES = ("use_sim_time", "autostart")
 
 

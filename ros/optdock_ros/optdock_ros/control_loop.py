@@ -207,7 +207,7 @@ class ControlLoop:
             self._end(run)
 
     def _end(self, run: TaskRun) -> None:
-        """The last command is zero; whoever waits for the end learns of it, whatever fails here."""
+        """The last command is zero; the end is signalled whatever fails here."""
         try:
             if not self._silent:
                 self._put(Twist2())

@@ -53,7 +53,7 @@ class Docks:
         return entry, self.plugin(entry.type, f"dock {name}")
 
     def at(self, pose: Pose2, frame: str, type_name: str) -> tuple[DockEntry, DockPlugin]:
-        """A dock that nobody has stored.
+        """A dock that is not in the database.
 
         Raises:
             DockNotValid: Its type is unknown.

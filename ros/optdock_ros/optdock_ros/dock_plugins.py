@@ -1,7 +1,7 @@
 """Types of docks in a server: where to stage, how a detection becomes a docked pose, what the executor asks.
 
 The parameters are those of opennav_docking's two classes, under their names and with their defaults; a dock type of
-anybody's takes its own beside them. What talks to ROS is the server; the plugins are told of messages, and asked.
+third parties take their own beside them. The server talks to ROS; the plugins receive messages and answer questions.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ class DockPlugin:
             raise InvalidMessage(f"JointState: {message.name[max(rows)]}: needs velocity and effort")
         velocity = sum(abs(message.velocity[i]) for i in rows) / len(rows)
         effort = sum(abs(message.effort[i]) for i in rows) / len(rows)
-        # What is no number is no stall: comparisons with it are false.
+        # NaN is not a stall: comparisons with it are false.
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
     @property
@@ -250,7 +250,7 @@ class DockPlugin:
         return None
 
     def current(self, told: Told | None, now: float) -> float | None:
-        """Into the battery [A]; None where nothing tells, or has told lately, or the current is no number.
+        """Into the battery [A]; None where nothing tells, or has told lately, or the current is not a number.
 
         Args:
             told: The newest sensor_msgs/BatteryState.
@@ -332,7 +332,7 @@ class OwnDockParameters(SimpleNonChargingDockParameters):
 
 
 class OwnDock(DockPlugin):
-    """A dock type of anybody's, found by its entry point.
+    """A dock type of a third party, found by its entry point.
 
     Parameters that the dock type declares are its own; the others are of `OwnDockParameters`.
 

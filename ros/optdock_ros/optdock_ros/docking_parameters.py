@@ -253,7 +253,7 @@ class DockingSettings:
 
 
 class _BlockReader:
-    """Reads blocks, and takes down everything that is wrong and everything that nobody reads."""
+    """Reads blocks, and collects everything that is wrong and everything that is not read."""
 
     def __init__(self, block: Mapping[str, object]) -> None:
         self.block = block

@@ -62,7 +62,7 @@ class Reports:
 
         Args:
             motion: New, or as before.
-            exempt: In words, what its certificate does not count, as nobody has looked or it is to be touched.
+            exempt: In words, what its certificate does not count, as it is unknown or to be touched.
             now: [s].
         """
         if motion is self._told:

@@ -110,7 +110,7 @@ class DockingTask:
         """A time limit of a goal [s], one period at least.
 
         Raises:
-            Ended: It is no number: nothing would ever be later than that.
+            Ended: It is not a number: nothing would ever be later than that.
         """
         if not math.isfinite(seconds):
             raise Ended(failed(UNKNOWN, f"{name}: must be a finite number of seconds, got {seconds}"))
@@ -150,7 +150,7 @@ class DockingTask:
         """Where the robot is in the fixed frame, or will have been a moment later.
 
         Raises:
-            TransformError: Nobody tells.
+            TransformError: There is no transform.
         """
         return self._resources.waited(self._goal, self._located)
 
@@ -158,7 +158,7 @@ class DockingTask:
         """Where the robot is in the fixed frame.
 
         Raises:
-            TransformError: Nobody has told for too long.
+            TransformError: The newest transform is too old.
         """
         own = self._settings.own
         found = self._resources.frames.lookup(own.fixed_frame, own.base_frame)
@@ -220,7 +220,7 @@ class DockingTask:
         """The robot's, from the block `robot`, the topic, or the parameters of Nav2's costmaps.
 
         Raises:
-            Ended: Nobody tells.
+            Ended: It is not published.
         """
         own, given = self._settings.own, self._settings.robot.footprint
         if given is not None:

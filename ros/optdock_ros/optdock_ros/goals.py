@@ -31,7 +31,7 @@ _JOIN = 5.0  # [s] that a job has to end once it is asked to; ours poll every 5 
 
 
 class JobEnded(OptdockError):
-    """Somebody asked for the end of the work: its client, a newer goal, or the end of the server."""
+    """The work is to end: by its client, a newer goal, or the end of the server."""
 
 
 class WorkerJob:
@@ -55,14 +55,14 @@ class WorkerJob:
         self.why_end = self.why_end or why
 
     def should_end(self) -> bool:
-        """Whether somebody asked for its end: a `cancel_checker`."""
+        """Whether it is to end: a `cancel_checker`."""
         return bool(self.why_end)
 
     def look(self) -> None:
-        """Go on only while nobody asked for the end.
+        """Go on only while the work is not to end.
 
         Raises:
-            JobEnded: Somebody did.
+            JobEnded: It is to end.
         """
         if self.why_end:
             raise JobEnded(self.why_end)
@@ -86,7 +86,7 @@ class WorkerJob:
         self._finish(result, error)
 
     def give_up(self) -> None:
-        """Its work does not come back: who waits for it is told now, and what it makes later is not looked at."""
+        """Its work does not return: its waiters are told now, and a later result is ignored."""
         self._finish(None, JobEnded(self.why_end))
 
     def _finish(self, result: Any, error: BaseException | None) -> None:
@@ -206,7 +206,7 @@ class GoalAction:
             whether the goal succeeded.
         ended: Makes a result that says why a goal was not worked on to its end.
         is_open: Whether goals are accepted.
-        result_timeout: How long the result of a goal is kept for who asks for it [s].
+        result_timeout: How long the result of a goal is kept for its client [s].
     """
 
     def __init__(  # noqa: PLR0913 - an action server has as many parts

@@ -1,4 +1,4 @@
-"""The way to the staging pose, by whoever serves navigate_to_pose: Nav2's navigator, as for its own docking server."""
+"""The way to the staging pose, by the server of navigate_to_pose: Nav2's navigator, as for its own docking server."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Navigator:
     """A client of navigate_to_pose.
 
     Args:
-        node: Whose client it is; its executor must go on while somebody waits here.
+        node: Whose client it is; its executor must go on while a thread waits here.
     """
 
     def __init__(self, node: Node) -> None:
@@ -47,7 +47,7 @@ class Navigator:
             pose: Where to.
             tree: Behaviour tree; empty: the navigator's own.
             limit: For all attempts [s].
-            is_over: Called again and again, waits a moment, and says whether nobody wants to get there any more.
+            is_over: Called again and again, waits a moment, and says whether the goal is to end.
 
         Returns:
             Why the robot is not there; empty: it is.
@@ -93,7 +93,7 @@ def _came(future: Future[Any], until: float, is_over: Callable[[], bool]) -> boo
 
 
 def _cancel_when_accepted(future: Future[Any]) -> None:
-    """A goal that was accepted too late is nobody's."""
+    """Cancel a goal that was accepted too late."""
     handle = future.result()
     if handle is not None and handle.accepted:
         handle.cancel_goal_async()

@@ -179,7 +179,7 @@ def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
 
 
 def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, object]:
-    """Declare the fields of a model, described, and with their defaults where nobody has given them.
+    """Declare the fields of a model, described, and with their defaults where they were not given.
 
     A default that ROS has no type for, such as none at all, cannot be declared; it can be set all the same.
 
@@ -189,7 +189,7 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, o
         prefix: Before every name, with its dot.
 
     Returns:
-        Names and values of those that nobody had given.
+        Names and values of those that were not given.
     """
     added: dict[str, object] = {}
     for name, spec in model.model_fields.items():
@@ -204,7 +204,7 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, o
 
 
 def undeclare(node: Node, added: Mapping[str, object]) -> None:
-    """Take back what `declare` added, but for what somebody has changed meanwhile."""
+    """Take back what `declare` added, but for what has been changed meanwhile."""
     for name, value in added.items():
         if node.has_parameter(name) and node.get_parameter(name).value == value:
             node.undeclare_parameter(name)
@@ -233,7 +233,7 @@ def unknown_names(
     """The names at the top of a node's parameters that nothing reads.
 
     One that looks like a misspelt name of ours is a fault: a limit or a topic that is silently not read is a danger.
-    Others belong to somebody else, as whole blocks and parameters of other versions of Nav2 do, and are only told.
+    Others, such as whole blocks and parameters of other versions of Nav2, are only listed.
 
     Args:
         block: All parameters of the node.

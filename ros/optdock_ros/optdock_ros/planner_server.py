@@ -151,7 +151,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
 
         Raises:
             PlannerException: There is none, by Nav2's codes.
-            JobEnded: Nobody wants it any more.
+            JobEnded: It is not wanted any more.
         """
         settings = self.settings
         planner = self.chosen(planner_id, settings)

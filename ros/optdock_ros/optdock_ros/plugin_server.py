@@ -245,7 +245,7 @@ class PluginServer(Server[ServerSettings[P]], Generic[P]):
         """The robot's outline: of the parameters, or of the topic; None where nothing has come.
 
         Raises:
-            OptdockError: What came is no outline, is too old, or was published where nobody knows.
+            OptdockError: What came is not an outline, is too old, or was published in an unknown frame.
         """
         if settings.limits is not None and settings.limits.footprint is not None:
             return settings.limits.footprint
@@ -339,7 +339,7 @@ def poses_of(path: Path, spacing: float) -> FloatArray:
 def cropped(costmap: Costmap, poses: FloatArray, reach: float) -> Costmap:
     """The part of a costmap around poses; what lies beyond its edge counts as obstacles, as beyond the map's.
 
-    Every cell of a hall would be looked at for every new costmap, and those far away matter to nobody.
+    Every cell of a hall would be looked at for every new costmap, and those far away do not matter.
 
     Args:
         costmap: All of it.

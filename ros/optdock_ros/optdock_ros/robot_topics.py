@@ -152,7 +152,7 @@ class RobotTopics:
             raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, fault))
 
     def _switch_off(self, plugin: DockPlugin) -> None:
-        """As above; nobody waits for the answer, least of all a server that is being deactivated."""
+        """As above, without waiting for the answer: the server may be shutting down."""
         service = self._detectors.get(plugin.parameters.detector_service_name)
         if service is None:
             return

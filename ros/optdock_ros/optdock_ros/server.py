@@ -2,7 +2,7 @@
 
 A server's parameters are judged as a whole, into one frozen value (`Server.settings`), before anything is made of
 them: at configure, where all faults are told at once, and at every change afterwards, which holds wholly or not at all.
-Who is at work has taken the value before and goes on with it.
+Work that is under way goes on with the value before.
 
 Callbacks are short: goals are worked on in threads of their own, and the executor's thread only takes messages and
 answers. An error in a callback is told and does not end the node.
@@ -75,7 +75,7 @@ class Server(LifecycleNode, Generic[S]):
     Attributes:
         settings: What `check` made of the parameters; there from configure to cleanup.
         is_active: Whether it works.
-        owns_process: Whether nobody else lives in this process; `run` sets it.
+        owns_process: Whether it is alone in this process; `run` sets it.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
@@ -95,7 +95,7 @@ class Server(LifecycleNode, Generic[S]):
         context: Context | None = None,
     ) -> None:
         given = list(parameter_overrides or ())
-        # Undeclared ones may be set: a plugin that is named later brings parameters that nobody knows yet.
+        # Undeclared ones may be set: a plugin that is named later brings parameters of its own.
         super().__init__(
             name,
             namespace=namespace,
@@ -145,7 +145,7 @@ class Server(LifecycleNode, Generic[S]):
     # What all have in common.
 
     def own_parameters(self, block: dict[str, object], blocks: Sequence[str] = ()) -> ServerParameters:
-        """The parameters of `Parameters`, checked; names at the top that nobody reads are told or refused.
+        """The parameters of `Parameters`, checked; names at the top that are not read are listed or refused.
 
         Args:
             block: All parameters of the node, nested.

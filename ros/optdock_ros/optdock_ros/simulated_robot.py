@@ -82,7 +82,7 @@ DEFAULT_TRACK = 0.4  # [m], where the scenario's limits name none
 CHARGED = 0.8  # [1], what the battery says of itself
 ROLLING_TORQUE = 0.3  # [N m] of a wheel that is not held
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z towards who drives into the dock, y up, x to the right as the camera sees it
+MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z out of the dock, y up, x to the right as the camera sees it
 
 
 class LocalWindow(NamedTuple):
@@ -424,7 +424,7 @@ class SimulatedRobotNode:
         return SetParametersResult(successful=True)
 
     def _values(self, changed: Sequence[Parameter[Any]]) -> dict[str, Any]:
-        """All parameters that are ours or nobody's, some of them about to change."""
+        """All parameters but those of every node, some of them about to change."""
         found = {name: parameter.value for name, parameter in self.node.get_parameters_by_prefix("").items()}
         found |= {parameter.name: parameter.value for parameter in changed}
         ours = {name: value for name, value in found.items() if name.partition(".")[0] not in SHARED}

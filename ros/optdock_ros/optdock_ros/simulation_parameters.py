@@ -195,7 +195,7 @@ class SimulationParameters:
 
 
 def check(name: str, value: float) -> None:
-    """Of the numbers that nobody else checks.
+    """Check the range of numbers that are not checked elsewhere.
 
     Raises:
         InvalidValue: It may not be so small.

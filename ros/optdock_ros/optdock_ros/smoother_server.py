@@ -54,7 +54,7 @@ __all__ = ["SmootherServer", "SmootherServerParameters", "main"]
 # decimetres; what would leave this part is refused.
 _AROUND = 2.0
 _SPACINGS = 0.01, 0.1  # [m]: of the poses taken from a curve, in which the input's own spacing counts
-_ELSEWHERE = 1e-3  # [m]: more than rounding, less than anybody minds
+_ELSEWHERE = 1e-3  # [m]: more than rounding, less than matters
 _NO_HEADING = 1.0  # [rad] off the travel: more than any raw path slips in one step
 
 
@@ -130,7 +130,7 @@ class SmootherServer(PluginServer[Smoother]):
         poses = poses_of(found.path, task.spacing)
         result.path = compact_path(transform_poses(task.seen.inverse(), poses), task.frame, began)
         result.was_completed = bool(found.completed)
-        if self._plan_publisher.get_subscription_count():  # half a millisecond for nobody
+        if self._plan_publisher.get_subscription_count():  # saves half a millisecond
             self._plan_publisher.publish(result.path)
         if goal.check_for_collisions:
             task.check_collisions(poses, found)
@@ -244,7 +244,7 @@ class _Task:
 
 
 def _with_headings(poses: FloatArray) -> FloatArray:
-    """The poses, looking along the travel where nobody has given headings.
+    """The poses, looking along the travel where headings were not given.
 
     Nav2's grid planners leave the identity in all poses but the last; taken for headings, that would be a path that
     slides sideways. So headings that are all the same, but for the last, are none where a step leads aside of them, or

@@ -1,6 +1,6 @@
 """What the costmap and the footprint topics say, and how old it is.
 
-Subscriptions only store what arrives; it is converted, and judged, when somebody asks.
+Subscriptions only store what arrives; it is converted, and judged, on demand.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = [
     "now",
 ]
 
-# Updates that nobody has asked for are patched in at this number: more would only be kept, and patched at once later.
+# Updates are patched in on demand, or at this number: more would only be kept, and patched at once later.
 _MOST_UPDATES = 32
 # [m]: an outline that comes back from the map's frame as float32, by an interpolated transform, wanders by micrometres,
 # 4 of them 100 m from the origin; it is the same outline. Contact forgives 2 of them, so it is rounded too.
@@ -102,7 +102,7 @@ class CostmapTopic:
         """The costmap as it is known now.
 
         Raises:
-            SurroundingsError: Nothing has come yet, or what came is no costmap; the message names topic and fault.
+            SurroundingsError: Nothing has come yet, or what came is not a costmap; the message names topic and fault.
         """
         with self._converting:
             with self._lock:
@@ -185,7 +185,7 @@ class FootprintTopic:
         It is rounded to a tenth of a millimetre; one that differs from the one before by less is the one before.
 
         Raises:
-            SurroundingsError: Nothing has come yet, or it is no outline.
+            SurroundingsError: Nothing has come yet, or it is not an outline.
             TransformError: Where the robot stood at that moment is not known.
         """
         with self._converting:

@@ -76,7 +76,7 @@ class DockingResources:
         navigator: Brings the robot to staging poses; None: the executor does.
         send: Publishes a command.
         tidy: Answers waiting goals that were cancelled.
-        docked: Where the robot was docked last; None: nobody knows.
+        docked: Where the robot was docked last; None: unknown.
         loop: The control loop of the last drive; None before the first.
     """
 
@@ -296,7 +296,7 @@ class TaskDrive:
         is_new = said != self._said
         if is_new or time.monotonic() - self._told_at >= _TELL:
             self._said, self._told_at = said, time.monotonic()
-            # Nav2 knows no state for what is done at rest: whoever plans or waits is still doing what he did.
+            # Nav2 has no state for what is done at rest: planning and waiting keep the state before.
             self._feedback = int(step.feedback.state) or self._feedback
             self._goal.tell_progress(self._feedback, step.feedback.num_retries)
             docked = self.executor.dock
@@ -323,7 +323,7 @@ class TaskDrive:
 
         Raises:
             SurroundingsError: There is none, or it is too old to begin with.
-            TransformError: Nobody knows where it stands.
+            TransformError: There is no transform to its frame.
         """
         topic = self._topics.costmap
         if topic is None:

@@ -246,7 +246,7 @@ def stands_at(distance):
 
 @pytest.mark.parametrize(("distance", "kind"), [(0.03, "DOCKED_BY_STALL"), (0.4, "FAILED_TO_CONTROL")])
 def test_a_stall_is_contact_near_the_dock_only(distance, kind):
-    """Whatever else stops a robot far from its dock is no dock."""
+    """Whatever else stops a robot far from its dock is not a dock."""
     chosen = ExecutorSettings(**QUICK, contact="touch", max_retries=0, progress_time=1.0, use_detections=False)
     docking = run(perfect(), problem_with(), chosen, rate=10.0, before=stands_at(distance), planning=StraightPlanning())
     assert docking.ending.kind is EndingKind[kind], docking.ending
@@ -391,7 +391,7 @@ def test_what_is_planned_at_rest_begins_at_rest_whatever_the_problem_says_of_its
 
 
 def test_a_second_late_cycle_is_late_too():
-    """One long period is no new rate: the loop runs at 50 Hz, and twice 0.1 s pass."""
+    """One long period is not a new rate: the loop runs at 50 Hz, and twice 0.1 s pass."""
     executor, stamp, late = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
     for period in (*[0.02] * 20, 0.1, 0.1, *[0.02] * 5):
         stamp += period
@@ -520,7 +520,7 @@ def test_a_mistake_of_a_part_ends_the_task_under_its_name(lawful):
 
 
 class Unproven(InlinePlanning):
-    """Straight on, and this is no log."""
+    """Straight on, and this is not a log."""
 
     def __init__(self):
         super().__init__()

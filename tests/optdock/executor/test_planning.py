@@ -100,4 +100,4 @@ def test_nothing_follows_what_is_no_plan():
     job = Job(1, 0.0, PROBLEM, 0.1, DrivenMotion(plan.trajectory, PROBLEM), 1.0, 1.0, None, 0.0)
     found = planned(job)
     assert found.outcome is Outcome.FAILED
-    assert "no plan" in found.reason
+    assert "not a plan" in found.reason

@@ -61,7 +61,7 @@ READERS = [
 
 @pytest.fixture
 def strange(tmp_path):
-    """Names that lead to what is no regular file, or to a very large one."""
+    """Names that lead to what is not a regular file, or to a very large one."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "loop").symlink_to("loop")
     with socket.socket(socket.AF_UNIX) as held:

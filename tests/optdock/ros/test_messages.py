@@ -277,7 +277,7 @@ def test_recorded_transforms_are_joined_and_interpolated():
         tree.lookup("map", "base_link", 0.5)
     assert not tree.put("base_link", "camera", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
     known = r"map <- odom \(static\), odom <- base_link \(until 2\.000 s\); refused: base_link <- camera \(its quat"
-    with pytest.raises(TransformError, match=f"map <- camera: nobody has told of 'camera'; known: {known}"):
+    with pytest.raises(TransformError, match=f"map <- camera: there is no transform of 'camera'; known: {known}"):
         tree.lookup("map", "camera", 1.5)
 
 

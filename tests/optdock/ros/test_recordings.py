@@ -352,11 +352,11 @@ WRONG_RECORDINGS = [
     (
         instead("/plan", ELSEWHERE),
         "",
-        "/plan: odom <- moon: nobody has told of 'moon'; known: map <- odom (static), odom",
+        "/plan: odom <- moon: there is no transform of 'moon'; known: map <- odom (static), odom",
     ),
     (without(), "--since 0.01 --until 0.04", "/odom: holds no message from 0.010 s to 0.040 s of 2.000 s (--since, "),
     (without(), "--since 0.11 --until 0.3", "/local_costmap/costmap_raw: holds no message from 0.110 s to 0.300 s"),
-    (UNJOINED, "", "/plan: map <- odom: nobody has told of 'map'; known: odom <- base_link (until"),
+    (UNJOINED, "", "/plan: map <- odom: there is no transform of 'map'; known: odom <- base_link (until"),
     ([*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)], "", "/plan: map <- odom: leans by 0.600 rad, more than"),
 ]
 WRONG_OPTIONS = [

@@ -237,7 +237,7 @@ def test_the_turning_radius_stays_finite_where_nothing_bounds_the_curvature():
 
 
 def test_where_no_line_leads_the_robot_turns_nowhere():
-    """No place to turn at is no error: it ended the search of robots that turn in place."""
+    """No place to turn at is not an error: it ended the search of robots that turn in place."""
     space = FreeSpace(at_a_wall(Pose2(-2.0, 0.5, 0.3)), lambda: None)
     found = turns._TurnRoom.at(np.zeros((0, 3)), space, Effort(1.0, 0.0, 4, 100))
     assert found.left.shape == found.right.shape == (0,)
