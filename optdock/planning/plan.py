@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from optdock.errors import CertificationFailed, InvalidFile, MissingExtra, OptdockError
 from optdock.geometry.checked import exactly, instance
@@ -238,14 +238,7 @@ class DockPlan:
         """
         from optdock.plotting import save_plan_picture
 
-        save_plan_picture(
-            target,
-            self.problem,
-            raw_path=self.raw_path,
-            path=self.path,
-            certificate=self.certificate,
-            title=title or str(self),
-        )
+        save_plan_picture(target, **self._drawing(title))
 
     def show(self) -> None:
         """Open a window with the picture that `plot` draws; a notebook shows it below a cell that ends with the plan.
@@ -253,17 +246,26 @@ class DockPlan:
         Raises:
             MissingExtra: Matplotlib is not installed.
         """
-        from optdock.plotting import show_plan
+        from optdock.plotting import PlanDrawing, show_plan_picture
 
-        show_plan(self)
+        show_plan_picture(PlanDrawing(**self._drawing()))
 
     def _repr_png_(self) -> bytes | None:
         """The picture, as notebooks ask for it; None without Matplotlib."""
-        from optdock.plotting import plan_png
+        from optdock.plotting import PlanDrawing, plan_picture_png
 
         with suppress(MissingExtra):
-            return plan_png(self)
+            return plan_picture_png(PlanDrawing(**self._drawing()))
         return None
+
+    def _drawing(self, title: str = "") -> dict[str, Any]:
+        return {
+            "problem": self.problem,
+            "raw_path": self.raw_path,
+            "path": self.path,
+            "certificate": self.certificate,
+            "title": title or str(self),
+        }
 
 
 @dataclass(eq=False, repr=False)

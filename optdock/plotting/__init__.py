@@ -5,16 +5,17 @@ Nothing here changes a result: every function takes finished values and writes o
 
 from optdock.plotting.animation import save_animation
 from optdock.plotting.docking_picture import save_docking_picture
-from optdock.plotting.plan_picture import plan_png, save_plan_picture, show_plan
+from optdock.plotting.plan_picture import PlanDrawing, plan_picture_png, save_plan_picture, show_plan_picture
 from optdock.plotting.profile_picture import save_profile_picture
 from optdock.plotting.run_picture import save_run_picture
 
 __all__ = [
-    "plan_png",
+    "PlanDrawing",
+    "plan_picture_png",
     "save_animation",
     "save_docking_picture",
     "save_plan_picture",
     "save_profile_picture",
     "save_run_picture",
-    "show_plan",
+    "show_plan_picture",
 ]

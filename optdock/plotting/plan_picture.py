@@ -44,15 +44,25 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
-    from optdock.planning.plan import DockPlan
     from optdock.verification import Certificate
 
-__all__ = ["plan_png", "save_plan_picture", "show_plan"]
+__all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
 _OF_THE_VIEW = ("view", "approach_unseen")  # reasons of refusals
 _FOOTPRINTS = 24  # drawn along a path at most
+
+
+class PlanDrawing(NamedTuple):
+    """What is drawn; see `save_plan_picture`."""
+
+    problem: DockingProblem
+    raw_path: Path | None = None
+    path: Path | None = None
+    certificate: Certificate | None = None
+    refusal: OptdockError | None = None
+    title: str = ""
 
 
 def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is drawn
@@ -82,11 +92,11 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         MissingExtra: Matplotlib is not installed.
         InvalidFile: The file cannot be written.
     """
-    drawing = _Drawing(problem, raw_path, path, certificate, refusal, title)
+    drawing = PlanDrawing(problem, raw_path, path, certificate, refusal, title)
     save_figure(_drawn(drawing, new_figure), target)
 
 
-def show_plan(plan: DockPlan) -> None:
+def show_plan_picture(drawing: PlanDrawing) -> None:
     """Open a window with the picture of a plan; returns when it is closed, or at once where Matplotlib is interactive.
 
     Raises:
@@ -99,37 +109,22 @@ def show_plan(plan: DockPlan) -> None:
         figure: Figure = plt.figure(figsize=(width, height), layout="constrained")
         return figure
 
-    _drawn(_of_plan(plan), window)
+    _drawn(drawing, window)
     plt.show()
 
 
-def plan_png(plan: DockPlan) -> bytes:
+def plan_picture_png(drawing: PlanDrawing) -> bytes:
     """The picture of a plan as the bytes of a PNG file.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
     """
     pixels = io.BytesIO()
-    canvas_of(_drawn(_of_plan(plan), new_figure)).print_png(pixels)
+    canvas_of(_drawn(drawing, new_figure)).print_png(pixels)
     return pixels.getvalue()
 
 
-class _Drawing(NamedTuple):
-    """What is drawn; see `save_plan_picture`."""
-
-    problem: DockingProblem
-    raw_path: Path | None
-    path: Path | None
-    certificate: Certificate | None
-    refusal: OptdockError | None
-    title: str
-
-
-def _of_plan(plan: DockPlan) -> _Drawing:
-    return _Drawing(plan.problem, plan.raw_path, plan.path, plan.certificate, None, str(plan))
-
-
-def _drawn(drawing: _Drawing, make_figure: Callable[[float, float], Figure]) -> Figure:
+def _drawn(drawing: PlanDrawing, make_figure: Callable[[float, float], Figure]) -> Figure:
     problem, raw_path, path, certificate, refusal, title = drawing
     drawn = [each for each in (raw_path, path) if each is not None]
     pose = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None)
