@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.calibration.conformal_tube import DrivenTube
     from optdock.calibration.drive_response import DriveResponse
     from optdock.calibration.localization import LocalizationErrors
-    from optdock.calibration.odometry_errors import RecordedMotion
+    from optdock.calibration.recorded_motion import RecordedMotion
     from optdock.calibration.recording import Recording
     from optdock.geometry.pose import Pose2
 

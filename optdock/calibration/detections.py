@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.calibration.recorded_motion import Noise
 from optdock.calibration.statistics import Quantity, share_of, student, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.calibration.odometry_errors import Noise, RecordedMotion, Seen, Smoothed
+    from optdock.calibration.recorded_motion import RecordedMotion, Seen, Smoothed
     from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_of"]
@@ -50,8 +51,6 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     of a second: what the wheels have slipped and the smoothed motion has not is in all detections of one.
     """
     from scipy.optimize import minimize
-
-    from optdock.calibration.odometry_errors import Noise
 
     residuals = np.concatenate([one.residuals for one in seen])
     ranges = np.concatenate([one.ranges for one in seen])

@@ -17,7 +17,7 @@ from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import normalize_angle, wrap_angles
 
 if TYPE_CHECKING:
-    from optdock.calibration.odometry_errors import RecordedMotion, Smoothed
+    from optdock.calibration.recorded_motion import RecordedMotion, Smoothed
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LocalizationErrors", "docks_in_map", "localization_errors", "stored_dock"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from optdock.calibration.calibrate import Calibration
-    from optdock.calibration.odometry_errors import RecordedMotion
+    from optdock.calibration.recorded_motion import RecordedMotion
 
 __all__ = ["save_calibration_picture"]
 

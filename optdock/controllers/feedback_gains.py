@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from optdock.controllers.control_clock import ControlClock
     from optdock.controllers.finish import Accepted
     from optdock.controllers.moving_reference import ReferenceState
-    from optdock.controllers.tracking_controller import TrackingControllerParameters
+    from optdock.controllers.tracking_parameters import TrackingControllerParameters
 
 __all__ = ["CREEPING", "FeedbackGains"]
 

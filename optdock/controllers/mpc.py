@@ -23,7 +23,8 @@ from optdock.controllers.mpc_program import (
     riccati_back,
     step_matrices,
 )
-from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
+from optdock.controllers.tracking_controller import TrackingController
+from optdock.controllers.tracking_parameters import TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.robot import Drive, TrackingTube, admissible

@@ -10,7 +10,7 @@ from optdock.errors import NoValidControl
 
 if TYPE_CHECKING:
     from optdock.controllers.finish import Accepted
-    from optdock.controllers.tracking_controller import TrackingControllerParameters
+    from optdock.controllers.tracking_parameters import TrackingControllerParameters
     from optdock.geometry.pose import Pose2
 
 __all__ = ["ProgressCheck"]

@@ -10,7 +10,7 @@ from optdock.model.robot import Drive
 
 if TYPE_CHECKING:
     from optdock.controllers.moving_reference import TrajectoryReference
-    from optdock.controllers.tracking_controller import TrackingControllerParameters
+    from optdock.controllers.tracking_parameters import TrackingControllerParameters
     from optdock.model.limits import MotionLimits
     from optdock.model.trajectory import Trajectory
 

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
 from optdock.io.quoting import shown
+from optdock.io.yaml_lines import listed
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
     from pydantic import ValidationError
 
     from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["Fault", "faults_of", "listed", "report"]
+__all__ = ["Fault", "faults_of", "report"]
 
 # What a value must be, by pydantic's name of the fault; each is followed by ", got VALUE".
 _RULES = {
@@ -38,7 +39,6 @@ _RULES = {
 _BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge")}
 _BOUNDS |= {"less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
 _OWNER = re.compile(r"^([a-z_]+(?:\.[a-z_]+|\[\d+\])*): ")
-_MAX_FAULTS = 20  # that a message lists
 _MOST = 1000  # that are put into words, as they are listed in the order of the file
 
 
@@ -109,18 +109,6 @@ def _rule(kind: str, details: Mapping[str, object], message: str) -> str:
         sign, name = _BOUNDS[kind]
         return f"must be {sign} {details[name]}"
     return _RULES.get(kind, message)
-
-
-def listed(source: str, lines: Sequence[str]) -> str:
-    """Lines of a message; of more than twenty the first, and how many more there are.
-
-    Args:
-        source: The file, for the last line.
-        lines: One per fault.
-    """
-    if len(lines) <= _MAX_FAULTS:
-        return "\n".join(lines)
-    return "\n".join([*lines[:_MAX_FAULTS], f"{source}: and {len(lines) - _MAX_FAULTS} more faults"])
 
 
 def report(faults: Iterable[Fault], document: Document) -> str:

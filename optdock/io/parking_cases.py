@@ -23,11 +23,11 @@ from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.faults import faults_of, listed, report
+from optdock.io.faults import faults_of, report
 from optdock.io.guarded_file import MostBytes, read_text
 from optdock.io.numbers import MOST_POLYGONS, check_vertices, check_yaw
 from optdock.io.quoting import shown
-from optdock.io.yaml_lines import load_yaml
+from optdock.io.yaml_lines import listed, load_yaml
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem

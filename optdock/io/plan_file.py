@@ -20,10 +20,10 @@ from optdock.geometry.arrays import frozen_array
 from optdock.geometry.checked import number
 from optdock.impossibility import NoMotionProof, impossibility_from_dict
 from optdock.io.atomic_file import write_text
-from optdock.io.faults import listed
 from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
 from optdock.io.quoting import shortened, shown
+from optdock.io.yaml_lines import listed
 from optdock.model.trajectory import TimeLaw
 from optdock.samples import SampledMotion
 

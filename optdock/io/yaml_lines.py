@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING, TypeAlias
 import yaml
 
 from optdock.errors import InvalidFile
-from optdock.io.faults import listed
 from optdock.io.guarded_file import MostBytes, read_text
 from optdock.io.quoting import printable, shortened, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Document", "Keys", "load_yaml"]
+__all__ = ["Document", "Keys", "listed", "load_yaml"]
+
+_MAX_FAULTS = 20  # that a message lists
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
@@ -112,6 +113,18 @@ def load_yaml(path: str | Path) -> Document:
         raise InvalidFile(f"{path}: is nested too deeply") from error
     finally:
         loader.dispose()
+
+
+def listed(source: str, lines: Sequence[str]) -> str:
+    """Lines of a message; of more than twenty the first, and how many more there are.
+
+    Args:
+        source: The file, for the last line.
+        lines: One per fault.
+    """
+    if len(lines) <= _MAX_FAULTS:
+        return "\n".join(lines)
+    return "\n".join([*lines[:_MAX_FAULTS], f"{source}: and {len(lines) - _MAX_FAULTS} more faults"])
 
 
 def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:

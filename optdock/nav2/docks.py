@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.io.faults import listed
 from optdock.io.numbers import check_yaw, is_number
 from optdock.io.quoting import shown
-from optdock.io.yaml_lines import load_yaml
+from optdock.io.yaml_lines import listed, load_yaml
 from optdock.model.dock import DockDirection
 from optdock.nav2.parameter_numbers import NumberReader
 from optdock.plugins.parameters import closest

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from optdock.errors import InvalidFile
-from optdock.io.faults import listed
-from optdock.io.yaml_lines import load_yaml
+from optdock.io.yaml_lines import listed, load_yaml
 from optdock.nav2.costmap_params import CostmapParams, read_costmap
 from optdock.nav2.docks import DockEntry, DockTypeParams, read_dock, read_dock_type
 from optdock.nav2.plugin_lists import PARAMETERS, NodeBlock, PluginInstance, checked_names, plugin_instances
@@ -21,7 +20,7 @@ from optdock.nav2.plugin_lists import PARAMETERS, NodeBlock, PluginInstance, che
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from optdock.io.faults import listed
+    from optdock.io.yaml_lines import listed
 from optdock.io.yaml_lines import Document, Keys
 
 __all__ = ["Nav2Params", "PluginInstance", "load_nav2_params", "with_nested_names"]

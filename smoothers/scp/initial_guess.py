@@ -18,7 +18,7 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.model.path import ClothoidSegment
 from smoothers.scp.goal_projection import clipped
-from smoothers.scp.loop import evaluated
+from smoothers.scp.loop import SearchGuess, evaluated
 from smoothers.scp.qp_step import Penalties, pool_of_this_thread
 from smoothers.scp.rollout import Variables, roll_out
 from smoothers.scp.tracking import strayed, track
@@ -35,23 +35,7 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
-__all__ = ["EarlierResult", "InitialGuesses", "SearchGuess", "pure_pursuit", "rest_of_earlier_result"]
-
-
-class SearchGuess(NamedTuple):
-    """Where a search begins, and how boldly.
-
-    Attributes:
-        variables: Curvatures and lengths.
-        trust_region: First bound of the heading changes of a step [rad].
-        proximal: First weight of the squared motion of a step.
-        patience: Iterations within which an infeasible iterate must lose a good part of its shortfall.
-    """
-
-    variables: Variables
-    trust_region: float
-    proximal: float
-    patience: int
+__all__ = ["EarlierResult", "InitialGuesses", "pure_pursuit", "rest_of_earlier_result"]
 
 
 @dataclass(frozen=True, eq=False)

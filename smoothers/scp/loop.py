@@ -31,14 +31,29 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from smoothers.scp.collision.narrow_phase import Clearance
-    from smoothers.scp.initial_guess import SearchGuess
     from smoothers.scp.nlp import NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import LoopSettings
     from smoothers.scp.visibility_constraint import SeenPlaces
 
-__all__ = ["Iterate", "Progress", "evaluated", "judged", "search"]
+__all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"]
+
+
+class SearchGuess(NamedTuple):
+    """Where a search begins, and how boldly.
+
+    Attributes:
+        variables: Curvatures and lengths.
+        trust_region: First bound of the heading changes of a step [rad].
+        proximal: First weight of the squared motion of a step.
+        patience: Iterations within which an infeasible iterate must lose a good part of its shortfall.
+    """
+
+    variables: Variables
+    trust_region: float
+    proximal: float
+    patience: int
 
 
 class Iterate(NamedTuple):

@@ -43,8 +43,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.collision.collision_scene import Scene
-    from smoothers.scp.initial_guess import SearchGuess
-    from smoothers.scp.loop import Iterate
+    from smoothers.scp.loop import Iterate, SearchGuess
     from smoothers.scp.nlp import Formulation, NonlinearProgram
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.settings import AnytimeSettings, Settings, ViewSettings

@@ -25,9 +25,10 @@ from experiments.docking.field.nav2 import VelocitySmoother
 from experiments.docking.field.odometry import Odometry, OdometryState
 from experiments.docking.field.outcome import Steered
 from experiments.docking.field.picture import draw_run
-from experiments.docking.field.run import FieldTask, driven_in_field, field_tasks
+from experiments.docking.field.run import driven_in_field, field_tasks
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
 from experiments.docking.field.tables import field_table
+from experiments.docking.field.task import FieldTask
 from experiments.docking.field.undocking import (
     asked_in_contact,
     turned_in_contact,

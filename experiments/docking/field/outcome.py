@@ -14,7 +14,7 @@ from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
-    from experiments.docking.field.run import FieldTask
+    from experiments.docking.field.task import FieldTask
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 

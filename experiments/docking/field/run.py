@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
+
+from experiments.docking.field.task import FieldTask
 
 if TYPE_CHECKING:
     import argparse
@@ -11,21 +13,11 @@ if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
     from experiments.docking.field.world import FieldRobot
 
-__all__ = ["DEFAULT_METHODS", "RATES", "FieldTask", "driven_in_field", "field_tasks", "set_up"]
+__all__ = ["DEFAULT_METHODS", "RATES", "driven_in_field", "field_tasks", "set_up"]
 
 RATES = 10.0, 20.0, 50.0, 100.0
 DEFAULT_METHODS = "executor", "Nav2's law"
 _APART = 1_000_000  # the runs of two seeds are different ones
-
-
-class FieldTask(NamedTuple):
-    """One docking to be driven, by names, so that any process can; `seed` draws everything in it."""
-
-    method: str
-    world: str
-    spread: str
-    rate: float
-    seed: int
 
 
 def set_up(task: FieldTask) -> tuple[Layout, FieldRobot]:

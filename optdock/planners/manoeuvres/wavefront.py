@@ -15,7 +15,7 @@ from optdock.geometry.arrays import readonly
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.planners.manoeuvres.free_space import DistanceField
+    from optdock.planners.manoeuvres.distance_field import DistanceField
 
 __all__ = ["Wavefront"]
 

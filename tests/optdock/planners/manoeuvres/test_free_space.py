@@ -13,7 +13,8 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.planners.manoeuvres.free_space import DistanceField, FreeSpace
+from optdock.planners.manoeuvres.distance_field import DistanceField
+from optdock.planners.manoeuvres.free_space import FreeSpace
 from optdock.verification import pose_clearances
 
 BENT = np.array([[-0.4, -0.3], [0.5, -0.3], [0.5, 0.1], [0.1, 0.1], [0.1, 0.4], [-0.4, 0.4]])

@@ -1,0 +1,134 @@
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.obstacles import ObstacleSet
+
+__all__ = ["DistanceField"]
+
+_TILE = 32  # grid points along the side of a tile
+_BLOCK = 24  # pieces whose distances to a whole tile are found in one go
+
+
+class DistanceField:
+    """Distances to the nearest obstacle, of points in a square around a place, up to a reach.
+
+    Args:
+        obstacles: What is there.
+        square: Its centre and the length of its sides, Shape (3,) [m].
+        spacing: Between grid points [m].
+        reach: Larger distances count as this one [m].
+        poll: Called before every tile.
+
+    Attributes:
+        side: Grid points along the sides.
+        origin: The first of them, Shape (2,) [m].
+    """
+
+    def __init__(
+        self, obstacles: ObstacleSet, square: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
+    ) -> None:
+        self._tiles = int(np.ceil(square[2] / (spacing * _TILE) - 1e-9))
+        self.poll, self.side = poll, _TILE * self._tiles
+        self.spacing, self.reach = spacing, reach
+        self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
+        self._obstacles = obstacles
+        self._is_box = _are_boxes(obstacles)
+        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: not computed yet
+        self._values = np.empty((16, _TILE, _TILE))
+        self._count = 0
+
+    def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
+        scaled = (points - self.origin) / self.spacing
+        cell = np.rint(scaled)
+        is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
+        index = np.clip(cell, 0, self.side - 1).astype(np.int64)
+        distance = self.at(index)
+        offset = scaled - cell
+        away = self.spacing * np.sqrt(np.einsum("...i,...i->...", offset, offset))
+        return np.where(is_inside, distance - away, -np.inf), distance + away
+
+    def at(self, index: IntArray) -> FloatArray:
+        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
+        i, j = index[..., 0], index[..., 1]
+        tile = (i // _TILE) * self._tiles + j // _TILE
+        slot = self._slots[tile]
+        missing = slot < 0
+        if missing.any():
+            for one in np.unique(tile[missing]).tolist():
+                self._fill(one)
+            slot = self._slots[tile]
+        values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
+        return values
+
+    def _fill(self, tile: int) -> None:
+        first = np.array(divmod(tile, self._tiles)) * _TILE
+        axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
+        self.poll()
+        low, high = axes[0] - self.reach, axes[-1] + self.reach
+        rows = self._obstacles.rows_in_box(low, high)
+        best = np.full((_TILE, _TILE), self.reach)
+        boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
+        for some in _blocks(boxes):
+            np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
+        for some in _blocks(others):
+            np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
+        if self._count == len(self._values):
+            self._values = np.concatenate((self._values, np.empty_like(self._values)))
+        self._values[self._count] = best
+        self._slots[tile] = self._count
+        self._count += 1
+
+
+def _blocks(rows: IntArray) -> list[IntArray]:
+    return [rows[k : k + _BLOCK] for k in range(0, rows.size, _BLOCK)]
+
+
+def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
+    """Which pieces are axis-aligned rectangles. Shape (m,)."""
+    x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
+    low, high = obstacles.lower, obstacles.upper
+    at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
+    turned: BoolArray = np.all(at_corner, axis=1)
+    if not turned.any():
+        return turned
+    step = np.roll(obstacles.vertices, -1, axis=1) - obstacles.vertices
+    # Of a rectangle's corners no step leads across.
+    turned &= np.all((step[..., 0] == 0.0) | (step[..., 1] == 0.0), axis=1)
+    return turned
+
+
+def _to_boxes(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> FloatArray:
+    low, high = obstacles.lower[rows], obstacles.upper[rows]
+    x = np.maximum(low[:, 0] - axes[:, :1], axes[:, :1] - high[:, 0])[:, None, :]
+    y = np.maximum(low[:, 1] - axes[:, 1:], axes[:, 1:] - high[:, 1])[None]
+    outside = np.sqrt(np.maximum(x, 0.0) ** 2 + np.maximum(y, 0.0) ** 2)
+    nearest: FloatArray = (outside + np.minimum(np.maximum(x, y), 0.0)).min(axis=2)
+    return nearest
+
+
+def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> FloatArray:
+    x, y = (axis[..., None] for axis in np.meshgrid(axes[:, 0], axes[:, 1], indexing="ij"))
+    vertices, normals, offsets = (part[rows] for part in (obstacles.vertices, obstacles.normals, obstacles.offsets))
+    squared: FloatArray | float = np.inf
+    height: FloatArray | float = -np.inf
+    ends = np.roll(vertices, -1, axis=1)
+    for k in range(vertices.shape[1]):
+        px, py = vertices[:, k].T
+        ex, ey = (ends[:, k] - vertices[:, k]).T
+        norm = np.maximum(ex * ex + ey * ey, 1e-300)
+        share = np.clip(((x - px) * ex + (y - py) * ey) / norm, 0.0, 1.0)
+        squared = np.minimum(squared, (x - px - share * ex) ** 2 + (y - py - share * ey) ** 2)
+        height = np.maximum(height, normals[:, k, 0] * x + normals[:, k, 1] * y - offsets[:, k])
+    distance = np.sqrt(squared)
+    nearest: FloatArray = np.where(np.asarray(height) < 0.0, -distance, distance).min(axis=2)
+    return nearest
