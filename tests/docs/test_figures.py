@@ -1,5 +1,6 @@
 """Figures in the documentation: those that the code knows are right, the others name what prints them."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import optdock
 from experiments.manoeuvres import cases
 from tests.docs.snippets import ROOT, measured, not_printed
 
+charts = importlib.import_module("charts")
 COUNTED = [(page, one) for page in measured.PAGES for one in measured.counted_in(page)]
 MARKED = [one for page in measured.PAGES for one in measured.measured_in(page)]
 COMMANDS = sorted({one.command for one in MARKED if one.command})
@@ -125,3 +127,11 @@ def test_a_line_that_is_not_printed_is_found():
     assert not_printed("off the path 3.42 mm and 0.004 rad\n...\ntube none", printed) is None
     assert not_printed("off the path 2.68 mm and 0.004 rad", printed) is not None
     assert not_printed("off the road 3.42 mm and 0.004 rad", printed) is not None
+
+
+@pytest.mark.parametrize("name", sorted(charts.CHARTS))
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_chart_shows_the_table_of_its_page(name, scheme):
+    """Draw them again with `python docs/tools/charts.py` where the table has changed."""
+    drawn = (charts.ASSETS / f"{name}-{scheme}.svg").read_text(encoding="utf-8")
+    assert f"table {charts.digest_of(charts.CHARTS[name][1])}" in drawn

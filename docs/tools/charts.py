@@ -1,0 +1,109 @@
+"""The charts of the page of measured results, drawn from its own tables: `python docs/tools/charts.py`.
+
+Each is written twice, for light and for dark pages, as SVG into `docs/assets/`. A chart carries a digest of the table
+that it shows; a test compares it with that of the page.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+from figures import _INK, ASSETS
+from matplotlib.figure import Figure
+
+from optdock.plotting.canvas import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PAGE = Path(__file__).resolve().parents[1] / "benchmark.md"
+_PARTS = {"before", "oblique", "beside or behind"}  # of the row above them
+
+
+def rows_of(command: str) -> list[dict[str, str]]:
+    """The table below the marker of a command, by the names of its columns."""
+    text = PAGE.read_text(encoding="utf-8").split(f"<!-- measured: {command} -->", 1)[1]
+    lines = text.lstrip().split("\n\n", 1)[0].splitlines()
+    head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def digest_of(command: str) -> str:
+    """A digest of that table."""
+    return hashlib.sha256(repr(rows_of(command)).encode()).hexdigest()[:16]
+
+
+def draw_calls(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """CPU time of whole calls by family: median, 90th and 99th percentile."""
+    rows = [row for row in rows if row["cases"] not in _PARTS]
+    for y, row in enumerate(reversed(rows)):
+        p50, p90, p99 = (float(row[f"CPU ms {name}"]) for name in ("p50", "p90", "p99"))
+        axes.plot([p50, p99], [y, y], color=COLOURS["limit"], linewidth=1.2, zorder=1)
+        axes.plot([p50, p90], [y, y], color=COLOURS["path"], linewidth=3.0, solid_capstyle="butt", zorder=2)
+        axes.plot([p50], [y], "o", color=COLOURS["path"], markersize=5, zorder=3)
+        axes.plot([p99], [y], "|", color=COLOURS["limit"], markersize=7, markeredgewidth=1.5, zorder=3)
+        ends = [f"{row[name]} {name}" for name in ("certified", "impossible", "not found") if row[name] != "0"]
+        axes.annotate(", ".join(ends), (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
+    axes.set_yticks(range(len(rows)), [row["cases"] for row in reversed(rows)])
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("CPU time of a whole call [ms]: p50, p90 (thick), p99 (thin)")
+    axes.grid(axis="x", alpha=0.25)
+
+
+def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
+    """Error across at contact by method, into a plate, with lag and noise: median, 95th percentile and largest."""
+    rows = [row for row in rows if row["station"] == "plate" and row["world"] == "late, noisy"]
+    for y, row in enumerate(reversed(rows)):
+        p50, p95, most = (float(value) for value in row["across, mm"].split("/"))
+        axes.plot([p50, most], [y, y], color=COLOURS["limit"], linewidth=1.2, zorder=1)
+        axes.plot([p50, p95], [y, y], color=COLOURS["path"], linewidth=3.0, solid_capstyle="butt", zorder=2)
+        axes.plot([p50], [y], "o", color=COLOURS["path"], markersize=5, zorder=3)
+        axes.plot([most], [y], "|", color=COLOURS["limit"], markersize=7, markeredgewidth=1.5, zorder=3)
+        force = row["peak force, N"].split("/")[1].strip()
+        said = f"{row['docked']} docked, {force} N at p95"
+        axes.annotate(said, (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
+    axes.set_yticks(range(len(rows)), [row["method"] for row in reversed(rows)])
+    axes.set_ylim(-0.6, len(rows) - 0.4)
+    axes.set_xlim(0.0, None)
+    axes.set_xlabel("error across at contact [mm]: p50, p95 (thick), largest (thin)")
+    axes.grid(axis="x", alpha=0.25)
+
+
+CHARTS = {
+    "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
+    "contact": (draw_contact, "python experiments/05_contact_forces.py", 1.7),
+}
+"""What is drawn, from the table of which command, and how high it is [inch]."""
+
+
+def save(name: str, scheme: str) -> Path:
+    """Draw one chart for one colour scheme of the pages."""
+    draw, command, height = CHARTS[name]
+    ink = _INK[scheme]
+    style = {f"{part}.color": ink for part in ("text", "xtick", "ytick")}
+    style |= {"axes.edgecolor": ink, "axes.labelcolor": ink, "svg.hashsalt": "optdock", "font.size": 8.5}
+    style |= {"axes.spines.top": False, "axes.spines.right": False, "axes.facecolor": "none"}
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(6.8, height), layout="constrained")
+        draw(figure.subplots(), rows_of(command))
+        target = ASSETS / f"{name}-{scheme}.svg"
+        metadata = {"Date": None, "Creator": None, "Description": f"table {digest_of(command)}"}
+        figure.savefig(target, transparent=True, metadata=metadata)
+    return target
+
+
+def main() -> None:
+    """Draw everything."""
+    for name in CHARTS:
+        for scheme in _INK:
+            target = save(name, scheme)
+            sys.stdout.write(f"{target.name} {target.stat().st_size / 1e3:.0f} kB\n")
+
+
+if __name__ == "__main__":
+    main()
