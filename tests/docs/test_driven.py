@@ -1,4 +1,4 @@
-"""Law: every entry point is run by name, by a snippet of the documentation, an example, an experiment or a server."""
+"""Law: a snippet, an example, an experiment or a server uses every entry point and every name of the front door."""
 
 import re
 from importlib.metadata import entry_points
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import optdock
 from optdock.plugins.registry import INTERFACES
 
 ROOT = Path(__file__).parents[2]
@@ -34,6 +35,11 @@ RUN = "\n".join(what_runs())
 
 @pytest.mark.parametrize("name", PLUGINS)
 def test_every_entry_point_is_run_somewhere(name):
+    assert re.search(rf"\b{name}\b", RUN)
+
+
+@pytest.mark.parametrize("name", sorted(optdock.__all__))
+def test_every_name_of_the_front_door_is_used_somewhere(name):
     assert re.search(rf"\b{name}\b", RUN)
 
 
