@@ -87,7 +87,7 @@ class Deadline:
 
     @property
     def stopped(self) -> bool:
-        """Whether `stop` has said so."""
+        """Whether `stop` has returned True."""
         return self._stop.said_yes
 
     def look(self) -> None:

@@ -1,4 +1,4 @@
-"""All that a set of recordings tells of a robot, its sensors and its dock."""
+"""Calibration of a robot, its sensors and its dock from a set of recordings."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def calibrate(
     *,
     coverage: float = 0.99,
 ) -> Calibration:
-    """Estimate all quantities, each with a 95 % confidence interval or the reason why it cannot be told.
+    """Estimate all quantities, each with a 95 % confidence interval or the reason why it is unknown.
 
     Args:
         recordings: Of one robot, at one dock.

@@ -133,7 +133,7 @@ def _sandwich(each: object, z: FloatArray, clusters: IntArray) -> FloatArray:
 
 
 def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
-    """What is said of detections: how late, how exact, how many wrong, and from where on there are none."""
+    """Delay, noise, share of wrong ones and blind distance of detections."""
     found = detection_noise([one.seen for one in motion.of])
     count, sources = len(found.wrong), len(motion.of)
     names = (

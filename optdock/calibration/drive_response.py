@@ -91,14 +91,14 @@ _SIDES = (-1.0, "left"), (1.0, "right")
 
 
 def _no_dead_bands(used: list[Recording], width: float) -> str:
-    """Why dead bands cannot be told; empty where they can."""
+    """Why dead bands are unknown; empty where they are known."""
     if used and width == 0.0:
         return "the distance between the wheels, robot.limits.track_width, is not known"
     return _too_short([_axis(one, 0, (0.0, 0.0), 0.0) for one in used])
 
 
 def _too_short(axes: list[_AxisRecording]) -> str:
-    """Why intervals cannot be told of so few residuals; empty where they can."""
+    """Why there are too few residuals for intervals; empty where there are enough."""
     if axes and len(np.unique(_clusters(axes))) >= LEAST_CLUSTERS:
         return ""
     return f"commands and odometry were recorded for less than {_CLUSTER * (LEAST_CLUSTERS - 1):g} s"
@@ -272,7 +272,7 @@ def _lowest(misfits: FloatArray) -> int:
 def _answer(
     recording: Recording, fits: list[Fit | None], bands: tuple[float, float], width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Times, and linear and angular speed over 0.1 s as told and as fitted."""
+    """Times, and linear and angular speed over 0.1 s, measured and fitted."""
     columns = []
     times = np.zeros(0)
     for index, found in enumerate(fits):

@@ -67,7 +67,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
 
 
 class _Increments:
-    """Way and yaw by the poses of one recording, and the integrals of the twists that were told with them.
+    """Way and yaw by the poses of one recording, and the integrals of the twists beside them.
 
     Integrals over a span are compared, as increments over a short window are mostly the jitter of the stamps.
     """

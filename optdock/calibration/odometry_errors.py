@@ -335,7 +335,7 @@ _LEAST_TRIP, _LEAST_TURN = 0.3, 0.3  # [m], [rad] in all: of less an odometry wi
 
 
 def _missing(name: str, way: float, turned: float, track_width: float) -> str:
-    """Why a quantity cannot be told; empty where it can."""
+    """Why a quantity is unknown; empty where it is known."""
     if way < _LEAST_TRIP:
         return f"the robot drove {way:.2f} m only while it saw the dock"
     if turned < _LEAST_TURN and name in ("scale of turns", "track width beyond what is believed"):

@@ -68,7 +68,7 @@ class Recording(NamedTuple):
 
     @property
     def path(self) -> Path2:
-        """The way of the robot by its odometry: the poses it told, or else the integral of its twists."""
+        """The way of the robot by its odometry: its poses, or else the integral of its twists."""
         if len(self.odometry) > 1:
             return Path2(self.odometry[:, 0], np.column_stack((self.odometry[:, 1:3], unwrap_yaw(self.odometry[:, 3]))))
         steps, mean = np.diff(self.times), 0.5 * (self.twists[1:] + self.twists[:-1])
@@ -113,7 +113,7 @@ def recording_of_log(log: DockingLog) -> Recording:
 
 
 def _odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]:
-    """Stamps and poses of the odometry, and the twists told with them, each once and in order."""
+    """Stamps and poses of the odometry, and the twists beside them, each once and in order."""
     rows, twists, newest = [], [], -np.inf
     for one in measured:
         if one.odometry is not None and one.odometry.stamp > newest:
@@ -152,7 +152,7 @@ def _is_same(one: Pose2, other: Pose2) -> bool:
 
 
 def _of_dock(log: DockingLog, measured: list[Measurements]) -> list[Measurements]:
-    """The measurements as the executor was told them: a log keeps detections as they came."""
+    """The measurements as the executor received them: a log keeps detections in their order."""
     asked = log.task.dock_type
     if asked is None:
         return measured

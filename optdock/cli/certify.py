@@ -46,7 +46,7 @@ def certify(
 
 
 def _verdict(source: Path, problem: DockingProblem) -> PlanFileVerdict:
-    """The verdict on a file; what contradicts itself in it is said with its name.
+    """The verdict on a file; contradictions are reported by name.
 
     Raises:
         InvalidFile: The file cannot be read, breaks its format, or contradicts itself.

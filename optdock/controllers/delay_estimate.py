@@ -1,4 +1,4 @@
-"""How late the drive answers, identified on the way from what it was told and what it does."""
+"""The latency of the drive, identified from commands and measured velocities."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """How far the robot has moved since the detections that were believed last.
+        """How far the robot has moved since the last accepted detections.
 
         Args:
             times: How many of them, 1 or 2.
@@ -170,7 +170,7 @@ class DockDetections:
         return self.filter.correct(detection.stamp, seen, noise, may_move=not is_far, slip=slip)
 
     def _say_delay(self) -> None:
-        """Say once that detections come with stamps that do not fit the odometry, as far as the motion has told."""
+        """Say once that detections come with stamps that do not fit the odometry, as far as the motion shows."""
         delay, sigma = float(self.filter.systematic[2]), math.sqrt(max(float(self.filter.covariance[5, 5]), 0.0))
         if not self._delay_was_said and abs(delay) > _LATE and sigma < 0.25 * abs(delay):
             self._delay_was_said = True

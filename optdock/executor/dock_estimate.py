@@ -93,13 +93,13 @@ class DockEstimate:
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
 
     def will_know(self, left: float) -> bool:
-        """Whether the tolerances of the dock can be told from the noise after so much more of the way [m]."""
+        """Whether the tolerances of the dock will exceed the noise after so much more of the way [m]."""
         sigma, accepted = self.perception.sigma_after(self.gear * left), self.problem.dock.tolerances
         asked = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
         return all(_CERTAINTY * found <= most for found, most in asked)
 
     def is_within_tolerances(self, certainty: float) -> bool:
-        """Whether the robot stands within the tolerances of the dock, and is not only believed to at their edge.
+        """Whether the robot stands within the tolerances of the dock, with a margin for the noise.
 
         Args:
             certainty: Standard deviations by which it is to stand within them, as far as that leaves half of them.

@@ -145,12 +145,12 @@ class DockingExecutor:
 
     @property
     def robot(self) -> Pose2 | None:
-        """Where the robot is believed to be; None before the first measured pose."""
+        """The estimated pose of the robot; None before the first measured pose."""
         return self._perception.robot if self._perception.started else None
 
     @property
     def dock(self) -> Pose2:
-        """Where the docked pose is believed to be, in the fixed frame."""
+        """The estimated docked pose in the fixed frame."""
         return self._perception.dock
 
     def cancel(self) -> None:
@@ -218,7 +218,7 @@ class DockingExecutor:
         return measurements._replace(detections=chosen)
 
     def _watch_log(self) -> None:
-        """A log that cannot be written any more is said once, and stops nothing."""
+        """Report once that the log cannot be written any more; the docking goes on."""
         if self._log is not None and self._log.failure:
             self._report("log failed", self._log.failure)
             self._log = None

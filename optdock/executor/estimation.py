@@ -393,7 +393,7 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Note where the robot may be if something else is right: a single measurement there is then believed.
+        """Note where the robot may be if something else is right: a single measurement there is then accepted.
 
         Args:
             pose: Where it may be now.

@@ -305,7 +305,7 @@ class RecordedPlanning:
         self._job: Job | None = None
 
     def deliver(self, planned: Iterable[Planned]) -> None:
-        """What the coming cycle will be told."""
+        """Deliver what the coming cycle polls."""
         self._results.clear()
         self._verdicts.clear()
         for one in planned:

@@ -85,7 +85,7 @@ def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
 
 @contextmanager
 def _said_of(source: Path, line: int) -> Iterator[None]:
-    """Whatever is wrong with a line is said with file and line."""
+    """Raise errors of a line with file and line."""
     try:
         yield
     except ValidationError as error:

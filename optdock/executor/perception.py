@@ -1,4 +1,4 @@
-"""What the robot knows of itself and of the dock, brought up to date by every set of measurements.
+"""The estimated poses of robot and dock, updated by every set of measurements.
 
 The robot is estimated twice by the same filter over the same odometry: in the map, from the localization, and in the
 frame of the dock, from the detections. What must be exact at the dock is the second, in which the localization has no
@@ -85,17 +85,17 @@ class Perception:
 
     @property
     def pose_age(self) -> float:
-        """Since a measured pose was believed [s]; infinite before the first."""
+        """Since a measured pose was accepted [s]; infinite before the first."""
         return self.stamp - self._robot.measured_at
 
     @property
     def way_unlocated(self) -> float:
-        """Way driven since localization told a pose [m]."""
+        """Way driven since the last pose of the localization [m]."""
         return self.way - self._way_located
 
     @property
     def twist_age(self) -> float:
-        """Since the odometry told a body velocity, and a new pose where it tells poses [s]; 0 before the first."""
+        """Since the last body velocity of the odometry, and a new pose where it has poses [s]; 0 before the first."""
         return max(self.stamp - self._twist_at, 0.0)
 
     @property

@@ -154,7 +154,7 @@ class Planning(Protocol):
     """Does the jobs of an executor, one at a time."""
 
     def submit(self, job: Job) -> None:
-        """Begin; whatever was begun before is of no interest any more."""
+        """Begin a job; the result of the job before is dropped."""
 
     def poll(self, stamp: float) -> PlanResult | None:
         """The result of the last job once it is there; then None until the next one's."""
@@ -167,7 +167,7 @@ class Planning(Protocol):
 
 
 def planned(job: Job) -> PlanResult:
-    """Do a job; whatever stands in the way is said in its result."""
+    """Do a job; a failure is reported in its result."""
     try:
         return _replanned(job) if job.running is not None else _from_rest(job)
     except OptdockError as error:

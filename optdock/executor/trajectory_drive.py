@@ -211,7 +211,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """The robot as the controller is told: where it stands relative to the dock, of which the plan may be older."""
+        """The pose for the controller: that relative to the dock, which may have moved since the plan was made."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 

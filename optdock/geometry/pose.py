@@ -215,7 +215,7 @@ def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:
-    """Poses that are told in a frame, as they are seen from where the frame is seen.
+    """Poses of a frame in the frame in which that one is seen.
 
     Args:
         frame: Pose of the frame.

@@ -169,7 +169,7 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
 
 
 def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is measured again.
+    """Judge a proof from any source for `problem`; everything that counts is measured again.
 
     Args:
         proof: To be checked.

@@ -18,7 +18,7 @@ NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight
 
 
 def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
+    """Judge a proof from any source for `problem`; everything that counts is computed again.
 
     Args:
         proof: To be checked.

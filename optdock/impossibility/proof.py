@@ -302,7 +302,7 @@ class ImpossibilityVerdict(NamedTuple):
 
 
 def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
+    """Judge a proof from any source for `problem`; everything that counts is computed again.
 
     Args:
         proof: To be checked.

@@ -200,7 +200,7 @@ def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:
 
 
 def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
-    """The image, read also where another key is wrong, so that its faults are told with the others."""
+    """The image, read also where another key is wrong, so that its faults are reported with the others."""
     name = document.value.get("image") if isinstance(document.value, Mapping) else None
     if not (isinstance(name, str) and name):
         return None

@@ -156,7 +156,7 @@ class _Row:
             raise InvalidFile(listed(str(self._source), self._faults))
 
     def count(self, at: int, what: str, least: int, most: float = math.inf) -> int:
-        """A whole number; without it, nothing behind it can be told apart."""
+        """A whole number; without it, what follows cannot be read."""
         value = self._values[at] if at < len(self._values) else None
         if value is None or value != round(value) or not least <= value <= len(self._values):
             got = "the end of the file" if value is None else f"{value:g}"

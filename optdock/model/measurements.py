@@ -70,7 +70,7 @@ class Measurements(NamedTuple):
 
 
 class AtDock(NamedTuple):
-    """What a dock type is told in a control cycle.
+    """The input of a dock type in a control cycle.
 
     Attributes:
         stamp: Of the cycle [s], on a clock that never goes back.

@@ -22,7 +22,7 @@ _NO_FOOTPRINT = ("", "[]")
 
 @dataclass(frozen=True, eq=False)
 class CostmapParams:
-    """What a costmap is told.
+    """The parameters of a costmap.
 
     Args:
         name: Its name, such as `global_costmap`.

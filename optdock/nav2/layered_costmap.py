@@ -160,7 +160,7 @@ class LayeredCostmap:
         self._reset({name: layer for name, layer in self._layers.items() if layer.is_clearable()})
 
     def resize(self, **changes: object) -> None:
-        """Change `width`, `height`, `resolution` or the origin; the grid is emptied and the layers are told.
+        """Change `width`, `height`, `resolution` or the origin; the grid is emptied and the layers are notified.
 
         Raises:
             InvalidValue: As the constructor; nothing has changed then.

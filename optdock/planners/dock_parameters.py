@@ -13,7 +13,7 @@ __all__ = ["DockPlannerParameters"]
 
 
 class DockPlannerParameters(PluginParameters):
-    """What the two-segment planner can be told; names and defaults of the source, `alpha` to `direction` are ours."""
+    """Parameters of the two-segment planner; names and defaults of the source, `alpha` to `direction` are ours."""
 
     cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
     calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")

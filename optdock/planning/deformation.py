@@ -1,6 +1,6 @@
 """The rest of a path, deformed onto another start and another goal: the least change of its curvature that closes it.
 
-What is left of a plan is drivable, smooth and knows its way between the obstacles; a dock that turns out to be some
+What is left of a plan is drivable and smooth, and passes between the obstacles; a dock that turns out to be some
 centimetres aside asks for a small change of it. Let a path have curvature k(s) in its gears. To first order a change
 dk ds at s turns all that comes after about the point p(s), so that it moves the end by
 

@@ -1,4 +1,4 @@
-"""Why no guess became a plan, and which of the reasons is told."""
+"""Why no guess became a plan, and which of the reasons is reported."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Failures:
         return error
 
     def _time_out(self, late: list[Failure], found: Failure) -> TimedOut:
-        """The time-out that came furthest, and what became of the guess that told most."""
+        """The time-out that came furthest, and what became of the guess that says most."""
         last = max(reversed(late), key=lambda failure: failure.stage, default=None)
         if last is not None:
             kind = next(kind for kind in (TimingTimedOut, SmootherTimedOut, TimedOut) if isinstance(last.error, kind))

@@ -223,7 +223,7 @@ def warm_up(
     *,
     robot: Robot | None = None,
 ) -> None:
-    """Load libraries and build what the plugins build once, so that no later call pays for it.
+    """Load libraries and build what plugins build once, so that later calls do not wait for it.
 
     Takes about a second the first time in a process, nothing after that. Plans a small problem; what is wrong with a
     plugin shows when it meets a real one.

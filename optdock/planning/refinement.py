@@ -100,7 +100,7 @@ class Cancellation:
         self.raised: BaseException | None = None
 
     def __call__(self) -> bool:
-        """Whether the caller wants an end."""
+        """Whether the caller asked to stop."""
         try:
             self._said_yes = self._said_yes or bool(self._checker())
             return self._said_yes
@@ -288,7 +288,7 @@ class Refinement:
         return DockPlan(motion, raw, timing_report=report)
 
     def asked_to_stop(self) -> bool:
-        """Whether the caller or the clock wants an end."""
+        """Whether the caller asked to stop, or the time is over."""
         return self.cancelled() or self.deadline.passed()
 
     def _smoothed(
@@ -414,7 +414,7 @@ class Refinement:
 
 @contextlib.contextmanager
 def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """A plugin, configured for the problem; whatever it raises that its interface does not name is its own fault.
+    """A plugin, configured for the problem; an error that its interface does not name becomes a PluginError.
 
     Args:
         plugin: Not configured yet.

@@ -1,4 +1,4 @@
-"""The picture of a docking that was logged: where the robot was measured and believed, and what was commanded."""
+"""The picture of a docking that was logged: measured and estimated poses, and commands."""
 
 from __future__ import annotations
 

@@ -308,7 +308,7 @@ class Layer(Plugin):
         return self._is_said_current
 
     def set_current(self, current: bool) -> None:  # noqa: FBT001 - Nav2's only argument
-        """Say from outside that what it writes is out of date, until said otherwise."""
+        """Declare the layer out of date, or current again."""
         self._is_said_current = bool(current)
 
     def is_enabled(self) -> bool:

@@ -1,1 +1,1 @@
-"""What is said of plans and runs: text reports, verdicts on files, comparisons of pipelines."""
+"""Reports on plans and runs: text reports, verdicts on files, comparisons of pipelines."""

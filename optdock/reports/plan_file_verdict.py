@@ -189,7 +189,7 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
 
 
 class _MotionVerdict(NamedTuple):
-    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one.
+    """The report on a motion: for the verdict, in its own row, every fault, and the proof where there is one.
 
     `is_sampled`: only samples of it are known, and they do not refute it.
     """
@@ -226,7 +226,7 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
 
 
 def _beside(verdict: SampledMotionVerdict) -> str:
-    """What is said of samples that lie beside the path."""
+    """The report on samples that lie beside the path."""
     if not verdict.off_path:
         return ""
     apart, turned = verdict.offset
@@ -376,7 +376,7 @@ class _Claims:
             yield f"certificate.view_margin is {said:.6g} m, proven are {here:.6g} m"
 
     def _false_place(self) -> Iterator[str]:
-        """Where the least clearance is said to be, there it must be found."""
+        """The least clearance must be found where the file has it."""
         here, at = self._certificate, _number(self._claimed, "at_s", math.nan)
         if at is None or not self._of_path or not math.isfinite(here.min_clearance) or _same(at, here.at_s):
             return

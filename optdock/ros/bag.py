@@ -223,7 +223,7 @@ def _check_recording(source: Path) -> None:
 
 @contextmanager
 def _told(source: Path, topic: str = "") -> Iterator[None]:
-    """Whatever a library that reads foreign bytes raises is said with file and topic."""
+    """Raise the errors of a reader with file and topic."""
     try:
         yield
     except InvalidFile:

@@ -89,7 +89,7 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
 
 
 def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """A simulated run: where the robot was, was told that it is, and was meant to be, and what was commanded."""
+    """A simulated run: true, measured and planned poses, and commands."""
     frame = names.frame or ("map" if problem is None else problem.frame)
     named, times = names._replace(frame=frame), names.start + run.times
     yield from _world(problem, frame, names.start)

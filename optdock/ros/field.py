@@ -121,7 +121,7 @@ class FieldOptions(NamedTuple):
 
 
 def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> FieldDocking:
-    """What a recording tells of a docking.
+    """The content of a recording of a docking.
 
     Path, costmap and outline are the last ones in the stretch that is asked for; the costmap with its updates.
 
@@ -138,7 +138,7 @@ def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions)
 
 
 class _RecordingReader:
-    """Reads one recording; every fault is said with file and topic."""
+    """Reads one recording; every error names file and topic."""
 
     def __init__(self, bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> None:
         self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
@@ -179,7 +179,7 @@ class _RecordingReader:
 
     @contextmanager
     def _said_of(self, topic: str) -> Iterator[None]:
-        """Whatever is wrong with a message is said with file and topic."""
+        """Raise errors of a message with file and topic."""
         try:
             yield
         except (InvalidValue, TransformError) as error:

@@ -135,7 +135,7 @@ def save_field_docking(
     Args:
         folder: Made where it is not there; files of these names are replaced.
         judged: What to write.
-        found: Where it is from.
+        found: Its source.
         note: A line of comment for the scenarios.
 
     Returns:

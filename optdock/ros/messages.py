@@ -1,4 +1,4 @@
-"""What all messages share: their classes, headers and times, and how a fault of one is told."""
+"""What all messages share: their classes, headers and times, and how their errors are worded."""
 
 from __future__ import annotations
 

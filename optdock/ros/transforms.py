@@ -34,7 +34,7 @@ _WIDTH = 7  # numbers of a sample: place and turn
 
 
 class TransformError(OptdockError):
-    """A transform cannot be told: a frame is unknown, two are not connected, or what is known is too old or too new."""
+    """There is no transform: a frame is unknown, two are not connected, or what is known is too old or too new."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ Where the path turns in place the samples are cut into those that drive and thos
 by itself: a turn by its yaw, yaw rate w and yaw acceleration, for which the inequalities above hold as well, at a place
 that stays. What happens between the last sample of one stretch and the first of the next is left open.
 
+The jerk may jump at any time, twice within a step as well, so no step refutes the column of jerks but by the limit and
+by what it does to the accelerations; likewise the yaw accelerations beside a polyline.
+
 What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
 at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
 there. So a motion is refuted here, or not refuted, never certified.
@@ -52,7 +55,6 @@ from optdock.samples.sample_rules import (
     between_samples,
     by_curvature,
     ends_at_rest,
-    explained_rates,
     rests,
     through_rests,
     worst_at,
@@ -194,7 +196,7 @@ def _checked_drive(
         violations += tuple(at_samples(judged, problem))
         sure = judged if places.sure.all() else judged.rows(places.sure, limits)
         violations += () if sure is judged else tuple(through_rests(judged, problem))
-        rules = (by_curvature, between_samples, at_knots, *ends, rests, explained_rates)
+        rules = (by_curvature, between_samples, at_knots, *ends, rests)
         violations += tuple(violation for rule in rules for violation in rule(sure, problem))
     return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
 

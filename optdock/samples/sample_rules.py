@@ -38,16 +38,12 @@ __all__ = [
     "between_samples",
     "by_curvature",
     "ends_at_rest",
-    "explained_rates",
     "rests",
     "through_rests",
     "worst",
     "worst_at",
 ]
 
-_UNEXPLAINED = 0.5  # of the time in which a rate matters
-_MATTERS = 0.05  # of its limit
-_FEWEST = 4  # steps
 _STEERED = 1e-4  # of a steering time: six decimals of a curvature, and the tolerance of the proof
 ARITHMETIC = 1e-9  # rounding of what is computed here from numbers around 1
 
@@ -524,40 +520,3 @@ def _unsteered(judged: SamplesOnPath, problem: DockingProblem) -> Iterator[Viola
                     f"it at t = {t0:.3f} s and behind it at t = {t1:.3f} s"
                 )
                 yield Violation("rest", message, path.cusps[i], missing)
-
-
-def explained_rates(judged: SamplesOnPath, problem: DockingProblem) -> Iterator[Violation]:
-    """Jerk leads to the accelerations, and beside polylines yaw acceleration to the yaw rates.
-
-    Both may jump between samples, so no step refutes them. But the mean rate of a step lies between the rates at its
-    ends unless it jumped twice within the step. A column is refuted where that would have been so for most of the time
-    in which it matters.
-    """
-    limits, rounding, motion = problem.robot.limits, judged.rounding, judged.motion
-    rough = (rounding.acceleration, rounding.jerk)
-    yield from _unexplained(judged, "jerk", judged.a, judged.j, limits.max_jerk, rough)
-    if not _on_clothoids(judged).all():
-        fastest = float(np.max(np.abs(np.diff(motion.yaw_rate) / np.diff(motion.t))))
-        bound = min(limits.max_yaw_acceleration, fastest)
-        rough = (rounding.yaw_rate, rounding.yaw_acceleration)
-        yield from _unexplained(judged, "yaw acceleration", motion.yaw_rate, motion.yaw_acceleration, bound, rough)
-
-
-def _unexplained(
-    judged: SamplesOnPath, name: str, values: FloatArray, rates: FloatArray, bound: float, rounding: tuple[float, float]
-) -> Iterator[Violation]:
-    """Whether `rates` are mostly not the rates of `values`."""
-    h = np.diff(judged.motion.t)
-    mean = np.diff(values) / h
-    rough = 2.0 * rounding[0] / h + rounding[1] + TOLERANCE * bound + ARITHMETIC
-    low, high = np.minimum(rates[:-1], rates[1:]), np.maximum(rates[:-1], rates[1:])
-    outside = (mean < low - rough) | (mean > high + rough)
-    matters = np.maximum(np.abs(mean), np.maximum(np.abs(low), np.abs(high))) > _MATTERS * bound + rough
-    share = float(np.sum(h[outside & matters])) / max(float(np.sum(h[matters])), 1e-300)
-    if np.count_nonzero(outside & matters) >= _FEWEST and share > _UNEXPLAINED:
-        i = int(np.argmax(outside & matters))
-        message = (
-            f"{name}: the column does not lead to what it is the rate of in {100.0 * share:.0f} % of the time, "
-            f"first at t = {judged.motion.t[i]:.3f} s"
-        )
-        yield Violation(name.replace(" ", "_"), message, float(judged.s[i]), share)

@@ -1,4 +1,4 @@
-"""What a robot is told of its motion: localization, odometry and the detector of the dock, none of them perfect.
+"""The sensors of a simulated robot: localization, odometry and the detector of the dock, with their errors.
 
 Each sensor is a frozen description with a `reader(seed)` that remembers: a random walk, ticks counted, pictures not yet
 delivered. A reader draws the same random numbers whatever it shows, so that a fault switched on changes nothing else.
@@ -165,7 +165,7 @@ class OdometryReader:
         self._travel = (0.0, 0.0)
 
     def measure(self, encoders: Twist2, duration: float) -> Twist2:
-        """What is told `duration` [s] after the last time, the encoders turning at `encoders` now."""
+        """The measurements `duration` [s] after the last ones, the encoders turning at `encoders` now."""
         sensor = self.sensor
         linear, angular = encoders.linear, encoders.angular
         if sensor.tick > 0.0:

@@ -274,7 +274,7 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 def segment_plans(
     limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
-    """Plans of one segment from any start state, best first; every impossible start told by its name.
+    """Plans of one segment from any start state, best first; impossible starts are refused by name.
 
     Args:
         limits: Along the segment; None where it has no length.

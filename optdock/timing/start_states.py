@@ -102,7 +102,7 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Whether the limits of a segment can be kept from a moving start; every impossible one told by its name."""
+    """Whether the limits of a segment can be kept from a moving start; impossible ones are refused by name."""
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot rolls backwards whatever is done"
         limit = "" if start.v < 0.0 else "max_jerk"

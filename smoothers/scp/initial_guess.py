@@ -157,7 +157,7 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """A guess of this call; the longer the path, the more steps are in vain until they are small enough."""
+        """A guess of this call; the longer the path, the more steps are refused until they are small enough."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)

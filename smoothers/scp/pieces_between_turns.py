@@ -1,4 +1,4 @@
-"""Paths that turn in place: cut at the turns into pieces between rests, each smoothed by itself.
+"""Paths that turn in place: cut at the turns into pieces between rests, each smoothed separately.
 
 The position of a turn and its headings are joints that stay as they are, so a piece has fixed poses at both ends, and
 free curvature where a turn is. What must hold near the start and near the goal of the whole problem holds for every

@@ -25,7 +25,7 @@ __all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters"]
 
 
 class ManoeuvrePlannerParameters(PluginParameters):
-    """What the manoeuvre planner can be told."""
+    """Parameters of the manoeuvre planner."""
 
     turning_radius_factor: float = Field(
         1.25, ge=1.0, le=3.0, description="radius of the arcs tried first, in smallest turning radii of the robot"

@@ -225,7 +225,7 @@ class Stages:
         yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # they share the arcs beside the walls
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
-        """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
+        """As far afield as it takes, until there is a plan; with a pause after each effort that finds nothing."""
         goal, efforts = self.problem.goal.as_array()[:2], self._efforts
         if math.isfinite(self._better_than()):
             efforts = (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),)

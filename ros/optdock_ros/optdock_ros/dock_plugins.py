@@ -250,7 +250,7 @@ class DockPlugin:
         return None
 
     def current(self, told: Told | None, now: float) -> float | None:
-        """Into the battery [A]; None where nothing tells, or has told lately, or the current is not a number.
+        """Into the battery [A]; None without a recent message, or where the current is not a number.
 
         Args:
             told: The newest sensor_msgs/BatteryState.

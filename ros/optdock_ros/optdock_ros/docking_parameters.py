@@ -325,7 +325,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
 
 
 def _executor(read: _BlockReader) -> dict[str, object]:
-    """The executor's own settings; those that are said elsewhere are faults here."""
+    """The executor's own settings; those that are given elsewhere are faults here."""
     given = read.inner("executor")
     twice = [name for name in given if name in _SAID_ELSEWHERE]
     read.faults.extend(f"executor.{name}: is {_SAID_ELSEWHERE[name]} of this server" for name in twice)

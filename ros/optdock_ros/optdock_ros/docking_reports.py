@@ -1,4 +1,4 @@
-"""What the docking server tells of its work: the plan, where the dock is, and how well certificate and rate hold."""
+"""What the docking server publishes beside feedback: plan, pose of the dock, and how well certificate and rate hold."""
 
 from __future__ import annotations
 

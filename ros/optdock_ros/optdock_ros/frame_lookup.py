@@ -60,7 +60,7 @@ class TransformBuffer(ros.TransformTree):
         return found if math.isfinite(found.stamp) else dataclasses.replace(found, stamp=self._now())
 
     def insert(self, message: TransformStamped, *, is_static: bool = False) -> bool:
-        """As `TransformTree.insert`; what is refused is told in the log, once per pair of frames."""
+        """As `TransformTree.insert`; what is refused is logged, once per pair of frames."""
         pair = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
         is_new, ahead = pair not in self.refused, self._ahead(message)
         if is_static or ahead <= _HISTORY:

@@ -45,7 +45,7 @@ class DatedCostmap(NamedTuple):
 
 
 class MeasurementRules(NamedTuple):
-    """What is believed, and how long.
+    """Which measurements are used, and how long.
 
     Attributes:
         fixed_frame: In which the robot is located.
@@ -65,7 +65,7 @@ class MeasurementRules(NamedTuple):
 
 
 class Measuring:
-    """What one task is told; made anew for every task, so that nothing of the last one is believed.
+    """The measurements of one task; made anew for every task, so that none of the last one is used.
 
     Args:
         rules: What is believed.
@@ -144,7 +144,7 @@ class Measuring:
         return Measurements(now, pose, twist, detections, contact, costmap, odometry, pose_stamp, current=current)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
-        """The newest body velocity; None where it is too old to be believed."""
+        """The newest body velocity; None where it is too old."""
         while self._odometry:
             heard_at, message = self._odometry.popleft()
             try:

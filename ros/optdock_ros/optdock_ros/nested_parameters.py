@@ -53,7 +53,7 @@ __all__ = [
 
 
 class ServerParameters(PluginParameters):
-    """What every server can be told; the names beside plugins and blocks at the top of a node's parameters."""
+    """Parameters of every server; the names beside plugins and blocks at the top of a node's parameters."""
 
     autostart: bool = Field(default=False, description="configure and activate at once, without a lifecycle manager")
     bond_heartbeat_period: float = Field(0.1, ge=0, description="to the lifecycle manager; 0: no bond [s]")

@@ -85,7 +85,7 @@ class InvalidPlanner(PlannerException):
 
 
 class PlannerTFError(PlannerException):
-    """Start or goal cannot be told in the costmap's frame."""
+    """There is no transform of start or goal into the costmap's frame."""
 
     code = 202
 

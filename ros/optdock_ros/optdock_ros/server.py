@@ -326,7 +326,7 @@ def leave() -> None:
 
 
 def spin(executor: Executor) -> None:
-    """Run an executor until `leave` is its task; an error that a callback lets through is told, and the others go on.
+    """Run an executor until `leave` is its task; an error of a callback is logged, and the others go on.
 
     It is not to be shut down before: rclpy's executor that is shut down between two waits begins another one, in which
     nothing wakes it any more.

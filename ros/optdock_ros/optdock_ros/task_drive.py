@@ -189,7 +189,7 @@ class TaskDrive:
         self._told_at = self._reported_at = -math.inf
 
     def _contact(self, now: float) -> bool | None:
-        """What a switch tells of contact, and the joints until the robot has stopped; None where neither does."""
+        """Contact by a switch, and by the joints until the robot has stopped; None where neither is there."""
         plugin, state = self.plugin, self.executor.state
         switched = plugin.is_switched(self._topics.switches.get(plugin.contact_topic), now)
         if not plugin.parameters.use_stall_detection:

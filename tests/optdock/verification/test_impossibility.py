@@ -13,7 +13,13 @@ from experiments.fuzz.kinds import impossibilities
 from optdock.errors import InvalidFile
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.impossibility import ImpossibilityProof, ImpossibilitySearch, check_impossibility, prove_impossible
+from optdock.impossibility import (
+    ImpossibilityProof,
+    ImpossibilitySearch,
+    check_impossibility,
+    prepare_footprint,
+    prove_impossible,
+)
 from optdock.impossibility import proof as impossibility
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
@@ -248,6 +254,7 @@ def test_what_no_disc_passes_is_proven_without_headings_and_the_rest_with_them()
 
 def test_a_search_goes_on_where_it_was_interrupted():
     asked, answers = gap(0.66), iter(range(10**6))
+    prepare_footprint(asked.robot.footprint)  # is not resumed, but made once for all calls
     search = ImpossibilitySearch(asked)
     proof, calls = None, 0
     while proof is None and calls < 50:
