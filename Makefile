@@ -51,6 +51,7 @@ demo: $(DEMO_STAMP)
 check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/codespell
 	@# The stubs of the NumPy that Python 3.10 has (2.2) know shapes less exactly than those that the types are written for.
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then $(BIN)/mypy; \
 	else echo "types are not checked here: mypy needs the stubs of NumPy >= 2.3, and so Python >= 3.11"; fi

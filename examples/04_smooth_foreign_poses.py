@@ -19,5 +19,5 @@ after = od.certify_path(result.path, problem)
 print(f"smoothed:   certified {after.certified}, {result.path.length:.2f} m, closest {after.min_clearance:.3f} m")
 print(f"            at most {after.max_curvature:.2f} 1/m, {after.max_curvature_rate:.2f} 1/m^2")
 
-samples = result.path.sample(0.1)  # back to poses, for whoever wants them
+samples = result.path.sample(0.1)  # back to poses
 print(np.column_stack((samples.s, samples.poses))[:3].round(3))

@@ -1,4 +1,4 @@
-"""What a refusal says, what exists all the same, and what is wrong with a path that somebody else calls good."""
+"""What a refusal says, what exists all the same, and what is wrong with a path from another source."""
 
 from pathlib import Path
 

@@ -22,7 +22,7 @@ executor = od.DockingExecutor(problem, od.ExecutorSettings(navigate_to_staging_p
 step = executor.step(world.measurements)
 believed, pushed = [], False
 while step.ending is None:  # on a robot: measure, step, send the command, at any rate from 10 to 200 Hz
-    if world.time > 1.3 and not pushed:  # somebody pushes the dock 4 cm aside
+    if world.time > 1.3 and not pushed:  # the dock is pushed 4 cm aside
         world.dock_pose, pushed = world.dock_pose @ od.Pose2(0.0, 0.04, 0.0), True
     step = executor.step(world.advance(step.command, 0.05))
     believed.append(executor.robot.as_array())

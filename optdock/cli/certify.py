@@ -18,7 +18,7 @@ __all__ = ["certify"]
 
 
 def certify(
-    plan: Annotated[Path, typer.Argument(help="Plan file (JSON), by whomever.", show_default=False)],
+    plan: Annotated[Path, typer.Argument(help="Plan file (JSON), from any source.", show_default=False)],
     scenario: ScenarioArgument,
     *,
     verbose: VerboseOption = False,

@@ -152,7 +152,7 @@ class Replanned:
     def proven(self) -> bool:
         """Whether clearance and limits are proven from where the robot is now until where the motion ends.
 
-        False only for a stop: then it is the quickest there is. Anybody may write down a certificate, so that of a stop
+        False only for a stop: then it is the quickest there is. A certificate is a plain value, so that of a stop
         counts where the same proof is found here.
         """
         if self.way is None or self.plan is not None:

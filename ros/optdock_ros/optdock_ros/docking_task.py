@@ -261,7 +261,7 @@ class DockingTask:
         if len(seen) < settings.least_detections:
             text = f"{len(seen)} detections in {settings.initial_perception_timeout:g} s {measuring.faults or ''}"
             raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, text))
-        # The medians: some of them may be somewhere else altogether.
+        # The medians: some of the detections may be wrong.
         first = seen[0]
         gaps = np.array([pose.in_frame_of(first).as_array() for pose in seen])
         return first @ Pose2(*np.median(gaps, axis=0).tolist())
