@@ -128,11 +128,15 @@ def check_picture(option: str, picture: Path | None) -> None:
 
 
 def spare(source: Path | None, *targets: Path | None) -> None:
-    """Refuse to write over the file that is read.
+    """Refuse to write over the file that is read, and to write two results into one file.
 
     Raises:
-        InvalidValue: A target is that file.
+        InvalidValue: A target is that file, or that of another result; devices such as /dev/null take any number.
     """
+    files = [target for target in targets if target is not None and (target.is_file() or not target.exists())]
+    for i, target in enumerate(files):
+        if target.resolve() in [other.resolve() for other in files[:i]]:
+            raise InvalidValue(f"{target}: is asked for twice, and one result would overwrite the other")
     for target in targets:
         if (
             source is not None

@@ -568,6 +568,16 @@ def test_no_command_writes_over_its_scenario(command):
     assert pathlib.Path(name).read_text() == SCENARIO
 
 
+@pytest.mark.parametrize("other", ["plan.json", "./plan.json", "folder/../plan.json"])
+def test_no_result_overwrites_another(other):
+    write()
+    result = run("plan", "bay.yaml", "--out", "plan.json", "--csv", other)
+    assert result.exit_code == 2
+    assert result.stderr.endswith("is asked for twice, and one result would overwrite the other\n")
+    assert not pathlib.Path("plan.json").exists()
+    assert run("plan", "bay.yaml", "--out", "/dev/null", "--csv", "/dev/null").exit_code == 0
+
+
 @pytest.mark.parametrize(
     ("text", "format_"),
     [("image: map.png\nresolution: 0.05\n", ""), ("format: optdock-plan/1\n", "; its format is 'optdock-plan/1'")],
