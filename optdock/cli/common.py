@@ -134,9 +134,9 @@ def spare(source: Path | None, *targets: Path | None) -> None:
         InvalidValue: A target is that file, or that of another result; devices such as /dev/null take any number.
     """
     files = [target for target in targets if target is not None and (target.is_file() or not target.exists())]
-    for i, target in enumerate(files):
-        if target.resolve() in [other.resolve() for other in files[:i]]:
-            raise InvalidValue(f"{target}: is asked for twice, and one result would overwrite the other")
+    for i, file in enumerate(files):
+        if file.resolve() in [other.resolve() for other in files[:i]]:
+            raise InvalidValue(f"{file}: is asked for twice, and one result would overwrite the other")
     for target in targets:
         if (
             source is not None
