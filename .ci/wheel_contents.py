@@ -6,8 +6,8 @@ import zipfile
 PACKAGES = {"optdock", "smoothers", "checkers"}
 NEEDED = {f"{package}/py.typed" for package in PACKAGES} | {
     "optdock/__init__.pyi",
-    "optdock/builtin/hall.yaml",
-    "optdock/builtin/hall_map.png",
+    "optdock/config/demo/hall.yaml",
+    "optdock/config/demo/hall_map.png",
 }
 SUFFIXES = (".py", ".pyi", ".typed", ".yaml", ".png")
 

@@ -23,7 +23,7 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
+    from optdock.model.costmap import Costmap
 
 __all__ = ["DRAWN_SCENARIOS", "HINT", "SCENARIOS", "MapScenario", "maps_folder", "problem_of"]
 

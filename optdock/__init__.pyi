@@ -6,7 +6,6 @@ import smoothers
 from .config import Scenario as Scenario
 from .config import load_scenario as load_scenario
 from .controllers.tracking_controller import TrackingController as TrackingController
-from .costmap.costmap import Costmap as Costmap
 from .errors import Cancelled as Cancelled
 from .errors import CertificationFailed as CertificationFailed
 from .errors import FailedToSmoothPath as FailedToSmoothPath
@@ -39,6 +38,7 @@ from .impossibility import prove_impossible as prove_impossible
 from .io.maps import load_map as load_map
 from .io.plan_file import load_plan as load_plan
 from .model.camera import Camera as Camera
+from .model.costmap import Costmap as Costmap
 from .model.dock import Dock as Dock
 from .model.dock import DockTolerances as DockTolerances
 from .model.limits import MotionLimits as MotionLimits

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path, may_be_one_frame

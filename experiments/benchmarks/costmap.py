@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap import obstacles_from_costmap
 from optdock.io.maps import load_map
+from optdock.model.cell_obstacles import obstacles_from_costmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -23,11 +23,11 @@ from experiments.cpu_budgets import count_cpu
 from experiments.families import FEASIBLE_FAMILIES, instance
 from experiments.manoeuvres.cases import rectangle
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
-from optdock.costmap.costmap import Costmap
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem

@@ -17,11 +17,11 @@ import numpy as np
 
 from experiments.benchmarks.tables import Table, Timer, percentile
 from experiments.families import instance
-from optdock.costmap.costmap import Costmap
 from optdock.deadline import garbage_collection_paused
 from optdock.errors import OptdockError
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import Costmap
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock, warm_up

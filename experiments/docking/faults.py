@@ -17,11 +17,11 @@ from experiments.docking.methods import CHECKER
 from experiments.docking.outcome import outcome_of
 from experiments.docking.watched import WatchedPlanning
 from experiments.docking.worlds import WORLDS, Case, World, case_of
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import LETHAL
 from optdock.executor import DockingExecutor, ExecutorSettings, State
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, transform_points
+from optdock.model.costmap import Costmap
+from optdock.model.costs import LETHAL
 from optdock.model.measurements import Measurements, OdometryPose
 from optdock.plugins.registry import PluginChoice
 from optdock.reports.report import table

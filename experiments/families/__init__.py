@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from experiments.families.scene import Scene
-    from optdock.costmap.costmap import Costmap
+    from optdock.model.costmap import Costmap
     from optdock.model.path import Path
 
 __all__ = ["FAMILIES", "FEASIBLE_FAMILIES", "INFEASIBLE_FAMILIES", "Instance", "instance"]

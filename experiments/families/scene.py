@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.families.motion import Gear, Kink, Piece, motion_to, straight, turn
-from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path

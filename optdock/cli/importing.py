@@ -12,9 +12,9 @@ from optdock.cli.common import METRES, SECONDS, VerboseOption, checked_positive,
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from optdock.costmap.costs import OccupancyRule
     from optdock.geometry.footprint import Footprint
     from optdock.io.parking_cases import ParkingCase
+    from optdock.model.costs import OccupancyRule
     from optdock.model.problem import ClearanceRule
 
 __all__ = ["app"]
@@ -205,7 +205,7 @@ def _check_distance(option: str, value: float | None) -> None:
 
 
 def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
-    from optdock.costmap.costs import OccupancyRule
+    from optdock.model.costs import OccupancyRule
     from optdock.model.problem import ClearanceRule
 
     _check_distance("--clearance", clearance)

@@ -148,7 +148,7 @@ def _demo_files(folder: Path) -> Path:
     Raises:
         InvalidFile: A file cannot be written.
     """
-    from optdock.builtin import demo_scenario
+    from optdock.config import demo_scenario
     from optdock.io.atomic_file import replacing
 
     built_in = demo_scenario()

@@ -1,12 +1,13 @@
 """Scenario files in, frozen values out; and what may stand in them."""
 
 from optdock.config.reference import KeyReference, plugin_reference, scenario_reference, scenario_schema
-from optdock.config.scenario import Scenario, load_scenario
+from optdock.config.scenario import Scenario, demo_scenario, load_scenario
 from optdock.config.writing import save_scenario
 
 __all__ = [
     "KeyReference",
     "Scenario",
+    "demo_scenario",
     "load_scenario",
     "plugin_reference",
     "save_scenario",

@@ -25,12 +25,12 @@ from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, pla
 from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.footprint import Footprint
     from optdock.io.yaml_lines import Document
+    from optdock.model.costmap import Costmap
     from optdock.planning.plan import DockPlan
 
-__all__ = ["Scenario", "load_scenario", "problem_of"]
+__all__ = ["Scenario", "demo_scenario", "load_scenario", "problem_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -172,3 +172,8 @@ def _warn_of_an_outline_aside(source: Path, outline: Footprint) -> None:
             "from there?",
             source,
         )
+
+
+def demo_scenario() -> Path:
+    """Returns the path of the built-in scenario: a hall with a shelf, a pillar and a dock; its map lies beside it."""
+    return Path(__file__).with_name("demo") / "hall.yaml"

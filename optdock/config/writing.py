@@ -12,10 +12,10 @@ import numpy as np
 import yaml
 
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS
-from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.errors import InvalidValue
 from optdock.io.atomic_file import write_text
 from optdock.io.maps import load_map, save_map
+from optdock.model.cell_obstacles import mapped_obstacles
 from optdock.model.robot import Robot, TrackingTube
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.config.scenario import Scenario
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
     from optdock.model.camera import Camera
+    from optdock.model.costmap import Costmap
     from optdock.model.dock import Dock
     from optdock.model.problem import DockingProblem
     from optdock.plugins.registry import PluginChoice

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.errors import NoValidControl
 from optdock.geometry.obstacles import ObstacleSet, box_distance, in_words
 from optdock.geometry.separation import separation
+from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.plugins.outcomes import CostmapInfoType
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
+    from optdock.model.costmap import Costmap
     from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["LookAhead", "Obstruction", "collision_ahead", "stopping_time", "stopping_way"]

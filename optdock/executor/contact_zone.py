@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import FREE_SPACE
 from optdock.geometry.pose import transform_points
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE
 from optdock.model.dock import DockDirection
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import math
 import numbers
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
 from optdock.model.measurements import Detection, Measurements, OdometryPose
 
 if TYPE_CHECKING:

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
 import numpy as np
 
 from optdock.config.writing import problem_document
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.planning import DrivenMotion, PlanResult, Verdict
 from optdock.executor.task_states import Ending, Event, State
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns
+from optdock.model.costmap import Costmap
 from optdock.model.measurements import Measurements
 from optdock.model.trajectory import Trajectory
 from optdock.plugins.registry import PluginChoice

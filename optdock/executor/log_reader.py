@@ -15,7 +15,6 @@ from pydantic import BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationEr
 
 from optdock.config.document import ScenarioDocument
 from optdock.config.scenario import problem_of
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.executor.executor_settings import ExecutorSettings
 from optdock.executor.log import Cycle, DockingLog, MotionStart, Planned, Task
@@ -25,6 +24,7 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import parse_plan
+from optdock.model.costmap import Costmap
 from optdock.model.dock import DockTolerances
 from optdock.model.measurements import Detection, Measurements, OdometryPose
 from optdock.model.trajectory import Trajectory

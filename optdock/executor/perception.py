@@ -19,9 +19,9 @@ from optdock.geometry.pose import Pose2, normalize_angle
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.model.measurements import Measurements
 
 __all__ = ["Perception", "Sigma"]

@@ -12,8 +12,8 @@ from optdock.executor.task_states import EndingKind
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.executor.planning import DrivenMotion, Planning, PlanResult, Verdict
+    from optdock.model.costmap import Costmap
 
 __all__ = ["PlanRequests"]
 

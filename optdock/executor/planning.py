@@ -21,8 +21,8 @@ from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
     from optdock.model.trajectory import Trajectory
 

@@ -18,8 +18,8 @@ import threading
 from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.costmap.costmap import Costmap
 from optdock.executor.planning import DrivenMotion, Job, Outcome, PlanResult, planned
+from optdock.model.costmap import Costmap
 from optdock.planning.pipeline import warm_up
 
 if TYPE_CHECKING:

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.executor.contact_zone import with_contact_zone
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.model.cell_obstacles import obstacles_from_costmap
 from optdock.model.dock import Dock
 from optdock.model.problem import ClearanceRule
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
 
 __all__ = ["AT_A_STAND", "PlanningScene"]

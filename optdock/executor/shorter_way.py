@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.executor.interruptions import SHORTER_WAY, Interrupted
 from optdock.executor.planning import Job
 from optdock.executor.planning_scene import AT_A_STAND
 from optdock.geometry.pose import Pose2
+from optdock.model.costs import LETHAL, NO_INFORMATION
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.executor.planning import DrivenMotion, PlanResult
     from optdock.executor.situation import Situation
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
 
 __all__ = ["ShorterWay"]

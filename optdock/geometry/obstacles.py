@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.fingerprint import digest
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.fingerprint import digest
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces

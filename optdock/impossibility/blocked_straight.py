@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
-from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.fingerprint import ProblemFingerprint
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import transform_points
 from optdock.impossibility.proof import SLACK, ImpossibilityVerdict, least_required

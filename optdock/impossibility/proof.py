@@ -37,8 +37,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
-from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.arrays import FrozenArrays
+from optdock.geometry.fingerprint import ProblemFingerprint
 from optdock.geometry.obstacles import in_words
 from optdock.verification.proximity import end_clearances
 

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeGuard
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from optdock.costmap.costs import LETHAL, NO_INFORMATION, OCCUPANCY_UNKNOWN, OccupancyArray
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.atomic_file import replacing, write_text
 from optdock.io.faults import Fault, faults_of, report
@@ -21,11 +19,13 @@ from optdock.io.guarded_file import is_regular
 from optdock.io.map_image import GreyImage, load_grey_image
 from optdock.io.numbers import is_number, unit_fault
 from optdock.io.yaml_lines import load_yaml
+from optdock.model.costs import LETHAL, NO_INFORMATION, OCCUPANCY_UNKNOWN, OccupancyArray
+from optdock.model.occupancy import OccupancyGrid
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.io.yaml_lines import Document
+    from optdock.model.costmap import Costmap
 
 __all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image", "save_map"]
 

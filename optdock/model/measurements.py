@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from optdock.geometry.pose import Pose2, Twist2
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
+    from optdock.model.costmap import Costmap
 
 __all__ = ["AtDock", "Detection", "Measurements", "OdometryPose"]
 

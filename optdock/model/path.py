@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidPath
-from optdock.fingerprint import digest
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.checked import sampling_step
+from optdock.geometry.fingerprint import digest
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.model.segments import (
     SAME_POSITION,

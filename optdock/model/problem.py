@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import mapped_obstacles
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
-from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.checked import exactly, finite_number, instance, number
+from optdock.geometry.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.obstacles import ObstacleSet, without_repeated
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.model.camera import RequiredView
+from optdock.model.cell_obstacles import mapped_obstacles
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.model.dock import Dock
 from optdock.model.robot import Robot
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.model.costs import CostArray
     from optdock.model.path import Path
 
 __all__ = ["ClearanceRule", "DockingProblem"]

@@ -9,8 +9,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
-from optdock.fingerprint import digest
 from optdock.geometry.checked import exactly, finite_number, instance, member, number
+from optdock.geometry.fingerprint import digest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2, displacement
 from optdock.model.camera import Camera

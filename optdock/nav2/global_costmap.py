@@ -14,10 +14,10 @@ from optdock.plugins.interfaces import Layer
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from optdock.costmap.costmap import Costmap
-    from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
     from optdock.model.dock import Dock
+    from optdock.model.occupancy import OccupancyGrid
     from optdock.nav2.costmap_params import CostmapParams
     from optdock.nav2.params import Nav2Params
     from optdock.nav2.plugin_lists import PluginInstance

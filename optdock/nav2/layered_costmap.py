@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import FREE_SPACE, NO_INFORMATION
 from optdock.errors import InvalidValue, PluginError
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE, NO_INFORMATION
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, joined, moved_grid, window_of
 from optdock.plugins.interfaces import Layer
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
@@ -21,10 +21,10 @@ from optdock.plugins.parameters import PluginParameters, parse_parameters
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from optdock.costmap.costs import CostArray
-    from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.costs import CostArray
+    from optdock.model.occupancy import OccupancyGrid
     from optdock.plugins.interfaces import Bounds
 
 __all__ = ["LayeredCostmap", "LayeredCostmapParameters"]

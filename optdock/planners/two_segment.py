@@ -37,9 +37,9 @@ from optdock.plugins.interfaces import never_cancelled
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
     from optdock.planners.dock_parameters import DockPlannerParameters
 
 __all__ = [

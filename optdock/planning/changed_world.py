@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import added_obstacles, is_same_grid
-from optdock.costmap.costmap import Costmap
 from optdock.deadline import never_late
 from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.model.cell_obstacles import added_obstacles, is_same_grid
+from optdock.model.costmap import Costmap
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import constant_jerk
 from optdock.planning.plan import DockPlan

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.geometry.pose import transform_points
+from optdock.model.costs import LETHAL, NO_INFORMATION
 from optdock.plotting.canvas import COLOURS
 
 if TYPE_CHECKING:
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import ListedColormap
 
-    from optdock.costmap.costmap import Costmap
-    from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
+    from optdock.model.costs import CostArray
     from optdock.model.problem import DockingProblem
 
 __all__ = [

@@ -35,8 +35,8 @@ from optdock.plugins.outcomes import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Twist2
+    from optdock.model.costmap import Costmap
     from optdock.model.limits import MotionLimits, SpeedZone
     from optdock.model.measurements import AtDock, Detection, Measurements
     from optdock.model.trajectory import Trajectory

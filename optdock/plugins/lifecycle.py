@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.checked import instance
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.model.problem import DockingProblem
 from optdock.plugins.outcomes import CostmapInfoType
 from optdock.plugins.parameters import PluginParameters, parse_parameters

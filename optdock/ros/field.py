@@ -21,8 +21,8 @@ from optdock.ros.transforms import TransformError, TransformTree
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from optdock.costmap.costmap import Costmap
-    from optdock.costmap.costs import OccupancyRule
+    from optdock.model.costmap import Costmap
+    from optdock.model.costs import OccupancyRule
     from optdock.ros.bag import BagRecording
     from optdock.ros.messages import Message
 

@@ -11,12 +11,12 @@ import shapely
 
 from optdock.config.scenario import Scenario
 from optdock.config.writing import save_scenario
-from optdock.costmap.costs import FREE_SPACE, LETHAL
 from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.io.maps import save_map
 from optdock.io.plan_file import PlanFile, save_plan
+from optdock.model.costs import FREE_SPACE, LETHAL
 from optdock.model.dock import Dock
 from optdock.model.limits import LIMIT_UNITS, MotionLimits
 from optdock.model.path import Path as DockPath
@@ -25,8 +25,8 @@ from optdock.model.robot import Robot
 from optdock.verification.proximity import pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.ros.field import FieldDocking
 
 __all__ = ["JudgedPoses", "judged_poses", "save_field_docking"]

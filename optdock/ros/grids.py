@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import OccupancyRule
+from optdock.model.costmap import Costmap
+from optdock.model.costs import OccupancyRule
 from optdock.ros import messages
 from optdock.ros.messages import column, header, made, refuse, stamped_frame
 from optdock.ros.motion import plain_pose
 
 if TYPE_CHECKING:
-    from optdock.costmap.costs import CostArray
+    from optdock.model.costs import CostArray
     from optdock.ros.messages import Message, MessageTypes
 
 __all__ = ["StampedCostmap", "costmap", "costmap_message", "occupancy_message", "patched"]

@@ -19,8 +19,8 @@ from optdock.simulation.run import executed_clearance
 from optdock.simulation.sensors import DockSensor, Odometry, PoseSensor
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.costmap import Costmap
     from optdock.model.measurements import Detection
     from optdock.simulation.plant import Plant
 

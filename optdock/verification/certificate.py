@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optdock.fingerprint import ProblemFingerprint
+    from optdock.geometry.fingerprint import ProblemFingerprint
 
 __all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation", "where_broken"]
 

@@ -29,7 +29,7 @@ from optdock.verification.proximity import end_clearances, pose_clearance
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.fingerprint import ProblemFingerprint
+    from optdock.geometry.fingerprint import ProblemFingerprint
     from optdock.geometry.pose import Pose2
 
 __all__ = [

@@ -12,10 +12,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
 from optdock import ros
-from optdock.costmap import Costmap as Grid
-from optdock.costmap.costs import LETHAL
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import Costmap as Grid
+from optdock.model.costs import LETHAL
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -9,10 +9,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from optdock_ros.docking_reports import Reports
 
-from optdock.costmap.costmap import Costmap
 from optdock.executor.planning import DrivenMotion
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem

@@ -13,8 +13,8 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from optdock_ros.measuring import DatedCostmap, MeasurementRules, Measuring
 
-from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
 from optdock.model.measurements import Detection
 from optdock.ros.transforms import Transform, TransformError
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from optdock_ros.merged_costmap import joined, moved
 
-from optdock.costmap.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 
 
 def scattered(seed: int, side: float = 0.05, origin: tuple[float, float] = (0.3, -0.7)) -> Costmap:

@@ -18,9 +18,9 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from optdock import ros
-from optdock.costmap import Costmap as Grid
-from optdock.costmap.costs import LETHAL
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap as Grid
+from optdock.model.costs import LETHAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable

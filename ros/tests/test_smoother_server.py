@@ -25,10 +25,10 @@ from rclpy.parameter import Parameter
 from tf2_msgs.msg import TFMessage
 
 from optdock import ros
-from optdock.costmap import Costmap as Grid
-from optdock.costmap.costs import LETHAL
 from optdock.errors import SmootherException
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap as Grid
+from optdock.model.costs import LETHAL
 from optdock.model.path import Path
 from optdock.plugins.outcomes import SmoothingResult
 from smoothers import SimpleSmoother

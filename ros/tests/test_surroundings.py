@@ -15,10 +15,10 @@ from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsE
 from rclpy.node import Node
 
 from optdock import ros
-from optdock.costmap import Costmap as Grid
-from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap as Grid
+from optdock.model.costs import LETHAL, NO_INFORMATION
 from optdock.ros.transforms import TransformError
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from optdock.model.path import Path, PolylineSegment
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
+    from optdock.model.costmap import Costmap
     from optdock.model.problem import DockingProblem
     from optdock.plugins.lifecycle import PluginContext
 

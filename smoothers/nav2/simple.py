@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field, model_validator
 
-from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
+from optdock.model.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
 from optdock.plugins.parameters import PluginParameters, checked_seconds
 from smoothers.nav2.pieces import directional_pieces, path_of, poses_of, task_of, with_travel_yaw
@@ -24,8 +24,8 @@ from smoothers.nav2.pieces import directional_pieces, path_of, poses_of, task_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
 

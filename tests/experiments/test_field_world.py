@@ -37,9 +37,9 @@ from experiments.docking.field.undocking import (
 )
 from experiments.docking.field.world import FieldRobot, FieldWorld
 from experiments.docking.field.worlds import FIELD_WORLDS
-from optdock.costmap.costmap import LETHAL
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import LETHAL
 from optdock.model.dock import DockDirection
 
 IDEAL = Drive(

@@ -10,8 +10,8 @@ import pytest
 from experiments.dense_check import dense_check
 from experiments.draw_maps import FREE, OCCUPIED, PLACES, UNKNOWN, scanned, solid
 from experiments.real_maps import DRAWN_MAPS, DRAWN_SCENARIOS, SCENARIOS, problem_of
-from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.io.maps import load_map
+from optdock.model.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.planning.pipeline import plan_dock
 from optdock.verification import certify_path
 

@@ -12,9 +12,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from optdock.builtin import demo_scenario
 from optdock.cli import app
-from optdock.config import load_scenario
+from optdock.config import demo_scenario, load_scenario
 from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 from optdock.cli import app
 from optdock.config import Scenario, load_scenario, save_scenario
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map, save_map
 from optdock.model.camera import Camera
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optdock.costmap import obstacles_from_costmap
-from optdock.costmap.costmap import Costmap
 from optdock.errors import ControllerInvalidPath, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from experiments.dense_check import dense_check
-from optdock.costmap.costmap import Costmap
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -34,6 +33,7 @@ from optdock.errors import (
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path

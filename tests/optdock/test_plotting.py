@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optdock.builtin import demo_scenario
-from optdock.config import load_scenario
-from optdock.costmap.costmap import Costmap
+from optdock.config import demo_scenario, load_scenario
 from optdock.errors import (
     FailedToSmoothPath,
     GoalOccupied,
@@ -24,6 +22,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path

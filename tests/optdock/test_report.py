@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
-from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.fingerprint import ProblemFingerprint
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.dense_check import dense_check
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem

@@ -10,12 +10,12 @@ import pytest
 
 from experiments.dense_check import dense_check
 from experiments.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
-from optdock.costmap.costmap import Costmap
 from optdock.deadline import Deadline
 from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Direction, Path

@@ -9,10 +9,10 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import FailedToSmoothPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path

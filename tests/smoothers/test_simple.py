@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap
 from optdock.model.path import Direction, Path, PolylineSegment
 from optdock.plugins.interfaces import PluginContext, Smoother
 from optdock.plugins.registry import create_plugin

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.costmap import LETHAL, Costmap
+from optdock.model.costmap import LETHAL, Costmap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

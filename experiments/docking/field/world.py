@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from experiments.docking.cases import Layout
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.model.measurements import Detection
 
 __all__ = ["FieldRobot", "FieldWorld"]

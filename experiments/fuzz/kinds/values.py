@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from experiments.fuzz.case import Verdict
-from optdock.costmap import obstacles_from_costmap
-from optdock.costmap.costmap import Costmap
 from optdock.errors import OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment

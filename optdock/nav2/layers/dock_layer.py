@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from optdock.costmap.costs import FREE_SPACE, LETHAL
 from optdock.errors import InvalidValue
+from optdock.model.costs import FREE_SPACE, LETHAL
 from optdock.model.dock import Dock
 from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
@@ -15,9 +15,9 @@ from optdock.nav2.layers.window import NOWHERE, checked_window, grown_by_points,
 from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
 
 __all__ = ["DockLayer", "DockLayerParameters"]
 

@@ -11,10 +11,10 @@ from optdock.geometry.pose import transform_points
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
 
 __all__ = ["CellList", "cells_of_lines", "cells_of_polygons", "corners_of", "fill_footprint"]
 

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from pydantic import Field
 
-from optdock.costmap.costs import FREE_SPACE, OccupancyRule
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
+from optdock.model.costs import FREE_SPACE, OccupancyRule
+from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
 from optdock.nav2.layers.window import NOWHERE, CellWindow, checked_window, grown_by_points, joined
 from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import Costmap
 
 __all__ = ["StaticLayer", "StaticLayerParameters"]
 

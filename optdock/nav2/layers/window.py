@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
+from optdock.model.costmap import Costmap
 from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
-    from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costs import CostArray
 
 __all__ = [
     "EVERYWHERE",

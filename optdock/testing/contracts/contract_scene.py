@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet, box_distance
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path

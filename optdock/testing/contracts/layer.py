@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.plugins.interfaces import Bounds, Layer
 from optdock.testing.contracts.contract_scene import ORIGIN
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require
 
 if TYPE_CHECKING:
-    from optdock.costmap.costs import CostArray
+    from optdock.model.costs import CostArray
 
 __all__ = ["LayerContract"]
 

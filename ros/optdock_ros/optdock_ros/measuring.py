@@ -19,7 +19,7 @@ from optdock.model.measurements import Detection, Measurements, OdometryPose
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from optdock.costmap.costmap import Costmap
+    from optdock.model.costmap import Costmap
     from optdock.ros.transforms import Transform
 
 __all__ = ["DatedCostmap", "Frames", "MeasurementRules", "Measuring"]

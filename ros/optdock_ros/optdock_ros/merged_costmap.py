@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from optdock.costmap.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray

@@ -12,7 +12,7 @@ from nav_msgs.msg import Path as PathMessage
 from pydantic import Field
 
 from optdock import ros
-from optdock.costmap.costmap import Costmap
+from optdock.model.costmap import Costmap
 from optdock.model.path import Path, PolylineSegment
 from optdock.model.problem import ClearanceRule
 from optdock.plugins.lifecycle import Plugin

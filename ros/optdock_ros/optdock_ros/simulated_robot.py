@@ -57,10 +57,10 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from optdock import simulation
-from optdock.costmap.costs import LETHAL
 from optdock.errors import OptdockError
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
+from optdock.model.costs import LETHAL
 from optdock.ros.transforms import quaternion_product, rotated
 from optdock_ros.simulation_parameters import PARAMETERS, SimulationParameters, about_z
 

@@ -44,9 +44,9 @@ from optdock_ros.surroundings import SurroundingsError, first_collision, now
 if TYPE_CHECKING:
     from nav_msgs.msg import Path as PathMessage
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.model.costmap import Costmap
 
 __all__ = ["SmootherServer", "SmootherServerParameters", "main"]
 

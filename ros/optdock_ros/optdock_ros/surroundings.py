@@ -15,10 +15,10 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from optdock import ros
-from optdock.costmap.costs import LETHAL
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import transform_points
+from optdock.model.costs import LETHAL
 from optdock.nav2.layers.raster import cells_of_lines
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.costmap import Costmap
     from optdock.ros import StampedCostmap
     from optdock_ros.frame_lookup import TransformBuffer
 

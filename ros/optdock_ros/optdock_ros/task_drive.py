@@ -24,10 +24,10 @@ from optdock_ros.surroundings import SurroundingsError, now
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.executor import Event, ExecutorSettings, Step
     from optdock.executor.planning import DrivenMotion, PlanResult
     from optdock.geometry.pose import Twist2
+    from optdock.model.costmap import Costmap
     from optdock.model.measurements import Measurements
     from optdock.model.problem import DockingProblem
     from optdock.ros import StampedCostmap

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
-from optdock.costmap.costmap import Costmap
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem

@@ -11,11 +11,11 @@ from checkers.dock_goal import DockGoalChecker
 from optdock.controllers import feedback_gains
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.controllers.tracking_law import DelayBounds, Gains
-from optdock.costmap.costmap import Costmap
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path

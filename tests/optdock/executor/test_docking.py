@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
 from optdock.executor.log import LogWriter
@@ -15,6 +14,7 @@ from optdock.executor.replay import replay
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.camera import Camera
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.problem import DockingProblem
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
 from optdock.executor.log import RecordedPlanning
 from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
 from optdock.model.measurements import Detection, Measurements
 from optdock.model.problem import ClearanceRule
 from optdock.model.robot import TrackingTube

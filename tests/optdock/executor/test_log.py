@@ -7,13 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidFile
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter
 from optdock.executor.log_reader import read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 
 from .conftest import NOISY, SLUGGISH, problem_with, run, simulated
 

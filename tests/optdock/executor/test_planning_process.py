@@ -6,9 +6,9 @@ import signal
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
 from optdock.executor import PlanningProcess, ThreadPlanning
 from optdock.executor.planning import Job, Outcome, planned
+from optdock.model.costmap import Costmap
 
 from .conftest import problem_with
 

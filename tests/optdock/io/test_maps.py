@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from optdock.costmap import obstacles_from_costmap
-from optdock.costmap.costs import OccupancyRule
 from optdock.errors import InvalidFile
 from optdock.io.map_image import GreyImage
 from optdock.io.maps import MapInfo, MapMode, load_map, occupancy_from_image
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costs import OccupancyRule
 
 KEYS = {
     "image": "map.pgm",

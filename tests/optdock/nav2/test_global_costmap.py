@@ -5,10 +5,10 @@ import pytest
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.costmap import OccupancyGrid
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
+from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import load_nav2_params
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.nurbs import Nurbs
+from optdock.model.costmap import Costmap
 from optdock.model.path import Direction
 from optdock.planners.two_segment import MAX_SAMPLES, CurveSampler
 from optdock.plugins.interfaces import never_cancelled

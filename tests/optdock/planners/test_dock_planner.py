@@ -4,7 +4,6 @@ import math
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import (
     InvalidValue,
     LifecycleError,
@@ -16,6 +15,7 @@ from optdock.errors import (
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction

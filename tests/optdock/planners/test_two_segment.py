@@ -5,7 +5,6 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import (
     GoalOccupied,
     GoalOutsideMapBounds,
@@ -17,6 +16,7 @@ from optdock.errors import (
 )
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.path import Direction
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock import ros
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import OccupancyRule
 from optdock.errors import InvalidMessage, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.model.costmap import Costmap
+from optdock.model.costs import OccupancyRule
 from optdock.ros.bag import bag_types as types
 from optdock.ros.transforms import TransformError, TransformTree
 

@@ -11,9 +11,9 @@ import textwrap
 import numpy as np
 import pytest
 
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.model.occupancy import OccupancyGrid
 from optdock.plugins.registry import INTERFACES, available_plugins
 from optdock.testing.contracts import CONTRACTS, installed_suites
 from optdock.testing.contracts.contract_scene import scene_context, scene_problem

@@ -7,10 +7,10 @@ import pytest
 from pydantic import Field
 
 from optdock.controllers.tracking_controller import TrackingController
-from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException, PluginError
 from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costs import LETHAL
 from optdock.model.path import Path
 from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.drive import DriveOnHeading

@@ -6,11 +6,12 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.costmap import Costmap, obstacles_from_costmap
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
-from optdock.costmap.costmap import Costmap
 from optdock.errors import BehaviorException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem

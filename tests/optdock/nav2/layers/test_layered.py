@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
+from optdock.model.costmap import Costmap
 from optdock.nav2.layers.window import moved_grid, shifted
 
 

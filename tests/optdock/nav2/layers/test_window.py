@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import Costmap
+from optdock.model.costmap import Costmap
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, grown_by_points, joined, window_of
 from optdock.plugins.interfaces import Bounds
 

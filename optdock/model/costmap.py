@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.costmap.costs import (
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
+from optdock.geometry.checked import finite_number, number
+from optdock.model.costs import (
     FREE_SPACE,
     INSCRIBED,
     LETHAL,
@@ -18,9 +21,6 @@ from optdock.costmap.costs import (
     OccupancyArray,
     occupancy_from_costs,
 )
-from optdock.errors import InvalidValue
-from optdock.geometry.arrays import readonly
-from optdock.geometry.checked import finite_number, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable

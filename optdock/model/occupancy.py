@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import OccupancyArray, OccupancyRule, costs_from_occupancy
 from optdock.geometry.arrays import FrozenArrays, readonly
+from optdock.model.costmap import Costmap
+from optdock.model.costs import OccupancyArray, OccupancyRule, costs_from_occupancy
 
 __all__ = ["OccupancyGrid"]
 

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
-from optdock.fingerprint import digest
+from optdock.geometry.fingerprint import digest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem

@@ -16,9 +16,6 @@ import pytest
 import checkers
 import optdock
 import smoothers
-from optdock.costmap import Costmap
-from optdock.costmap.cell_obstacles import mapped_obstacles
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -26,8 +23,11 @@ from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import connectivity_graph, footprint_discs, prove_impossible
+from optdock.model.cell_obstacles import mapped_obstacles
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
+from optdock.model.occupancy import OccupancyGrid
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot

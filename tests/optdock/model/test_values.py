@@ -10,12 +10,12 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap import Costmap
 from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet, box_distance
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import FREE_SPACE, LETHAL
 from optdock.executor.contact_zone import with_contact_zone
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE, LETHAL
 from optdock.model.dock import Dock, DockDirection
 
 

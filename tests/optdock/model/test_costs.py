@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from optdock.costmap.costmap import Costmap
-from optdock.costmap.costs import INSCRIBED, LETHAL, OccupancyRule, costs_from_occupancy, occupancy_from_costs
-from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
+from optdock.model.costmap import Costmap
+from optdock.model.costs import INSCRIBED, LETHAL, OccupancyRule, costs_from_occupancy, occupancy_from_costs
+from optdock.model.occupancy import OccupancyGrid
 
 
 def test_published_occupancies_follow_nav2s_integers():

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.costmap.costmap import LETHAL, NO_INFORMATION, Costmap
 from optdock.errors import InvalidValue
+from optdock.model.costmap import LETHAL, NO_INFORMATION, Costmap
 
 
 def grid(**changes):

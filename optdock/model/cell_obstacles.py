@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import FARTHEST
+from optdock.model.costs import LETHAL, NO_INFORMATION
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.costmap import Costmap
 
 __all__ = [
     "Region",
@@ -61,7 +61,7 @@ def obstacles_from_costmap(
     Raises:
         InvalidValue: threshold is not in 1..254, or the region's corners are not finite or not in order.
 
-    >>> from optdock.costmap.costmap import Costmap
+    >>> from optdock.model.costmap import Costmap
     >>> walls = Costmap(np.array([[254, 254, 254], [254, 0, 0], [254, 0, 0]]), resolution=0.5)
     >>> obstacles_from_costmap(walls, border=False).upper.tolist()
     [[0.5, 1.5], [1.5, 0.5]]

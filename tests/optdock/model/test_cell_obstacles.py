@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from optdock.costmap import Costmap, obstacles_from_costmap
-from optdock.costmap.cell_obstacles import cell_rectangles
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.cell_obstacles import cell_rectangles, obstacles_from_costmap
+from optdock.model.costmap import Costmap
 from optdock.verification import pose_clearance
 
 masks = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)))
