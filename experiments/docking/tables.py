@@ -24,7 +24,7 @@ def table_of(outcomes: Sequence[Outcome]) -> str:
     """One line per world, rate and method; p50 / p95 / max."""
     head = [
         "world", "Hz", "method", "success", "across, mm", "yaw, degrees", "along, mm", "time, s", "curvature, 1/m",
-        "over limit", "of", "replans", "off path, mm", "clearance, mm", "wrong in tube", "left / told",
+        "over limit", "of", "replans", "off path, mm", "clearance, mm", "wrong in tube", "left / logged",
         "busiest cycle, ms",
     ]  # fmt: skip
     groups: dict[tuple[str, float, str], list[Outcome]] = {}
