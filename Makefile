@@ -14,11 +14,12 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
+.PHONY: help demo test check unit test-experiments docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
-	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
-	@echo "make docs         the documentation, warnings are errors; open site/index.html"
+	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
+	@echo "make docs         the documentation and its tests: every snippet runs, warnings are errors; open site/index.html"
+	@echo "make test-experiments  the tests of benchmarks, studies and the fuzzer"
 	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
 	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
@@ -58,11 +59,15 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --ignore=tests/docs --ignore=tests/experiments
 
 test: check unit
 
+test-experiments: $(STAMP)
+	$(BIN)/python -m pytest -q -n 2 tests/experiments
+
 docs: $(STAMP)
+	$(BIN)/python -m pytest -q -n 2 tests/docs
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
