@@ -47,7 +47,7 @@ def test_a_round_robot_is_the_polygon_around_its_circle(radius, padding):
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, True, "0.3", None])
 def test_a_radius_is_a_positive_number(radius):
-    with pytest.raises(InvalidValue, match="footprint.radius: must be (> 0 m|a number)"):
+    with pytest.raises(InvalidValue, match="footprint.radius: must be (finite and > 0 m|a number)"):
         Footprint.from_radius(radius)
 
 

@@ -50,11 +50,11 @@ def test_a_wall_is_one_rectangle_and_a_checkerboard_one_per_cell():
     assert len(cell_rectangles(board)) == 18
 
 
-@given(cost_grids, st.booleans(), st.sampled_from([100, 253, 254]))
-def test_the_area_of_the_union_is_the_area_of_the_cells(data, unknown, threshold):
+@given(cost_grids, st.booleans())
+def test_the_area_of_the_union_is_the_area_of_the_cells(data, unknown):
     costmap = Costmap(data, 0.05, (-3.7, 1.1))
-    obstacles = obstacles_from_costmap(costmap, unknown_is_obstacle=unknown, threshold=threshold, border=False)
-    cells = np.count_nonzero((data >= threshold) & (data < 255)) + unknown * np.count_nonzero(data == 255)
+    obstacles = obstacles_from_costmap(costmap, unknown_is_obstacle=unknown, border=False)
+    cells = np.count_nonzero(data == 254) + unknown * np.count_nonzero(data == 255)
     union = shapely.union_all([shapely.Polygon(vertices) for vertices in obstacles.vertices])
     areas = sum(shapely.Polygon(vertices).area for vertices in obstacles.vertices)
     assert union.area == pytest.approx(cells * 0.05**2, abs=1e-12)
@@ -124,8 +124,6 @@ def test_a_region_off_the_map_meets_only_the_border():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"threshold": 0}, "threshold: must be in 1..254, got 0"),
-        ({"threshold": 255}, "threshold"),
         ({"region": ((1.0, 0.0), (0.0, 1.0))}, "lower = "),
         ({"region": ((np.nan, 0.0), (0.0, 1.0))}, "region.lower: must be finite"),
         ({"region": ((0.0,), (1.0,))}, "lower = "),

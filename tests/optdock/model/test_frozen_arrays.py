@@ -24,10 +24,9 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import connectivity_graph, footprint_discs, prove_impossible
 from optdock.model.cell_obstacles import mapped_obstacles
-from optdock.model.costmap import Costmap
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.occupancy import OccupancyGrid
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
-from optdock.geometry.fingerprint import digest
+from optdock.geometry.arrays import digest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
@@ -62,7 +62,7 @@ def test_a_long_wall_beside_the_docked_robot_is_a_station():
 
 def test_no_station_is_meant_where_seen_from_the_robot_it_would_be_as_far():
     far = Footprint(np.array([[90.0, 0.0], [91.0, 0.0], [91.0, 1.0]]))
-    with pytest.raises(InvalidValue, match="not on the map$"):
+    with pytest.raises(InvalidValue, match="not of the map$"):
         problem(dock=dataclasses.replace(DOCK, footprint=far))
 
 

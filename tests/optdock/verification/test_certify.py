@@ -19,7 +19,7 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify, certify_path, certify_trajectory
-from optdock.verification.memo import Memo
+from optdock.verification.certificate import Memo
 
 BESIDE = ObstacleSet.from_polygons([[[1.0, 0.3001], [2.0, 0.3001], [2.0, 1.0], [1.0, 1.0]]])
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
