@@ -1,6 +1,6 @@
 """Planar NURBS curves with unit weights and clamped, evenly spaced knots, which are B-splines.
 
-`C(u) = sum_i N_i(u) P_i` ([Piegl1997] eq. 3.1).
+`C(u) = sum_i N_i(u) P_i / sum_i N_i(u)` ([Piegl1997] eq. 4.1).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Nurbs(FrozenArrays):
 
     def points_at(self, u: ArrayLike) -> FloatArray:
         """Return points of the curve. Shape (m, 2) [m]."""
-        return self._derivative(u, 0)
+        return self._derivatives(u, 0)[0]
 
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:
         """Return the direction of travel in (-pi, pi]. Shape (m,) [rad].
@@ -73,10 +73,10 @@ class Nurbs(FrozenArrays):
         Where the first derivative is zero, the direction is that of the second derivative, reversed at u = 1; NaN where
         both are zero.
         """
-        heading = self._derivative(u, 1)
+        heading = self._derivatives(u, 1)[1]
         still = ~np.any(heading, axis=1)
         if still.any():
-            second = self._derivative(u, 2)
+            second = self._derivatives(u, 2)[2]
             at_end = np.atleast_1d(np.asarray(u, dtype=np.float64)) >= 1.0
             heading = np.where(still[:, None], np.where(at_end[:, None], -second, second), heading)
         yaw = np.arctan2(heading[:, 1], heading[:, 0])
@@ -88,12 +88,20 @@ class Nurbs(FrozenArrays):
     def _spline(self) -> BSpline:
         from scipy.interpolate import BSpline
 
-        return BSpline(self.knots, self.control_points, self.degree, extrapolate=False)
+        points = np.column_stack((self.control_points, np.ones(len(self.control_points))))
+        return BSpline(self.knots, points, self.degree, extrapolate=False)
 
-    def _derivative(self, u: ArrayLike, order: int) -> FloatArray:
+    def _derivatives(self, u: ArrayLike, order: int) -> tuple[FloatArray, ...]:
+        """Return C and its derivatives up to `order` by the quotient rule ([Piegl1997] eq. 4.8).
+
+        The weight function is 1 up to the rounding of the basis, which the division removes.
+        """
         at = np.clip(np.atleast_1d(np.asarray(u, dtype=np.float64)), 0.0, 1.0)
-        if order > self.degree:
-            return np.zeros((at.size, 2))
-        # The spline of the differences is exactly zero where control points are repeated.
-        found: FloatArray = (self._spline.derivative(order) if order else self._spline)(at)
-        return found
+        a: list[FloatArray] = [self._spline(at, nu) for nu in range(order + 1)]
+        w = a[0][:, 2:]
+        found = [a[0][:, :2] / w]
+        if order >= 1:
+            found.append((a[1][:, :2] - a[1][:, 2:] * found[0]) / w)
+        if order >= 2:
+            found.append((a[2][:, :2] - 2.0 * a[1][:, 2:] * found[1] - a[2][:, 2:] * found[0]) / w)
+        return tuple(found)

@@ -1,22 +1,12 @@
-"""Conservative advancement: the proof of clearance for every point of a path.
+"""Conservative advancement [Mirtich1996] of second order: the proof of clearance for every point of a path.
 
-From a pose with a known distance, bounds of the motion give the advance until that distance can be used up
-([Mirtich1996]). Here the advance is of second order. Let n be the axis that attains the exact distance d of the
-footprint at u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every
-footprint vertex v moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). At
-u0 + du the distance is therefore at least
-
-    d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
-
-which is concave in du and attains its minimum over a stretch at one of the ends. Motion along a wall costs nothing,
-because n.v' = 0; first-order advancement, which ignores the direction, would advance in tiny steps.
-
-The path is subdivided into cells. A cell is cleared if its first half is cleared by the advance from its first pose and
-its last half by the advance back from its last pose. Other cells are bisected until they are cleared, contain a pose
-that violates the rule, or are given up, which counts as a violation. The reported minimum is found by branch and bound:
-cells whose lower bound is well below the smallest clearance of a pose so far are bisected further.
-
-Cells that are cleared only within the tolerance are proven a second time against deep overlaps (`contact_tolerance`).
+The axis that attains the exact distance at a pose bounds the distance along the motion around it (equation C5 of
+docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if its first half is cleared by the
+advance from its first pose and its last half by the advance back from its last pose. Other cells are bisected until
+they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation. The reported
+minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of a pose so far are
+bisected further. Cells that are cleared only within the tolerance are proven a second time against deep overlaps
+(`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -425,7 +415,7 @@ def advance_bounds(
     exact_within: FloatArray,
     is_late: Callable[[], bool] = never_late,
 ) -> AdvanceBounds:
-    """Compute lower bounds of the clearance over stretches of motion, by (*).
+    """Compute lower bounds of the clearance over stretches of motion, by (C5).
 
     Args:
         bodies: Convex bodies that move as one, at least one.
@@ -501,7 +491,7 @@ def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
 def _directional(
     body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
 ) -> FloatArray:
-    """Return the first-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
+    """Return the first-order part of (C5): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     across, along = axis[:, 0] * c + axis[:, 1] * s, axis[:, 1] * c - axis[:, 0] * s  # the axis in the body's frame
     x, y = body.vertices[:, :1], body.vertices[:, 1:]

@@ -1,22 +1,16 @@
 """Contact tolerance: overlaps that are shallow piece by piece but deep for the union of the pieces.
 
-If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, which covers rounding.
-For two convex shapes this is harmless: their intersection lies within t of the outline of either. But a footprint that
-is not convex, and obstacles that touch each other, are unions of adjacent pieces. A needle between two touching boxes
-may enter either by t and both to any depth; a post below a micrometre inside a fan of thin pieces is in none of them by
-t.
+If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, which is harmless: their
+intersection lies within t of the outline of either. But a footprint that is not convex, and obstacles that touch each
+other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to any depth.
 
-Therefore the unions are checked where an overlap is accepted. The *core* of a shape is the set of points at least d
-inside it. It is covered by convex pieces, and these must not overlap at all: closed convex sets with a separating axis
-share no interior, and a union of sets that share no interior with X shares none with X. Therefore
-
-    no point of an obstacle lies more than d inside the footprint (core of the footprint against the obstacles), and
-    no point of the footprint lies more than d inside the obstacles as one (footprint against their core),
-
-with d = 2 micrometres, where gaps between obstacles below 0.2 micrometres count as obstacle. Contact is accepted: an
-overlap of t along some axis leaves d - t between the core and the other shape. A convex footprint, and an obstacle that
-touches no other, need no check: t itself is the bound. Rounded corners of a core are polygons inside the removed rim,
-so a core is never too small, up to the precision of the offset curves, one hundredth of d.
+Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
+C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres count as
+obstacle. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets
+that share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so
+contact is accepted. A convex footprint, and an obstacle that touches no other, need no check: t itself is the bound.
+Rounded corners of a core are polygons inside the removed rim, so a core is never too small, up to the precision of the
+offset curves, one hundredth of d.
 """
 
 from __future__ import annotations

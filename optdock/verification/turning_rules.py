@@ -1,21 +1,7 @@
 """The limits that depend on curvature, proven over the whole motion by subdivision.
 
 Within a cell (no phase border, no knot of the path inside) jerk and curvature rate are constant, so every limited
-quantity f(t) is smooth and `max |f| <= max(|f(t0)|, |f(t1)|) + width^2 / 8 * max |f''|`. With v the speed, a its rate,
-j the jerk, k the curvature and r its rate per metre:
-
-    yaw rate v k          f'' = j k + 3 a v r
-    lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
-    yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
-    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
-     2 v a k + v^3 r
-    wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
-
-For steered wheels with wheelbase L, the steering angle atan(u), u = L k, has the rate f = u' / (1 + u^2), with
-
-    f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
-    |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
-
+quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
 Cells that the bound does not clear are bisected.
 
 Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long

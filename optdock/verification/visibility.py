@@ -1,23 +1,11 @@
 """Visibility: the proof that the marker of the dock is in the camera's view on every point of a stretch of a path.
 
-In the robot frame the marker is at q = R(-yaw) (m - p). With v = R(-yaw) p' and J the rotation by a quarter turn,
-
-    q'  = -yaw' J q - v
-    q'' = -yaw'' J q - yaw'^2 q + 2 yaw' J v - R(-yaw) p''
-
-and |q''| <= M = |q| (|yaw''| + yaw'^2) + 2 |yaw'| |p'| + |p''|. The mount of the camera is a fixed rigid transform and
-preserves the norms. Along the stretch that begins at u0 the margins of q are bounded from below, as in
-`conservative_advancement`, by the exact values at u0 and a second-order term:
-
-    edge of the cone   g(u0) + n.q' du - M du^2 / 2           n: normal of the edge, pointing inwards
-    nearest distance   |q(u0)| + n.q' du - M du^2 / 2 - min_range,   n = q(u0) / |q(u0)|
-    farthest distance  max_range - |q(u0) + q' du| - M du^2 / 2
-
-All three are concave in du and smallest at one of the two ends of the stretch. A cone of at most half a turn is the
-intersection of two half-planes, and both bounds count. A wider one is a union of half-planes whose normals lie between
-those of its two edges: the half-plane that attains the signed distance at u0 is a valid lower bound everywhere.
-
-The distance of the robot from the marker may be 0, because no angle is divided by it.
+The position q of the marker in the robot frame and the bound M of |q''| are those of equation C20 in
+docs/theory/certificate.md; the mount of the camera is a rigid transform and preserves the norms. Over a stretch from a
+known pose the margins to the edges of the cone and to the range limits are bounded by (C21); the bounds are concave and
+smallest at one of the two ends. A cone of at most half a turn is the intersection of two half-planes, and both bounds
+count. A wider one is a union of half-planes whose normals lie between those of its two edges: the half-plane that
+attains the signed distance at the known pose is a valid lower bound everywhere.
 """
 
 from __future__ import annotations
@@ -219,7 +207,7 @@ def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds
 
 
 def _lowest(camera: Camera, advance: _Advance) -> FloatArray:
-    """Return the smallest of the three bounds of the module docstring. Shape (n,) [m]."""
+    """Return the smallest of the bounds (C21). Shape (n,) [m]."""
     point, moved = advance.point, advance.width[:, None] * advance.velocity
     distance = np.hypot(point[:, 0], point[:, 1])
     farthest = np.maximum(distance, np.hypot(*(point + moved).T) + advance.stray)

@@ -147,6 +147,7 @@ def test_a_robot_that_does_not_turn_in_place_has_the_digest_that_it_had():
     assert Robot(BOX, LIMITS).fingerprint.limits != Robot(BOX, LIMITS, turns_in_place=True).fingerprint.limits
 
 
+@settings(max_examples=40)
 @given(
     st.floats(0.1, 2.0),
     st.floats(0.1, 2.0),

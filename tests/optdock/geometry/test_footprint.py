@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -34,6 +34,7 @@ def test_anything_else_is_refused(text):
         Footprint.from_string(text)
 
 
+@settings(max_examples=40)
 @given(st.floats(1e-3, 50.0), st.floats(0.0, 1.0))
 def test_a_round_robot_is_the_polygon_around_its_circle(radius, padding):
     footprint = Footprint.from_radius(radius)

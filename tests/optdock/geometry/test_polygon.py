@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -18,6 +18,7 @@ def star(seed, n=9):
     return rng.uniform(0.3, 1.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 3000))
 def test_pieces_are_convex_and_cover_exactly_the_polygon(seed):
     points = star(seed)
@@ -115,6 +116,7 @@ def test_flat_dents_do_not_add_up(length, dents):
     assert sum(signed_area(piece) for piece in pieces) == pytest.approx(signed_area(wall), rel=1e-9)
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 1000), st.floats(0.0, 3e-9))
 def test_pieces_leave_nothing_out_and_stick_out_by_a_nanometre_at_most(seed, depth):
     rng = np.random.default_rng(seed)
@@ -148,6 +150,7 @@ def test_the_normal_of_a_denormal_edge_is_a_unit_vector():
     assert np.all(normals @ np.array([0.3, 0.9]) <= offsets)
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 3000))
 def test_no_vertex_lies_beyond_a_plane(seed):
     rng = np.random.default_rng(seed)

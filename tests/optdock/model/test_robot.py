@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.pose import Twist2
@@ -22,6 +22,7 @@ LIMITS = MotionLimits(
 commands = st.builds(Twist2, st.floats(-2.0, 2.0), st.floats(-4.0, 4.0))
 
 
+@settings(max_examples=40)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_keeps_every_limit(command, drive):
     found = admissible(command, LIMITS, drive)
@@ -34,6 +35,7 @@ def test_an_admissible_command_keeps_every_limit(command, drive):
         assert abs(w) <= 2.0 * abs(v) + 1e-12
 
 
+@settings(max_examples=40)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_stays_as_it_is(command, drive):
     once = admissible(command, LIMITS, drive)
@@ -41,6 +43,7 @@ def test_an_admissible_command_stays_as_it_is(command, drive):
     assert (twice.linear, twice.angular) == pytest.approx((once.linear, once.angular), rel=1e-12, abs=1e-15)
 
 
+@settings(max_examples=40)
 @given(commands)
 def test_a_differential_drive_keeps_the_curvature(command):
     found = admissible(command, LIMITS)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.dense_check import dense_check
@@ -42,6 +42,7 @@ def least(gap):
     return max(gap - 0.005, 0.5 * gap)
 
 
+@settings(max_examples=40)
 @given(st.floats(0.2, 4.0), st.floats(0.0, 0.1))
 def test_along_a_wall_the_robot_may_keep_what_it_has_over_twice_its_length_and_no_further(length, gap):
     path, problem = along_the_wall(length, gap)
@@ -145,6 +146,7 @@ RULES = st.builds(
 )
 
 
+@settings(max_examples=40)
 @given(RULES, st.floats(0.0, 0.2), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.1, 2.0))
 def test_the_weaker_rule_asks_for_no_more_than_the_strict_one_and_never_falls(rule, kept, at, beyond, relief):
     strict, weak = (float(rule.near_start(np.array([at]), kept, run)[0]) for run in (0.0, relief))
@@ -162,6 +164,7 @@ def reversed_plan(path, problem):
     return Path.from_poses(poses), back
 
 
+@settings(max_examples=40)
 @given(st.floats(0.0, 0.06), st.floats(0.0, 0.05), st.floats(0.1, 1.0), st.sampled_from([0.0, 0.4]))
 def test_what_can_be_docked_can_be_left(gap, at_dock, taper, run):
     """Along a wall that ends so far before the dock that the taper is kept, or a little later."""
@@ -201,6 +204,7 @@ def test_five_millimetres_less_than_the_start_has_are_enough_and_half_of_less_th
     assert dense_check(path, problem, 0.002).ok is (beyond > 0.0)
 
 
+@settings(max_examples=40)
 @given(RULES, st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 def test_a_raised_rule_asks_for_as_much_more_everywhere(rule, kept, more, from_goal, from_start):
     at = np.array([from_goal]), np.array([from_start])

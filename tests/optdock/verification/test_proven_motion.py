@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import CertificationFailed, InvalidValue
@@ -163,6 +163,7 @@ def test_pickles_and_copies_speak_of_the_same():
 # Ways from where the robot is.
 
 
+@settings(max_examples=40)
 @given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2), st.floats(0.0, 0.2), st.floats(0.0, 0.03))
 def test_a_robot_beside_its_way_keeps_what_is_required_wherever_it_goes_back_to_it(across, turned, gap, required):
     """By displaced poses, sampled: none is nearer than required. And by the closed form: a straight way, a wall."""

@@ -7,7 +7,7 @@ import weakref
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.families import FAMILIES, instance
@@ -58,6 +58,7 @@ def convex(rng):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_clearances_of_many_poses_are_those_of_each(seed):
     rng = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.clothoid import ClothoidSpline
@@ -82,6 +82,7 @@ def test_each_limit_is_broken_just_below_the_motion_and_kept_just_above(name):
     assert kinds(motion, dataclasses.replace(OPEN, **{name: 1.002 * peak})) == []
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
     rng = np.random.default_rng(seed)
