@@ -105,67 +105,38 @@ class Limit(NamedTuple):
         return f"{self.quantity.replace('_', ' ')} [{self.unit}]"
 
 
+_SIZES: dict[str, Callable[[TurningMotion, MotionLimits], FloatArray]] = {
+    "max_yaw_rate": lambda at, _: np.abs(at.v * at.k),
+    "max_yaw_acceleration": lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
+    "max_lateral_acceleration": lambda at, _: at.v * at.v * np.abs(at.k),
+    "max_lateral_jerk": lambda at, _: np.abs(at.v * (2.0 * at.a * at.k + at.v * at.v * at.r)),
+    "max_wheel_speed": lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
+    "max_steering_rate": lambda at, drive: (
+        np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2)
+    ),
+}
 _LAW, _TURNING, _PATH = LimitKind.TIME_LAW, LimitKind.TURNING, LimitKind.PATH
+_ANGLE = "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature in addition to max_curvature"
+_RATE = "at which the wheels turn, also at rest between two gears"
 _TABLE = (
     Limit("max_speed", "m/s", _LAW, "v", "largest speed forward", finite=True),
     Limit("max_reverse_speed", "m/s", _LAW, "v", "largest speed in reverse", finite=True),
     Limit("max_acceleration", "m/s^2", _LAW, "a", "speeding up, in either gear", finite=True),
     Limit("max_deceleration", "m/s^2", _LAW, "-a", "slowing down, in either gear", finite=True),
     Limit("max_jerk", "m/s^3", _LAW, "|j|", "change of acceleration", finite=True),
-    Limit("max_yaw_rate", "rad/s", _TURNING, "|v k|", "turning left or right", lambda at, _: np.abs(at.v * at.k)),
-    Limit(
-        "max_yaw_acceleration",
-        "rad/s^2",
-        _TURNING,
-        "|a k + v^2 k'|",
-        "change of the yaw rate",
-        lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
-    ),
-    Limit(
-        "max_lateral_acceleration",
-        "m/s^2",
-        _TURNING,
-        "v^2 |k|",
-        "speed^2 * |curvature|",
-        lambda at, _: at.v * at.v * np.abs(at.k),
-    ),
-    Limit(
-        "max_lateral_jerk",
-        "m/s^3",
-        _TURNING,
-        "|2 v a k + v^3 k'|",
-        "change of the lateral acceleration",
-        lambda at, _: np.abs(at.v * (2.0 * at.a * at.k + at.v * at.v * at.r)),
-    ),
-    Limit(
-        "max_wheel_speed",
-        "m/s",
-        _TURNING,
-        "|v| (1 + b |k| / 2)",
-        "rim speed of either wheel",
-        lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
-    ),
+    Limit("max_yaw_rate", "rad/s", _TURNING, "|v k|", "turning left or right"),
+    Limit("max_yaw_acceleration", "rad/s^2", _TURNING, "|a k + v^2 k'|", "change of the yaw rate"),
+    Limit("max_lateral_acceleration", "m/s^2", _TURNING, "v^2 |k|", "speed^2 * |curvature|"),
+    Limit("max_lateral_jerk", "m/s^3", _TURNING, "|2 v a k + v^3 k'|", "change of the lateral acceleration"),
+    Limit("max_wheel_speed", "m/s", _TURNING, "|v| (1 + b |k| / 2)", "rim speed of either wheel"),
     Limit("max_curvature", "1/m", _PATH, "|k|", "1 / smallest turning radius"),
     Limit("max_curvature_rate", "1/m^2", _PATH, "|k'|", "|d curvature / ds|: steering rate per metre of path"),
-    Limit(
-        "max_steering_angle",
-        "rad",
-        _PATH,
-        "|atan(L k)|",
-        "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature in addition to max_curvature",
-        steered=True,
-    ),
-    Limit(
-        "max_steering_rate",
-        "rad/s",
-        _TURNING,
-        "L |k' v| / (1 + (L k)^2)",
-        "at which the wheels turn, also at rest between two gears",
-        lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
-        steered=True,
-    ),
+    Limit("max_steering_angle", "rad", _PATH, "|atan(L k)|", _ANGLE, steered=True),
+    Limit("max_steering_rate", "rad/s", _TURNING, "L |k' v| / (1 + (L k)^2)", _RATE, steered=True),
 )
-LIMITS: Mapping[str, Limit] = MappingProxyType({limit.name: limit for limit in _TABLE})
+LIMITS: Mapping[str, Limit] = MappingProxyType(
+    {limit.name: limit._replace(size=_SIZES.get(limit.name)) for limit in _TABLE}
+)
 QUANTITY_UNITS = {limit.quantity: limit.unit for limit in _TABLE} | {"yaw_jerk": "rad/s^3"}
 LIMIT_UNITS = {name: limit.unit for name, limit in LIMITS.items() if not limit.steered}
 STEERING_UNITS = {name: limit.unit for name, limit in LIMITS.items() if limit.steered}

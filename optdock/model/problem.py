@@ -20,7 +20,7 @@ from optdock.geometry.separation import separation
 from optdock.model.camera import RequiredView
 from optdock.model.cell_obstacles import mapped_obstacles
 from optdock.model.costmap import Costmap
-from optdock.model.costs import FREE_SPACE, LETHAL, NO_INFORMATION
+from optdock.model.costs import FREE_SPACE, LETHAL, OccupancyRule, costs_from_occupancy
 from optdock.model.dock import Dock
 from optdock.model.robot import Robot
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["ClearanceRule", "DockingProblem", "ProblemFingerprint"]
 
 OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
-BESIDE_THE_ROBOT = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for smaller robots
+STATION_DISTANCE = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for smaller robots
 # Slope at which the required clearance grows with the distance from a start that violates it, from the start on or,
 # under the weaker rule, from `DockingProblem.start_run` on.
 START_RELIEF_SLOPE = 0.5
@@ -525,7 +525,7 @@ def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
     """Check that the station is within the robot's length of the docked robot; otherwise the frame is wrong."""
     outline = robot.footprint.vertices
     length = float(_corner_distances(outline, outline).max())
-    allowed = max(BESIDE_THE_ROBOT, length)
+    allowed = max(STATION_DISTANCE, length)
     # The corners are close for nearly every dock; only otherwise the distance of the edges is needed.
     if _corner_distances(outline, station.vertices).min() <= allowed:
         return
@@ -563,10 +563,10 @@ def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:
         raise InvalidValue(f"occupied_from: must be an integer in 1..100, got {occupied_from!r}")
     if grid.dtype.kind == "b":
         return np.where(grid, LETHAL, FREE_SPACE).astype(np.uint8)
-    wrong = grid[(grid < -1) | (grid > 100)]
-    if wrong.size:
-        raise InvalidValue(f"occupancy: must be -1 (unknown) or 0..100, got {int(wrong[0])}")
+    costs = costs_from_occupancy(
+        grid, OccupancyRule(lethal_cost_threshold=occupied_from, inscribed_obstacle_cost_value=200)
+    )
     if occupied_from > 1 and grid.size and int(grid.max()) == 1:
         # Occupancies of at most 1 % are most likely a mask of ones and zeros, whose walls would be free.
         raise InvalidValue("occupancy: holds 1 at most, of 100; give a mask as booleans, or occupied_from = 1")
-    return np.select([grid < 0, grid >= occupied_from], [NO_INFORMATION, LETHAL], FREE_SPACE).astype(np.uint8)
+    return costs

@@ -98,7 +98,7 @@ class _Round(NamedTuple):
         return table
 
 
-def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is known
+def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
     path: Path,
     problem: DockingProblem,
     is_late: Callable[[], bool] = never_late,

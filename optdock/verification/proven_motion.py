@@ -68,6 +68,9 @@ class _Proven(Generic[Content]):
     __slots__ = ("__weakref__",)
     _proofs: ClassVar[Memo[Any, Any]]
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return self._keep, (self._content,)
+
     def __init__(self) -> None:
         raise InvalidValue(f"{type(self).__name__}: cannot be constructed, only proven, see `prove_motion`")
 
@@ -102,8 +105,10 @@ class ProvenMotion(_Proven[_Motion]):
     def __repr__(self) -> str:
         return f"<ProvenMotion {self.trajectory!r} from {self.pose.brief}>"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return _restored_motion, (*self._content,)
+    @classmethod
+    def _keep(cls, content: _Motion) -> ProvenMotion:
+        _PROVEN_FOR.keep(content.trajectory, content.problem.fingerprint)
+        return super()._keep(content)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -147,9 +152,6 @@ class ProvenWay(_Proven[_Way]):
     def __repr__(self) -> str:
         return f"<ProvenWay {self.path.driven:.3f} m from {self.pose.brief}>"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return _restored_way, (*self._content,)
-
     @property
     def path(self) -> Path:
         """The path."""
@@ -167,19 +169,6 @@ class ProvenWay(_Proven[_Way]):
 
 
 _PROVEN_FOR: Memo[Trajectory, ProblemFingerprint] = Memo()
-
-
-def _restored_motion(*parts: object) -> ProvenMotion:
-    return _kept_motion(_Motion(*parts))  # type: ignore[arg-type]  # the parts of a pickle
-
-
-def _restored_way(*parts: object) -> ProvenWay:
-    return ProvenWay._keep(_Way(*parts))  # type: ignore[arg-type]  # the parts of a pickle
-
-
-def _kept_motion(content: _Motion) -> ProvenMotion:
-    _PROVEN_FOR.keep(content.trajectory, content.problem.fingerprint)
-    return ProvenMotion._keep(content)
 
 
 def prove_motion(
@@ -206,7 +195,7 @@ def prove_motion(
     motion = certify_motion(trajectory, problem, is_late=is_late)
     if not motion.certified:
         raise CertificationFailed(f"the motion is not certified: {motion.reason}", where=where_broken(motion))
-    return _kept_motion(_Motion(trajectory, problem, path, motion))
+    return ProvenMotion._keep(_Motion(trajectory, problem, path, motion))
 
 
 def proven_for(trajectory: Trajectory) -> ProblemFingerprint | None:

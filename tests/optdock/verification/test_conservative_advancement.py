@@ -55,7 +55,7 @@ def kinds(certificate):
     return {violation.kind for violation in certificate.violations}
 
 
-@pytest.mark.parametrize("x", np.linspace(0.2, 2.8, 14))
+@pytest.mark.parametrize("x", np.linspace(0.2, 2.8, 7))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_outside(x, side):
     path = clothoid([0.0, 3.0], [0.0, 0.0])
@@ -105,7 +105,7 @@ def beside(path, s, gap, side):
     return ObstacleSet.from_polygons([square(*(np.array([x, y]) + high * normal))])
 
 
-@pytest.mark.parametrize(("s", "side"), list(itertools.product([0.8, 1.7, 2.6, 3.3], [1, -1])))
+@pytest.mark.parametrize(("s", "side"), list(itertools.product([0.8, 1.7, 3.3], [1, -1])))
 def test_a_thin_post_beside_a_curve_is_found_2_mm_inside_and_passed_2_mm_outside(s, side):
     path = curved_path()
     near = certify_path(path, problem_for(path, beside(path, s, REQUIRED - 0.002, side)))
@@ -539,7 +539,7 @@ def test_obstacles_keep_their_names_when_far_ones_are_left_out():
     assert kept.nearest == "near[0]"
 
 
-@pytest.mark.parametrize("s", [0.4, 1.3, 2.2])
+@pytest.mark.parametrize("s", [0.4, 2.2])
 def test_the_smallest_clearance_is_where_it_is_said_to_be(s):
     path = curved_path()
     problem = problem_for(path, beside(path, s, REQUIRED + 0.02, 1))

@@ -137,6 +137,7 @@ def test_a_robot_that_sets_off_does_not_begin_with_a_turn_in_place():
     for state, expected in (
         ({}, []),
         ({"start_speed": 0.1}, ["turn"]),
+        ({"start_speed": 1e-9}, ["turn"]),
         ({"start_acceleration": 0.1}, ["turn"]),
         ({"start_speed": 0.1, "start_acceleration": -0.1}, ["turn"]),
     ):
@@ -169,11 +170,6 @@ def test_the_final_straight_is_driven_in_one_gear(share, sampled):
     violations = certify_path(path, problem(path, final_straight=0.5)).violations
     assert [violation.kind for violation in violations] == expected
     assert all(violation.amount == pytest.approx(0.5 * (1.0 - share)) for violation in violations)
-
-
-def test_a_turn_in_place_is_no_final_straight():
-    path = Path((*polyline(np.linspace(0.0, 1.0, 9), np.zeros(9)).segments, TurnSegment(Pose2(1.0, 0.0, 0.0), 0.5)))
-    assert "final_straight" in kinds(path, problem(path, MotionLimits(), final_straight=0.5))
 
 
 def test_the_gear_into_the_dock_is_the_one_asked_for():
@@ -377,6 +373,9 @@ def test_a_zigzag_of_motion_is_a_curvature(spacing, aside):
     assert kinds(path, problem(path, MotionLimits(), final_straight=0.0)) == []
 
 
+SUMS = ("drifts sideways", "add up", "in total", "direction of motion")
+
+
 @settings(max_examples=40)
 @given(st.integers(0, 100_000), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.sampled_from([0.0, 1e-9, 1e-6]))
 def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
@@ -390,15 +389,4 @@ def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
     limits = MotionLimits(max_curvature=float(np.max(np.abs(curvature))))
     found = certify_path(path, problem(path, limits, final_straight=0.0)).violations
     # A coarse step across a kink may still slip or bulge by itself.
-    assert [v.message for v in found if "in all" in v.message or "direction of motion" in v.message] == []
-
-
-@pytest.mark.parametrize("speed", [0.2, -0.2, 1e-9, -1e-9, 0.0])
-def test_no_robot_in_motion_begins_with_a_turn_in_place(speed):
-    turn = TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5)
-    driven = ClothoidSpline(turn.end, [0.0, 1.0], [0.0, 0.0], -1 if speed < 0.0 else 1)
-    path = Path((turn, ClothoidSegment(driven)))
-    drive = dataclasses.replace(LIMITS, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
-    robot = Robot(Footprint.from_radius(0.3), drive, turns_in_place=True)
-    wanted = DockingProblem(path.start, Dock(path.end), robot, start_speed=speed)
-    assert kinds(path, wanted) == (["turn"] if speed else [])
+    assert [v.message for v in found if any(part in v.message for part in SUMS)] == []

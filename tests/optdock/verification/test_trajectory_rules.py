@@ -199,18 +199,10 @@ def test_the_reverse_gear_has_its_own_speed_limit():
 
 def test_the_speed_zone_binds_from_its_first_millimetre():
     motion = trajectory()
-    speed_at = {
-        d: float(
-            np.interp(
-                3.0 - d,
-                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 0],
-                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 1],
-            )
-        )
-        for d in (0.1,)
-    }
-    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 1.001, 0.1)) == []
-    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 0.99, 0.1)) == ["speed"]
+    s, v = motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, :2].T
+    speed = float(np.interp(2.9, s, v))
+    assert kinds(motion, OPEN, SpeedZone(speed * 1.001, 0.1)) == []
+    assert kinds(motion, OPEN, SpeedZone(speed * 0.99, 0.1)) == ["speed"]
     assert kinds(motion, OPEN, SpeedZone(0.4, 100.0)) == ["speed"]
 
 
@@ -276,7 +268,7 @@ def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
         assert kinds(Trajectory(two_gears(), TimeLaw(durations, jerks, start_s=shift)), OPEN) == []
 
 
-@pytest.mark.parametrize("angle", [3e-6, 1e-3, 0.02, 1.5])
+@pytest.mark.parametrize("angle", [3e-6, 0.02, 1.5])
 @pytest.mark.parametrize("gear", [1, -1])
 def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
     """The curvature jumps by what the wheels turn in reverse as forward, and at a joint within one gear."""
@@ -437,7 +429,7 @@ def spike(width, at=1.0, turn=0.4):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, turn / width, 0.0, 0.0])),))
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-6, 1e-10, 2e-14, 2.3e-16])
+@pytest.mark.parametrize("width", [1e-2, 1e-10, 2.3e-16])
 @pytest.mark.parametrize("resting", [False, True])
 def test_a_turn_within_any_distance_is_seen(width, resting):
     motion = Trajectory(spike(width), law(move(1.0), move(2.0)) if resting else law(move(3.0)))
@@ -446,14 +438,14 @@ def test_a_turn_within_any_distance_is_seen(width, resting):
     assert kinds(motion, dataclasses.replace(TURNING, max_yaw_acceleration=np.inf)) == ["yaw_rate"]
 
 
-@pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-8, 4e-14, 2.3e-16])
+@pytest.mark.parametrize("width", [1e-1, 1e-8, 2.3e-16])
 def test_a_jump_of_curvature_within_any_distance_is_a_jump_of_yaw_rate(width):
     knots = [0.0, 1.0, 1.0 + width, 2.0, 3.0]
     jump = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, 1.0, 1.0, 1.0])),))
     assert "yaw_acceleration" in kinds(Trajectory(jump, law(move(3.0))), TURNING)
 
 
-@pytest.mark.parametrize("wait", [1.0, 1e9, 1e15, 1e17])
+@pytest.mark.parametrize("wait", [1.0, 1e17])
 def test_what_follows_a_wait_of_any_length_is_judged(wait):
     circle = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [2.0, 2.0])),))
     motion = Trajectory(circle, law(([wait], [0.0]), move(3.0)))
@@ -505,7 +497,7 @@ def test_blocks_of_cells_change_nothing(monkeypatch):
     assert [one.message for one in parts.violations] == [one.message for one in whole.violations]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_second_derivatives_stay_within_their_bounds(seed):
     """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
     for which in range(1, 32):
