@@ -101,15 +101,15 @@ class ClothoidSegment(FrozenArrays):
         return self.spline.knots
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3)."""
+        """Return the poses at `s`. Shape (n, 3)."""
         return self.spline.poses_at(s)
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m]."""
+        """Return the curvature at `s`. Shape (n,) [1/m]."""
         return self.spline.curvature_at(s)
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m^2]."""
+        """Return the curvature rate at `s`. Shape (n,) [1/m^2]."""
         return self.spline.curvature_rate_at(s)
 
 
@@ -144,19 +144,13 @@ class PolylineSegment(FrozenArrays):
             raise InvalidValue("path: a segment's direction: poses are driven forward or in reverse; see TurnSegment")
         check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
-        turn, arc = _step_arcs(poses)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = np.where(arc > 0.0, turn / arc, np.copysign(np.inf, turn))
-        curvature = np.where((arc <= 0.0) & (turn == 0.0), 0.0, curvature)
+        vars(self).update(poses=readonly(poses), direction=direction)
+        knots = np.concatenate(([0.0], np.cumsum(_step_arcs(poses)[1])))
+        curvature = self.step_curvature
         with np.errstate(invalid="ignore"):
             inner = 0.5 * (curvature[:-1] + curvature[1:])
         nodes = np.concatenate((curvature[:1], np.where(np.isnan(inner), np.inf, inner), curvature[-1:]))
-        vars(self).update(
-            poses=readonly(poses),
-            direction=direction,
-            knots=readonly(np.concatenate(([0.0], np.cumsum(arc)))),
-            node_curvature=readonly(nodes),
-        )
+        vars(self).update(knots=readonly(knots), node_curvature=readonly(nodes))
 
     def __repr__(self) -> str:
         return f"<PolylineSegment {self.length:.3f} m {self.direction.name.lower()}, {len(self.poses)} poses>"
@@ -259,7 +253,7 @@ class TurnSegment(FrozenArrays):
         return Pose2(self.pose.x, self.pose.y, self.pose.yaw + self.turn)
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3)."""
+        """Return the poses at `s`. Shape (n, 3)."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         poses = np.tile(self.pose.as_array(), (points.size, 1))
         poses[:, 2] += math.copysign(1.0 / TURN_RADIUS, self.turn) * points

@@ -135,14 +135,6 @@ def _turns_in_place(path: Path) -> Iterator[Violation]:
                 yield Violation("coverage", message, s, turn)
 
 
-def _turning_points(law: TimeLaw) -> Instants:
-    """Return the instant of stationary speed of each phase, clipped to the phase."""
-    a = law.states[:-1, 2]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
-    return Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
-
-
 class _Extremes(NamedTuple):
     """Instants that include every phase's extreme speeds: time [s], distance [m], speed [m/s], Shape (n,) each."""
 
@@ -152,8 +144,10 @@ class _Extremes(NamedTuple):
 
 
 def _speed_extremes(law: TimeLaw) -> _Extremes:
-    """Return first the borders of the phases, then the stationary points inside."""
-    inside = _turning_points(law)
+    """Return first the borders of the phases, then their stationary points, clipped to the phase."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        dt = np.where(law.jerks != 0.0, -law.states[:-1, 2] / law.jerks, 0.0)
+    inside = Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
     s, v, _ = inside.motion(law).T
     borders = law.states
     return _Extremes(

@@ -1,4 +1,4 @@
-"""The deadline, and what must not happen before it."""
+"""The deadline, and collection of garbage within it."""
 
 import gc
 import math
@@ -38,7 +38,7 @@ def test_time_is_counted_from_the_beginning():
 
 
 def test_budgets_of_these_tests_count_cpu_time():
-    """A machine that does something else meanwhile takes nothing from them."""
+    """Other load on the machine does not affect these tests."""
     deadline, context = Deadline(0.05), PluginContext()
     began = context.clock()
     time.sleep(0.1)

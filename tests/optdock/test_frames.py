@@ -1,4 +1,4 @@
-"""Paths and what comes of them name the frame that their poses stand in, and two known frames are never mixed."""
+"""Paths and motions have the frame of their poses, and two known frames are never mixed."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Dense quadratic programs: closed forms, other solvers, and what has no solution."""
+"""Dense quadratic programs: closed forms, other solvers, and infeasible programs."""
 
 import numpy as np
 import pytest

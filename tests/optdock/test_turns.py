@@ -1,4 +1,4 @@
-"""Turning in place: a segment of its own, from the path to the proof, the time law, the file and the drive."""
+"""Turns in place: segment, proof, time law, plan file and tracking."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ STILL = Path((TurnSegment(Pose2(0.2, -0.1, 0.3), 2.0),))
 
 
 def gears(*parts, start=ORIGIN):
-    """A path of drives (length, curvature, sign) and turns (turn,), one after the other."""
+    """Return a path of consecutive drives (length, curvature, sign) and turns (turn,)."""
     pose, segments = start, []
     for part in parts:
         if len(part) == 1:
@@ -215,7 +215,7 @@ def test_a_turn_must_begin_where_the_gear_before_it_ends():
 @pytest.mark.parametrize("turn", [2.0 * math.pi, -4.0, 0.7, -0.05])
 @pytest.mark.parametrize("thin", [1e-3, 1e-6])
 def test_a_thin_obstacle_in_the_swept_turn_is_found(turn, thin):
-    """A needle that only the corner sweeps over, at the middle of the turn: neither end touches it."""
+    """Only the corner sweeps over the needle, at the middle of the turn."""
     path = Path((TurnSegment(ORIGIN, turn),))
     corner = math.atan2(0.2, 0.5) * (1.0 if turn > 0.0 else -1.0)
     at = 0.5 * turn + corner
@@ -230,8 +230,7 @@ def test_a_thin_obstacle_in_the_swept_turn_is_found(turn, thin):
 @pytest.mark.parametrize("turn", [1.2, -1.2, 2.0 * math.pi])
 @pytest.mark.parametrize("share", [0.1, 0.37, 0.93])
 def test_an_arm_that_swings_around_a_needle_is_found(turn, share):
-    """The tip of an arm that points at the origin goes round it on a circle, so it bends towards what stands inside:
-    its tangent misses the needle, and neither end of any short stretch of the turn touches it."""
+    """The tip of the arm moves on a circle towards the needle inside it, which its tangent misses."""
     arm = Footprint([(1.0, 0.0), (1.5, 0.3), (1.5, -0.3)])
     path = Path((TurnSegment(ORIGIN, turn),))
     along = np.array([math.cos(share * turn), math.sin(share * turn)])
@@ -249,7 +248,7 @@ def test_an_arm_that_swings_around_a_needle_is_found(turn, share):
     st.floats(-7.0, 7.0).filter(lambda x: abs(x) > 1e-3), st.floats(0.0, 6.28), st.floats(0.2, 0.9), st.floats(0.0, 0.1)
 )
 def test_a_proven_clearance_is_that_of_the_swept_turn(turn, bearing, radius, size):
-    """Against many turned outlines, by shapely: never more than the truth, less by no more than is promised."""
+    """Compared with many rotated outlines by shapely: below the true clearance by at most the sharpness."""
     place = radius * np.array([math.cos(bearing), math.sin(bearing)])
     rock = place + (size + 1e-3) * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
     path = Path((TurnSegment(ORIGIN, turn),))
@@ -290,7 +289,7 @@ def test_many_tiny_turns_are_turns():
 
 
 def jerk_limited(turn, rate, acceleration, jerk):
-    """Least time of a turn from rest to rest, in closed form."""
+    """Return the least duration of a turn from rest to rest, in closed form."""
     ramp = min(acceleration, math.sqrt(rate * jerk))
     if turn >= rate * rate / ramp + rate * ramp / jerk:
         return turn / rate + rate / ramp + ramp / jerk
@@ -310,7 +309,7 @@ def test_a_turn_takes_the_least_time(turn, method):
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("seed", range(2))
 def test_every_limit_is_kept_at_every_millisecond(seed, method):
-    """By the samples: yaw acceleration and its jerk by finite differences of the yaw rate, speeds as they are."""
+    """Yaw acceleration and jerk by finite differences of the sampled yaw rate."""
     rng = np.random.default_rng(seed)
     limits = MotionLimits(
         *rng.uniform(0.3, 0.8, 4), rng.uniform(1.0, 4.0), rng.uniform(0.4, 1.5), rng.uniform(0.5, 2.0), track_width=0.4
@@ -366,7 +365,7 @@ def test_a_robot_rests_before_and_behind_a_turn():
 
 
 def test_limits_of_driving_do_not_bind_a_turn_nor_those_of_turning_a_drive():
-    """Coordinate speeds of a turn are yaw rates: beyond every speed limit here, and a crawl of it is no speed zone."""
+    """Path speeds in a turn are yaw rates: above every speed limit here, and unaffected by the speed zone."""
     limits = MotionLimits(0.2, 0.2, 0.1, 0.1, 1.0, max_yaw_rate=3.0, max_yaw_acceleration=5.0, max_wheel_speed=0.3)
     motion = timed(ROUTE, limits, SpeedZone(0.05, 10.0))
     proof = certify_trajectory(motion, limits, SpeedZone(0.05, 10.0))
@@ -501,7 +500,7 @@ def test_the_tracking_controller_drives_turns(path):
 
 
 def test_a_blocked_turn_finds_its_reference_waiting():
-    """A robot that turns at half the rate: the reference slows down instead of leaving it behind."""
+    """For a robot that turns at half the rate the reference slows down."""
     path = gears((3.0,))
     plan = plan_of(path)
     slow = Robot(BOX, dataclasses.replace(LIMITS, max_yaw_rate=0.4), turns_in_place=True)

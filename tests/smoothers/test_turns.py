@@ -129,7 +129,7 @@ def test_a_straight_piece_in_the_way_of_an_obstacle_is_bent():
 @pytest.mark.parametrize(
     ("path", "options", "word"),
     [
-        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "but the robot cannot"),
+        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "does not do that"),
         (STRAIGHT, {"start_speed": 0.1}, "the robot moves at 0.1 m/s"),
         (chained(Pose2(0.0, 0.0, 0.0), [(1.0, 0.0)], 0.8), {}, "asks for a final straight"),
     ],

@@ -1,4 +1,4 @@
-"""Polygons: checks, convexity, decomposition; shapely is the other opinion."""
+"""Polygons: checks, convexity, decomposition; compared with shapely."""
 
 import numpy as np
 import pytest
@@ -109,7 +109,7 @@ def dented_wall(length, dents, depth):
 
 @pytest.mark.parametrize(("length", "dents"), [(4000.0, 1), (100.0, 200), (100.0, 1000), (1e6, 1)])
 def test_flat_dents_do_not_add_up(length, dents):
-    """Every single turn is below a billionth of a radian, their sum is not: such a wall is not convex."""
+    """Every single turn is below a billionth of a radian, but their sum makes the wall concave."""
     wall = simple_polygon(dented_wall(length, dents, 0.4e-9 * length * max(dents, 2) / 4.0), "wall")
     assert not is_convex(wall)
     pieces = convex_pieces(wall)

@@ -1,4 +1,4 @@
-"""Exact signed distance: shapely outside, exhaustive Minkowski inside, and the axis as proof."""
+"""Exact signed distance: shapely for separated shapes, Minkowski differences for overlaps, and the axis as proof."""
 
 import numpy as np
 import pytest

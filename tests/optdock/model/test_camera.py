@@ -1,4 +1,4 @@
-"""What a camera sees, how far inside its view points lie, and what a dock and a problem accept of it."""
+"""Field of view and margins of a camera, and validation of docks and problems with a marker."""
 
 import dataclasses
 import math

@@ -19,7 +19,7 @@ cost_grids = hnp.arrays(
 
 
 def painted(rectangles, shape):
-    """How often each cell is covered; the slow way."""
+    """Count how often each cell is covered."""
     counts = np.zeros(shape, dtype=int)
     for i0, j0, i1, j1 in rectangles:
         counts[j0:j1, i0:i1] += 1
@@ -90,7 +90,7 @@ def test_the_border_surrounds_the_map_without_covering_it():
 @settings(max_examples=40)
 @given(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(0.0, 6.5), st.integers(-4, 7))
 def test_everything_off_the_map_is_an_obstacle_however_far(x, y, yaw, power):
-    """Inside the map the clearance is the distance to its edge; outside it is how deep the robot is in, and exact."""
+    """Inside the map the clearance is the distance to its edge; outside it is the exact penetration depth."""
     costmap = Costmap(np.zeros((100, 120), dtype=int), 0.1, (-6.0, -5.0))
     pose = Pose2(x * 10.0**power, y * 10.0**power, yaw)
     robot = Footprint.rectangle(0.4, 0.2, 0.5)

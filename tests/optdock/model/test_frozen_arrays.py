@@ -1,4 +1,4 @@
-"""What a plug-in is handed it cannot change: no array of a frozen value can be made writable, nor one of its copies."""
+"""Plugins cannot modify frozen values: no array of a frozen value or of its copies can be made writable."""
 
 import copy
 import dataclasses
@@ -70,7 +70,7 @@ def two_segments():
 
 
 def frozen_values():
-    """One of every kind that holds arrays, each made of a list of arrays that the caller keeps."""
+    """Return one value of every class that holds arrays, with the arrays of the caller that it was made from."""
     square, poses = np.array(SQUARE), np.array(POSES)
     knots, curvature = np.array([0.0, 1.0]), np.array([0.0, 0.5])
     vertices, group = np.array([SQUARE, SQUARE]), np.array([0, 0])
@@ -120,7 +120,7 @@ def made(which):
 
 
 def arrays_of(value, seen=None):
-    """Every array that can be reached from a value by attributes and items, what is computed at first use included."""
+    """Return every array that is reachable from a value by attributes and items, cached properties included."""
     seen = {} if seen is None else seen
     if id(value) in seen or isinstance(value, Enum | type | ModuleType):
         return []
@@ -143,7 +143,7 @@ def arrays_of(value, seen=None):
 
 
 def thawed(array):
-    """The ways in which this array, or a view of it, could be written to."""
+    """Return the ways in which this array, or a view of it, could be written to."""
     views = {
         "itself": lambda: array,
         "its base": lambda: array.base,
@@ -250,7 +250,7 @@ def test_readonly_copies_into_memory_that_cannot_be_written_to(array):
 
 
 def test_what_numpy_restores_over_the_bytes_of_a_pickle_is_copied_too():
-    """Its memory is a `bytes` object, and numpy writes into it all the same."""
+    """The memory of a restored array is a `bytes` object, but NumPy can write to it."""
     restored = pickle.loads(pickle.dumps(np.zeros(1000)))
     frozen = readonly(restored)
     restored[:] = 1.0

@@ -1,4 +1,4 @@
-"""The table of limits: every field of `MotionLimits` is in it, and whatever reads it knows every row."""
+"""The table of limits contains every field of `MotionLimits`, and every user of the table supports every row."""
 
 import dataclasses
 import math
@@ -69,7 +69,7 @@ def test_every_field_counts_in_the_digest_of_a_robot(name):
 
 
 def test_a_limit_that_is_not_set_leaves_digests_as_they_were():
-    """Of limits that came after the first fifteen fields; these digests are older than the lateral jerk."""
+    """These digests are older than the lateral jerk limit."""
     robots = (
         Robot(Footprint.from_radius(0.3), MotionLimits()),
         Robot(Footprint.from_radius(0.3), MotionLimits(wheelbase=2.8, max_steering_rate=0.4), Drive.ACKERMANN),

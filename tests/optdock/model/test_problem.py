@@ -1,4 +1,4 @@
-"""The docking problem takes plain values: polygons, one number, a grid; and says which of them is wrong."""
+"""The docking problem accepts plain values (polygons, one number, a grid) and names invalid ones."""
 
 import dataclasses
 import math
@@ -39,7 +39,7 @@ def test_plain_polygons_are_obstacles(polygons):
 
 
 def test_a_station_that_no_docked_robot_can_reach_is_refused():
-    """The robot is 0.72 m long; a station may stand 1 m off, whichever way it is seen, and however long it is."""
+    """The robot is 0.72 m long; a station within 1 m is accepted."""
     corners = np.array([[0.0, -0.2], [0.2, -0.2], [0.2, 0.2], [0.0, 0.2]])
     for gap, accepted in ((0.0, True), (0.99, True), (1.01, False), (50.0, False)):
         for side, shift in ((1.0, [0.3 + gap, 0.0]), (-1.0, [0.3 + gap, 0.0]), (1.0, [-0.1, 0.4 + gap])):
@@ -143,7 +143,7 @@ def test_the_start_along_the_travel(given, gear, along):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_rounding_leaves_of_rest_is_rest(sign):
-    """Sampled trajectories end with accelerations such as -1e-12, from which no robot that stands could set off."""
+    """Sampled trajectories end with accelerations such as -1e-12, from which a robot at rest cannot start."""
     still = problem(start_speed=sign * 1e-14, start_acceleration=-1e-12)
     assert (still.start_speed, still.start_acceleration) == (0.0, 0.0)
     jerk = still.robot.limits.max_jerk
@@ -165,7 +165,7 @@ def from_grid(grid, **more):
 
 
 def boxes(case):
-    """Lower and upper corners of all pieces that stand on the map."""
+    """Return the lower and upper corners of all pieces on the map."""
     inside = [i for i in range(len(case.all_obstacles)) if case.all_obstacles.name_of(i) == "map"]
     corners = np.column_stack((case.all_obstacles.lower, case.all_obstacles.upper))[inside]
     return sorted(tuple(row) for row in np.round(corners, 9).tolist())
@@ -176,13 +176,13 @@ def test_row_0_of_a_grid_is_the_lowest_y_and_column_0_the_lowest_x():
 
 
 def test_upside_down_or_transposed_it_is_another_world():
-    """The grid has no symmetry: whoever mixes up rows and columns, or up and down, does not see the same obstacles."""
+    """The grid has no symmetry, so exchanged rows and columns or a flipped axis give other obstacles."""
     seen = [boxes(from_grid(grid)) for grid in (GRID, GRID[::-1], GRID[:, ::-1], GRID.T)]
     assert all(seen[i] != seen[j] for i in range(4) for j in range(i))
 
 
 def test_the_picture_of_a_grid_shows_it_where_the_obstacles_are(tmp_path):
-    """The wall lies at a larger y than the way, so in the picture it is above it."""
+    """The wall has a larger y than the path, so it is above the path in the picture."""
     from PIL import Image
 
     plan_dock(from_grid(GRID), time_budget=20.0).plot(tmp_path / "plan.png")

@@ -1,4 +1,4 @@
-"""Which commands a drive can follow."""
+"""Commands within the limits of a drive."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Start relief: a robot along a wall may keep what it has over twice its length, and the certificate says so."""
+"""Start relief: a robot along a wall may keep its start clearance over twice its length, as its certificate states."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ WALL = [[-5.0, 0.3], [9.0, 0.3], [9.0, 0.5], [-5.0, 0.5]]
 
 
 def along_the_wall(length, gap, *others, turned=0.0, required=REQUIRED):
-    """A robot at `gap` [m] from a wall on its left, and its drive of `length` [m] straight ahead."""
+    """Return a robot at `gap` [m] from a wall on its left, and a straight path of `length` [m]."""
     start = Pose2(0.0, -gap, 0.0)
     goal = Pose2(length, -gap + turned, 0.0)
     problem = DockingProblem(
@@ -38,7 +38,7 @@ def along_the_wall(length, gap, *others, turned=0.0, required=REQUIRED):
 
 
 def least(gap):
-    """What the weaker rule asks for near a start with this clearance [m]."""
+    """Return the requirement of the weaker rule near a start with this clearance [m]."""
     return max(gap - 0.005, 0.5 * gap)
 
 
@@ -66,7 +66,7 @@ def test_along_a_wall_the_robot_may_keep_what_it_has_over_twice_its_length_and_n
 @pytest.mark.parametrize("ahead", [0.45, 0.85, 0.05])
 @pytest.mark.parametrize("beyond", [-1e-4, 1e-4])
 def test_the_run_is_twice_the_length_of_the_robot_to_the_last_tenth_of_a_millimetre(ahead, beyond):
-    """Wherever its origin is; the last tenth beyond it asks for twice what the certificate forgives, and more."""
+    """For any origin of the robot; 0.1 mm beyond the run the requirement exceeds twice the tolerance."""
     robot = Robot(Footprint.rectangle(ahead, 0.9 - ahead, 0.6), ROBOT.limits)
     path, problem = along_the_wall(RUN + 0.01 + beyond, 0.01)  # 5 mm less than it has, and a slope of 1/2
     wider = DockingProblem(problem.start, problem.dock, robot, problem.obstacles, ClearanceRule(REQUIRED, 0.01, 0.0))
@@ -157,7 +157,7 @@ def test_the_weaker_rule_asks_for_no_more_than_the_strict_one_and_never_falls(ru
 
 
 def reversed_plan(path, problem):
-    """The same way the other way round: out of the dock, to where it began."""
+    """Return the path in the opposite direction: from the dock to the former start."""
     poses = path.sample(0.005).poses[::-1]
     rule = dataclasses.replace(problem.clearance, at_start=problem.clearance.at_dock)
     back = DockingProblem(problem.goal, Dock(problem.start), problem.robot, problem.obstacles, rule)
@@ -167,7 +167,7 @@ def reversed_plan(path, problem):
 @settings(max_examples=40)
 @given(st.floats(0.0, 0.06), st.floats(0.0, 0.05), st.floats(0.1, 1.0), st.sampled_from([0.0, 0.4]))
 def test_what_can_be_docked_can_be_left(gap, at_dock, taper, run):
-    """Along a wall that ends so far before the dock that the taper is kept, or a little later."""
+    """Along a wall that ends at the distance from the dock at which the taper is satisfied, or slightly later."""
     rule = ClearanceRule(REQUIRED, at_dock, taper, run)
     for beyond in (-0.01, 0.01):
         reach = run + taper * (gap - at_dock) / (REQUIRED - at_dock) if at_dock < REQUIRED else 0.0
@@ -186,7 +186,7 @@ def test_what_can_be_docked_can_be_left(gap, at_dock, taper, run):
 @pytest.mark.parametrize("gap", [0.0, 0.002, 0.03])
 @pytest.mark.parametrize(("run", "holds"), [(0.0, False), (1.4, False), (1.5, True)])
 def test_a_dock_beside_a_wall_is_entered_where_the_rule_says_over_which_run(gap, run, holds):
-    """The nose comes to the wall 1.45 m before the dock."""
+    """The nose reaches the wall 1.45 m before the dock."""
     wall = [[-1.0, 0.3 + gap], [1.0, 0.3 + gap], [1.0, 0.5 + gap], [-1.0, 0.5 + gap]]
     path = Path.from_poses(np.column_stack((np.linspace(-3.0, 0.0, 301), np.zeros(301), np.zeros(301))))
     problem = DockingProblem(path.start, Dock(path.end), ROBOT, [wall], ClearanceRule(REQUIRED, 0.0, 0.0, run))

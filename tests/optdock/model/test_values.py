@@ -1,4 +1,4 @@
-"""The small frozen values: limits, dock, clearance rule, problem, obstacles."""
+"""Frozen values: limits, dock, clearance rule, problem, obstacles."""
 
 import copy
 import math
@@ -62,7 +62,7 @@ def test_the_steering_angle_bounds_the_curvature():
 
 
 def test_a_robot_without_steering_has_the_digest_that_it_had_before_there_was_one():
-    """Plan files outlive the limits that are added: these digests are older than the steering."""
+    """These digests are older than the steering limits, and plan files must stay valid."""
     box = Footprint.rectangle(0.4, 0.4, 0.6)
     assert Robot(box, MotionLimits(max_curvature=2.0)).fingerprint.limits == "a715eb726bf84520"
     turning = MotionLimits(max_yaw_rate=1.0, track_width=0.3)
@@ -234,21 +234,21 @@ def test_exact_words_become_members():
 
 
 class Elsewhere(Pose2):
-    """Claims another pose than the one that it was made of."""
+    """Overrides the attributes of a pose."""
 
     def __getattribute__(self, name):
         return 5.0 if name == "y" else super().__getattribute__(name)
 
 
 class Hop(ClothoidSpline):
-    """Claims other poses than those of its curvature."""
+    """Overrides the poses of a clothoid spline."""
 
     def poses_at(self, s):
         return super().poses_at(s) + 1.0
 
 
 class Detour(PolylineSegment):
-    """Claims other poses than those that it was made of."""
+    """Overrides the poses of a polyline."""
 
     def poses_at(self, s):
         return super().poses_at(s) + 1.0

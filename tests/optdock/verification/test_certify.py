@@ -1,4 +1,4 @@
-"""Whole proofs are kept, parts of proofs never, and no proof serves another problem."""
+"""Complete proofs are cached, incomplete ones are not, and no proof is used for another problem."""
 
 import dataclasses
 import gc
@@ -126,7 +126,7 @@ def test_no_motion_is_kept_alive():
 
 
 class Alike(DockingProblem):
-    """A problem that calls every problem of the same goal its equal."""
+    """A problem that is equal to every problem with the same goal."""
 
     def __eq__(self, other):
         return self.goal == other.goal
@@ -142,7 +142,7 @@ def test_a_problem_that_calls_itself_equal_is_another_one():
 
 
 class Lax(MotionLimits):
-    """Limits that call all limits their equal."""
+    """Limits that are equal to all limits."""
 
     def __eq__(self, other):
         return True
@@ -151,7 +151,7 @@ class Lax(MotionLimits):
 
 
 def test_limits_of_a_subclass_are_refused_by_robots_and_by_certificates():
-    """What they bound beside the known limits, or say of themselves, nobody could prove."""
+    """Bounds that a subclass adds or overrides cannot be proven."""
     wider = dataclasses.make_dataclass("Wider", [("max_foo", float, 1.0)], bases=(MotionLimits,), frozen=True)
     motion = Trajectory(straight(), from_rest_to_rest())
     for limits in (Lax(), wider()):

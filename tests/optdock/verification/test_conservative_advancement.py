@@ -1,4 +1,4 @@
-"""The proof of clearance, attacked: thin posts, corners, cusps, in-place turns, long steps, tangency."""
+"""The proof of clearance: thin posts, corners, cusps, turns in place, long steps, contact."""
 
 import functools
 import itertools
@@ -44,7 +44,7 @@ def square(x, y, half=0.001):
 
 
 def dense_clearance(path, obstacles, footprint, step=0.001):
-    """Smallest clearance at poses `step` apart, by another library."""
+    """Return the smallest clearance at poses `step` apart, by shapely."""
     world = shapely.union_all(shapely.polygons(obstacles.vertices))
     s = np.linspace(0.0, path.length, int(path.length / step) + 2)
     outlines = shapely.polygons(transform_points(path.poses_at(s), footprint.vertices))
@@ -91,7 +91,7 @@ SWEPT = {}
 
 
 def beside(path, s, gap, side):
-    """A post whose distance to the swept area, near s on one side, is `gap`: found by bisection on a dense sweep."""
+    """Return a post at the distance `gap` from the swept area, near s on one side, by bisection."""
     area = swept_area(SWEPT.setdefault(path.digest, path).digest)
     x, y, yaw = path.poses_at([s])[0]
     normal = side * np.array([-np.sin(yaw), np.cos(yaw)])
@@ -156,7 +156,7 @@ def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatc
 
 
 def late_after(rounds):
-    """True from the look after so many on."""
+    """Return a deadline that passes after this number of polls."""
     looks = itertools.count(1)
     return lambda: next(looks) > rounds
 
@@ -425,7 +425,7 @@ def test_far_obstacles_are_reported_with_their_true_distance():
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed):
-    """The proof is that of the same path among those alone, and what bounds it is the dense truth."""
+    """The proof equals that among the near obstacles alone, and agrees with dense sampling."""
     rng = np.random.default_rng(seed)
     path = clothoid(np.linspace(0.0, 4.0, 5), rng.uniform(-1.0, 1.0, 5))
     angles, apart = rng.uniform(0.0, 2.0 * np.pi, 30), rng.uniform(8.0, 12.0, 30)
@@ -440,7 +440,7 @@ def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed
 
 @pytest.mark.parametrize("start", [Pose2(0.0, 60.0, 0.0), Pose2(12.0, 0.0, 0.0), Pose2(-40.0, -40.0, 2.0)])
 def test_a_path_that_begins_elsewhere_is_refused_for_that_and_its_clearance_is_its_own(start):
-    """What the start of the problem attains says nothing about the path."""
+    """The clearance at the start of the problem is no clearance of the path."""
     path, obstacles = clothoid([0.0, 1.0], [0.0, 0.0]), ObstacleSet.from_polygons([square(12.0, 0.0, 0.5)])
     problem = DockingProblem(start, Dock(path.end), ROBOT, obstacles, ClearanceRule(0.0))
     certificate = certify_path(path, problem)
@@ -525,7 +525,7 @@ def test_the_reported_minimum_is_true_however_far_the_obstacles_are(seed):
 
 
 def among_far_boxes(path, obstacle):
-    """The obstacle after five boxes that no proof looks at."""
+    """Return a problem with the obstacle and five distant boxes."""
     far = ObstacleSet.from_polygons([square(50.0 + k, 50.0, 0.3) for k in range(5)])
     return problem_for(path, far + ObstacleSet.from_polygons([obstacle], "near"))
 
@@ -585,7 +585,7 @@ def test_a_curvature_beyond_all_numbers_is_never_certified():
 
 @pytest.mark.parametrize("late", [False, True])
 def test_far_from_everything_the_clearance_is_a_bound(late):
-    """What is looked at first lies in a corner of the path's box; what is left out there is closer."""
+    """An obstacle in a corner of the bounding box of the path is farther than one outside the crop."""
     path = clothoid([0.0, 6.0], [0.0, 0.0], Pose2(0.0, 0.0, np.pi / 4))
     problem = problem_for(path, ObstacleSet.from_polygons([square(0.0, 4.2, 0.01), square(6.05, 4.2, 0.01)]))
     certificate = certify_path(path, problem, is_late=late_after(0 if late else 99))
@@ -630,7 +630,7 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
 
 
 class Named(Path):
-    """Paths that count as equal by their frame."""
+    """Paths that are equal if their frames are."""
 
     def __eq__(self, other):
         return isinstance(other, Path) and self.frame == other.frame
@@ -655,7 +655,7 @@ DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
 
 
 def stretch_of(spline, width):
-    """The first half of the cell from 0 to 2 `width` on a spline with one piece."""
+    """Return the first half of the cell from 0 to 2 `width` on a spline with one piece."""
     at, last = spline.poses_at(0.0), 2.0 * width
     kappa = np.abs(spline.curvature_at([0.0, last])).max()
     velocity = np.array([[np.cos(at[0, 2]), np.sin(at[0, 2]), spline.curvature_at(0.0)[0]]])
@@ -717,7 +717,7 @@ def test_blocks_change_nothing(monkeypatch, most):
 
 
 def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
-    """A body of a millimetre on a circle, a post inside it: the whole second-order term is needed."""
+    """A body of a millimetre on a circle with a post inside needs the whole second-order term."""
     speck, width = Footprint.rectangle(0.0005, 0.0005, 0.001), 0.1
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 2.0 * width], [2.5, 2.5])
     wall = np.array([[-1.0, 0.05], [1.0, 0.05], [1.0, 0.06], [-1.0, 0.06]])

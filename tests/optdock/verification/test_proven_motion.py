@@ -1,4 +1,4 @@
-"""Proven motions and ways: nobody but the proofs makes them, and they speak of what was proven only."""
+"""Proven motions and ways: only proofs create them, with the content that was proven."""
 
 import copy
 import dataclasses
@@ -48,7 +48,7 @@ def straight(y=0.0):
 
 
 def law(duration=12.0):
-    """From rest to rest in four phases of equal length: 2 j T^3 is the way."""
+    """Return a time law from rest to rest over `LENGTH` = 2 j T^3 in four phases of duration T."""
     quarter = duration / 4.0
     return TimeLaw(np.full(4, quarter), 0.5 * LENGTH / quarter**3 * np.array([1.0, -1.0, -1.0, 1.0]))
 
@@ -60,7 +60,7 @@ def problem(obstacles=(), clearance=0.02, robot=ROBOT, y=0.0):
 
 
 def wall(gap):
-    """A wall along the whole way, at this distance from a robot on it."""
+    """Return a wall along the path at this distance from the robot."""
     return [[-1.0, 0.25 + gap], [3.0, 0.25 + gap], [3.0, 1.0 + gap], [-1.0, 1.0 + gap]]
 
 
@@ -166,7 +166,7 @@ def test_pickles_and_copies_speak_of_the_same():
 @settings(max_examples=40)
 @given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2), st.floats(0.0, 0.2), st.floats(0.0, 0.03))
 def test_a_robot_beside_its_way_keeps_what_is_required_wherever_it_goes_back_to_it(across, turned, gap, required):
-    """By displaced poses, sampled: none is nearer than required. And by the closed form: a straight way, a wall."""
+    """Sampled displaced poses keep the requirement, and the verdict is that of the closed form for a straight wall."""
     task = problem([wall(gap)], ClearanceRule(required, required, 0.0))
     pose = Pose2(0.3, across, turned)
     way = straight().piece(0.3)
@@ -220,7 +220,7 @@ def test_a_way_that_nothing_but_a_far_dock_changes_is_proven_already():
 
 def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
     class Nowhere(DockingProblem):
-        """Its obstacles are there for the proof, and not for the fingerprint."""
+        """A subclass could hide obstacles from the fingerprint."""
 
     class Slim(Footprint):
         pass
@@ -251,7 +251,7 @@ def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
 
 
 def test_a_station_that_is_spared_is_not_driven_into():
-    """The dock is 5 cm short of the way's end, so that its station stands in the way."""
+    """The dock is 5 cm before the end of the path, so the station blocks the path."""
     station = Footprint([[0.4, 0.25], [0.4, -0.25], [0.8, -0.25], [0.8, 0.25]])
     rule = ClearanceRule(0.0, 0.0, 0.0)
     for at, clear in ((LENGTH, True), (LENGTH - 0.05, False)):
@@ -270,7 +270,7 @@ def test_a_robot_beside_a_start_that_is_too_close_needs_as_much_more_there():
 
 @pytest.mark.parametrize(("gap", "holds"), [(0.0069, False), (0.0071, True)])
 def test_beside_a_start_of_millimetres_the_way_keeps_as_much_more_as_the_robot_is_off(gap, holds):
-    """It began 4 mm from something, half of which is enough; 5 mm off its way, the way must keep 7 mm."""
+    """The start has 4 mm, half of which is required; with 5 mm of displacement the path must keep 7 mm."""
     begun = Begun(Pose2(0.0, 0.0, 0.0), 0.004)
     blocked = _not_clear_by(0.005, straight(), problem([wall(gap)], 0.05), begun, 5.0, spares_station=False)
     assert (blocked == "") is holds

@@ -1,4 +1,4 @@
-"""The clearance of poses: the broad phase hides nothing, the narrow phase is exact, the ends are looked at once."""
+"""The clearance of poses: broad phase, exact narrow phase, and cached end clearances."""
 
 import dataclasses
 import gc
@@ -86,7 +86,7 @@ def test_a_pose_among_nothing_is_infinitely_clear():
 
 @pytest.mark.parametrize("within", [np.inf, 0.3, 2.0])
 def test_clearances_among_many_obstacles_are_those_of_each_alone(within):
-    """Most of a map is left out where something is near, and must not be missed where nothing is."""
+    """Distant obstacles are skipped only if a near one exists."""
     rng = np.random.default_rng(5)
     lower = rng.uniform(-20.0, 20.0, (120, 2))
     obstacles = ObstacleSet.from_rectangles(lower, lower + rng.uniform(0.05, 0.6, (120, 2)), "map")
@@ -139,7 +139,7 @@ def test_the_ends_are_looked_at_once_per_problem(looks):
 
 
 class Named(DockingProblem):
-    """Problems that count as equal by their frame."""
+    """Problems that are equal if their frames are."""
 
     def __eq__(self, other):
         return self.frame == other.frame

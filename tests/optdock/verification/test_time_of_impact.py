@@ -1,4 +1,4 @@
-"""Swept motions against closed forms and against dense sampling."""
+"""Collision-free durations compared with closed forms and dense sampling."""
 
 import math
 
@@ -94,7 +94,7 @@ def test_it_agrees_with_dense_sampling(seed, v, w, clearance):
 
 @pytest.mark.parametrize("tip", [60.0, 10.0, 0.5])
 def test_a_needle_does_not_slip_between_obstacles_that_touch(tip):
-    """Along the seam it overlaps either box by a share of its depth only."""
+    """Along the seam the needle overlaps each box by a fraction of its depth only."""
     half = 0.3 * math.tan(0.5 * math.radians(tip))
     needle = Footprint([[0.3, 0.0], [0.0, half], [-0.3, max(half, 0.1)], [-0.3, -max(half, 0.1)], [0.0, -half]])
     boxes = ObstacleSet.from_polygons(
@@ -118,7 +118,7 @@ def test_a_post_does_not_slip_into_a_fan_of_thin_pieces():
 
 
 def test_a_motion_between_touching_obstacles_and_out_of_contact_stays_free():
-    """Map cells in a row beside a robot that touches them, and a robot that leaves its contact."""
+    """A robot touches a row of map cells, and a robot leaves its contact."""
     cells = ObstacleSet.from_rectangles(
         np.array([[0.1 * k, 0.25] for k in range(-10, 30)]),
         np.array([[0.1 * k + 0.1, 0.35] for k in range(-10, 30)]),

@@ -1,4 +1,4 @@
-"""The proof of visibility against closed forms, dense samples and symmetries; what it refuses, and where."""
+"""The proof of visibility compared with closed forms, dense samples and symmetries."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ NO_TUBE = TrackingTube()
 
 
 def asked(path, camera, marker, visible=100.0, blind=0.0, tracking=NO_TUBE):
-    """A problem that `path` solves, whose marker stands at a point of the world."""
+    """Return a problem that `path` solves, with the marker at a world point."""
     seen = path.end.inverse() @ Pose2(*marker, 0.0)
     dock = Dock(path.end, marker=(seen.x, seen.y), visible_distance=visible, blind_distance=blind)
     robot = Robot(OUTLINE, LIMITS, turns_in_place=True, tracking=tracking, camera=camera)
@@ -39,7 +39,7 @@ def straight(length=3.0, sign=1, start=CENTRE):
 
 
 def winding(rng, gears=2):
-    """Clothoid gears with turns in place between some of them."""
+    """Return clothoid gears with turns in place between some of them."""
     segments, pose, sign = [], Pose2(*rng.uniform(-1.0, 1.0, 2), rng.uniform(-3.0, 3.0)), 1
     for _ in range(gears):
         if rng.random() < 0.4:
@@ -54,7 +54,7 @@ def winding(rng, gears=2):
 
 
 def loss(path, camera, marker, s):
-    """By how much bearing [rad] and distance [m] are beyond the view at places of a path, by angles. Shape (n,)."""
+    """Return the excess of bearing [rad] and distance [m] over the view along a path. Shape (n,)."""
     found = []
     for pose in path.poses_at(s):
         at = Pose2.from_sequence(pose) @ camera.mount
@@ -80,7 +80,7 @@ def test_driving_past_a_marker_loses_it_where_the_tangent_says(gear, beside):
 
 
 def test_steps_that_turn_at_the_end_of_a_polyline_are_seen_whatever_rounding_makes_of_its_length():
-    """The last poses stand at one arc length, which added up over the segments is less by rounding."""
+    """The last poses share one arc length, which rounding reduces in the sum over the segments."""
     lost = 0
     for seed in range(200):
         steps = np.random.default_rng(seed).uniform(0.01, 0.3, 30)
