@@ -101,7 +101,7 @@ def test_a_turn_is_a_stretch_of_the_path_coordinate():
 
 
 @pytest.mark.parametrize("turn", [0.0, math.nan, math.inf, 2e6, "1", True])
-def test_a_turn_that_is_none_is_refused(turn):
+def test_invalid_turns_are_rejected(turn):
     with pytest.raises(InvalidValue, match="path: a turn"):
         TurnSegment(ORIGIN, turn)
 
@@ -111,7 +111,7 @@ def test_poses_are_not_driven_in_place():
         PolylineSegment([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], Direction.IN_PLACE)
 
 
-def test_a_path_knows_what_it_drives():
+def test_driven_distances_exclude_turns():
     assert ROUTE.length == pytest.approx(3.0 + 3.5)
     assert ROUTE.driven == pytest.approx(3.0)
     assert ROUTE.turns
@@ -128,7 +128,7 @@ def test_a_path_knows_what_it_drives():
 # The robot.
 
 
-def test_only_a_drive_that_can_turns_in_place():
+def test_turning_in_place_needs_a_differential_drive_and_limits():
     with pytest.raises(InvalidValue, match="drive: ackermann cannot"):
         Robot(BOX, LIMITS, Drive.ACKERMANN, turns_in_place=True)
     with pytest.raises(InvalidValue, match="turns_in_place: must be a bool"):
@@ -142,7 +142,7 @@ def test_only_a_drive_that_can_turns_in_place():
     assert Robot(BOX, wheels, turns_in_place=True).limits.turning == pytest.approx((2.0, 2.0, 20.0 / 3.0))
 
 
-def test_a_robot_that_does_not_turn_in_place_has_the_digest_that_it_had():
+def test_digests_without_turns_in_place_are_unchanged():
     assert Robot(BOX, LIMITS).fingerprint == Robot(BOX, LIMITS, turns_in_place=False).fingerprint
     assert Robot(BOX, LIMITS).fingerprint.limits != Robot(BOX, LIMITS, turns_in_place=True).fingerprint.limits
 
@@ -266,7 +266,7 @@ def test_a_proven_clearance_is_that_of_the_swept_turn(turn, bearing, radius, siz
         assert truth <= reach + 1e-5
 
 
-def test_a_dense_check_agrees_and_refuses_turns_nobody_makes():
+def test_a_dense_check_agrees_and_rejects_turns_of_other_robots():
     wall = [[[2.6, -1.0], [2.8, -1.0], [2.8, 1.0], [2.6, 1.0]]]
     problem = problem_of(ROUTE, obstacles=wall)
     certificate, report = certify_path(ROUTE, problem), dense_check(ROUTE, problem)
@@ -374,7 +374,7 @@ def test_limits_of_driving_do_not_bind_a_turn_nor_those_of_turning_a_drive():
     assert np.abs(motion.sample(0.01).speed).max() == pytest.approx(0.05, rel=0.02)
 
 
-def test_nothing_limits_a_turn():
+def test_turns_without_limits_cannot_be_timed():
     for limits in (MotionLimits(), MotionLimits(max_yaw_rate=1.0)):
         result = NearOptimal().parameterize(ROUTE, limits, SpeedZone())
         assert result.status is TimingStatus.FAIL
@@ -405,7 +405,7 @@ def test_a_plan_file_holds_turns_exactly(tmp_path):
     assert gears((1.0, 0.4, 1), (-2.4,)).digest != gears((1.0, 0.4, 1), (-2.5,)).digest
 
 
-def test_samples_off_their_turn_are_refused(tmp_path):
+def test_samples_that_differ_from_their_turn_are_rejected(tmp_path):
     save_plan(tmp_path / "plan.json", PlanFile(path=ROUTE, raw_path=ROUTE))
     document = json.loads((tmp_path / "plan.json").read_text())
     at = document["path"]["direction"].index(0) + 20
@@ -470,7 +470,7 @@ LIES = {
 
 @pytest.mark.parametrize("name", sorted(LIES))
 @pytest.mark.parametrize("path", [ROUTE, STILL], ids=["route", "still"])
-def test_a_lie_about_a_turn_is_refuted(name, path):
+def test_wrong_samples_of_a_turn_are_refuted(name, path):
     honest = TrajectoryColumns.from_trajectory(timed(path), 0.02)
     turning = np.abs(honest.yaw_rate) > 2.0 * np.abs(honest.speed) + 1e-3
     assert not check_sampled_motion(honest, path, problem_of(path)).refuted
@@ -499,7 +499,7 @@ def test_the_tracking_controller_drives_turns(path):
     assert run.times[-1] < plan.trajectory.duration + 0.5
 
 
-def test_a_blocked_turn_finds_its_reference_waiting():
+def test_the_reference_waits_for_a_slow_turn():
     """For a robot that turns at half the rate the reference slows down."""
     path = gears((3.0,))
     plan = plan_of(path)

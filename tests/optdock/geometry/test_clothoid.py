@@ -123,7 +123,7 @@ def test_derivatives_agree_with_finite_differences():
         ([0.0, 1.0], [0.0, 1e9], 1, "more than can be evaluated"),
     ],
 )
-def test_what_is_not_a_spline_is_refused(knots, curvature, sign, message):
+def test_invalid_splines_are_rejected(knots, curvature, sign, message):
     with pytest.raises(InvalidValue, match=message):
         ClothoidSpline(ORIGIN, knots, curvature, sign)
 
@@ -137,7 +137,7 @@ def test_arrays_are_copies_and_read_only():
         spline.curvature[0] = 1.0
 
 
-def test_a_change_of_sign_within_a_cell_costs_less_than_a_billionth_of_the_length():
+def test_a_sign_change_within_a_cell_is_integrated_to_1e_9():
     for width in np.linspace(0.4, 0.5, 11):
         coarse = ClothoidSpline(Pose2(0.0, 0.0, 0.3), [0.0, width], [1.0, -1.0])
         knots = np.linspace(0.0, width, 65)
@@ -154,7 +154,7 @@ def test_a_change_of_sign_within_a_cell_costs_less_than_a_billionth_of_the_lengt
         ([0.0, 0.0, 0.0], [0.0, 1.0], [0.0, 0.0], "clothoid.start: must be a Pose2"),
     ],
 )
-def test_what_floats_cannot_resolve_is_refused(start, knots, curvature, message):
+def test_unresolvable_splines_are_rejected(start, knots, curvature, message):
     with pytest.raises(InvalidValue, match=message):
         ClothoidSpline(start, knots, curvature)
 

@@ -57,7 +57,7 @@ def test_a_convex_polygon_is_one_piece():
         ([], "must have shape|at least 3"),
     ],
 )
-def test_what_is_not_a_polygon_is_refused_by_name(points, message):
+def test_invalid_polygons_are_rejected_by_name(points, message):
     with pytest.raises(InvalidValue, match=f"thing.*({message})"):
         simple_polygon(points, "thing")
 
@@ -88,7 +88,7 @@ def test_normals_point_outward_and_padding_repeats_the_last_real_one():
     assert np.allclose(normals[3], [-1.0, 0.0])
 
 
-def test_a_star_of_many_points_is_cut_at_once_and_few_pieces_cover_it():
+def test_a_star_of_many_points_is_decomposed_quickly_into_few_pieces():
     """The time per vertex must not grow: one pass over the diagonals, no restart after every merge."""
     count = 1200
     angle = 2.0 * np.pi * np.arange(count) / count
@@ -118,7 +118,7 @@ def test_flat_dents_do_not_add_up(length, dents):
 
 @settings(max_examples=40)
 @given(st.integers(0, 1000), st.floats(0.0, 3e-9))
-def test_pieces_leave_nothing_out_and_stick_out_by_a_nanometre_at_most(seed, depth):
+def test_pieces_cover_the_polygon_and_exceed_it_by_at_most_a_nanometre(seed, depth):
     rng = np.random.default_rng(seed)
     wall = dented_wall(float(rng.uniform(0.5, 20.0)), int(rng.integers(1, 9)), depth) @ _turned(rng.uniform(0.0, 7.0))
     pieces = convex_pieces(simple_polygon(wall, "wall"))

@@ -55,7 +55,7 @@ def test_transforming_a_point_agrees_with_composition(a, x, y):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_values_that_are_not_finite_are_refused_by_name(bad):
+def test_nonfinite_values_are_rejected_by_name(bad):
     with pytest.raises(InvalidValue, match="pose.yaw: must be finite"):
         Pose2(0.0, 0.0, bad)
     with pytest.raises(InvalidValue, match="twist.angular: must be finite"):
@@ -80,7 +80,7 @@ def test_a_pose_is_made_of_three_numbers(values):
         ((10**400, 0.0, 0.0), "pose.x: must be finite"),
     ],
 )
-def test_a_pose_that_floats_cannot_resolve_is_refused(values, message):
+def test_poses_out_of_range_are_rejected(values, message):
     with pytest.raises(InvalidValue, match=message):
         Pose2(*values)
 

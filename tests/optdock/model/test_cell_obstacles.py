@@ -73,7 +73,7 @@ def test_neighbouring_rectangles_share_their_coordinates_exactly():
     assert set(obstacles.vertices[:, :, 0].ravel().tolist()) <= x_lines
 
 
-def test_groups_say_what_stands_in_the_way():
+def test_groups_name_cells_and_border():
     obstacles = obstacles_from_costmap(Costmap(np.array([[254, 0, 255]]), 1.0))
     assert [obstacles.name_of(row) for row in range(len(obstacles))] == ["map", "unknown", *["map border"] * 4]
 
@@ -113,7 +113,7 @@ def test_a_region_gives_the_same_obstacles_inside_it(data, millimetres):
     assert part.intersection(box).area == pytest.approx(whole.intersection(box).area, abs=1e-9)
 
 
-def test_a_region_leaves_out_what_it_does_not_meet():
+def test_a_region_excludes_cells_outside():
     costmap = Costmap(np.full((100, 100), 254), 0.1)
     obstacles = obstacles_from_costmap(costmap, region=((2.0, 3.0), (2.05, 3.05)))
     assert len(obstacles) == 1
@@ -135,6 +135,6 @@ def test_a_region_off_the_map_meets_only_the_border():
         ({"region": ((0.0,), (1.0,))}, "lower = "),
     ],
 )
-def test_bad_arguments_are_named(arguments, message):
+def test_invalid_arguments_are_named(arguments, message):
     with pytest.raises(InvalidValue, match=message):
         obstacles_from_costmap(Costmap(np.zeros((2, 2), dtype=int), 1.0), **arguments)

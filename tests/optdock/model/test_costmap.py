@@ -89,6 +89,6 @@ def test_with_data_keeps_the_place_and_refuses_another_shape():
         ({"data": np.full((2, 2), -1)}, r"0\.\.255, got -1"),
     ],
 )
-def test_bad_values_are_named(changes, message):
+def test_invalid_values_are_named(changes, message):
     with pytest.raises(InvalidValue, match=message):
         grid(**changes)

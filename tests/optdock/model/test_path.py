@@ -71,7 +71,7 @@ def test_sampling_keeps_every_pose_of_a_turn_in_place():
     "poses",
     [np.zeros((0, 3)), np.zeros((1, 3)), np.zeros((5, 3)), np.array([[0, 0, np.nan], [1, 0, 0]]), np.zeros((4, 2))],
 )
-def test_what_is_not_a_path_is_refused(poses):
+def test_invalid_paths_are_rejected(poses):
     with pytest.raises(InvalidPath):
         Path.from_poses(poses)
 

@@ -51,7 +51,7 @@ def test_a_differential_drive_keeps_the_curvature(command):
     assert found.linear * command.linear >= 0.0
 
 
-def test_without_limits_in_the_way_nothing_changes():
+def test_commands_within_the_limits_are_unchanged():
     assert admissible(Twist2(0.4, -7.0), MotionLimits()) == Twist2(0.4, -7.0)
     assert admissible(Twist2(0.4, 0.1, 0.2), MotionLimits()) == Twist2(0.4, 0.1)
     assert math.isfinite(admissible(Twist2(0.0, 3.0), LIMITS, Drive.ACKERMANN).angular)

@@ -71,7 +71,7 @@ def test_times_are_clipped():
         (([1e150, 1.0], [1e10, -1.0]), "overflows"),
     ],
 )
-def test_what_is_not_a_time_law_is_refused(arguments, message):
+def test_invalid_time_laws_are_rejected(arguments, message):
     with pytest.raises(InvalidValue, match=message):
         TimeLaw(*arguments)
 
@@ -144,7 +144,7 @@ def test_a_sampling_period_is_a_positive_number(period):
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "1", None, True, 1e-12])
-def test_a_step_between_samples_that_is_none_is_refused(bad):
+def test_invalid_sampling_steps_are_rejected(bad):
     path = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
     trajectory = Trajectory(path, TimeLaw([2.0, 2.0], [0.0, 0.0], start_speed=0.25))
     for sample, name in ((path.sample, "spacing"), (trajectory.sample, "period"), (trajectory.sampled, "period")):

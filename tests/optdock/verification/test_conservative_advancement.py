@@ -68,7 +68,7 @@ def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.01, 0.03])
-def test_what_is_required_is_told_for_the_place_that_is_told(gap):
+def test_the_reported_requirement_is_that_of_the_reported_place(gap):
     path, rule = clothoid([0.0, 3.0], [0.0, 0.0]), ClearanceRule(0.05, 0.0, 0.5)
     ahead = ObstacleSet.from_polygons([square(3.45 + gap + 0.001, 0.0)])
     certificate = certify_path(path, problem_for(path, ahead, clearance=rule))
@@ -136,7 +136,7 @@ def test_the_violating_pose_of_a_turn_in_place_shows_it():
     assert clearance == pytest.approx(violation.where["clearance"], abs=1e-12)
 
 
-def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
+def test_unproven_cells_still_bound_the_clearance(monkeypatch):
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
     monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_LEVELS", 0)
@@ -147,7 +147,7 @@ def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
     assert certificate.nearest == "obstacles[0]"
 
 
-def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatch):
+def test_a_proof_without_poses_left_for_sharpness_is_valid(monkeypatch):
     monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 0)
     path = curved_path()
     certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
@@ -161,7 +161,7 @@ def late_after(rounds):
     return lambda: next(looks) > rounds
 
 
-def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
+def test_a_late_certificate_is_certified_only_if_everything_is_proven():
     path = curved_path()
     tight = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
     late = certify_path(path, tight, is_late=late_after(0))
@@ -185,7 +185,7 @@ def test_more_time_proves_more():
 
 
 @pytest.mark.parametrize("rounds", range(4))
-def test_a_violation_is_never_overlooked_in_a_hurry(rounds):
+def test_a_deadline_never_hides_a_violation(rounds):
     path = curved_path()
     for amount in (1e-5, 1e-3, 0.03):
         problem = problem_for(path, beside(path, 1.7, REQUIRED - amount, 1))
@@ -424,7 +424,7 @@ def test_far_obstacles_are_reported_with_their_true_distance():
 
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
-def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed):
+def test_only_obstacles_that_can_be_the_nearest_are_evaluated(seed):
     """The proof equals that among the near obstacles alone, and agrees with dense sampling."""
     rng = np.random.default_rng(seed)
     path = clothoid(np.linspace(0.0, 4.0, 5), rng.uniform(-1.0, 1.0, 5))
@@ -439,7 +439,7 @@ def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed
 
 
 @pytest.mark.parametrize("start", [Pose2(0.0, 60.0, 0.0), Pose2(12.0, 0.0, 0.0), Pose2(-40.0, -40.0, 2.0)])
-def test_a_path_that_begins_elsewhere_is_refused_for_that_and_its_clearance_is_its_own(start):
+def test_a_path_with_another_start_is_rejected_with_its_own_clearance(start):
     """The clearance at the start of the problem is no clearance of the path."""
     path, obstacles = clothoid([0.0, 1.0], [0.0, 0.0]), ObstacleSet.from_polygons([square(12.0, 0.0, 0.5)])
     problem = DockingProblem(start, Dock(path.end), ROBOT, obstacles, ClearanceRule(0.0))
@@ -468,7 +468,7 @@ def test_more_time_never_proves_less_among_far_obstacles(sharp):
     assert found == sorted(found)
 
 
-def test_what_is_far_away_costs_nothing(monkeypatch):
+def test_distant_obstacles_are_not_evaluated(monkeypatch):
     path, pieces = clothoid([0.0, 1.0], [0.0, 0.0]), []
     monkeypatch.setattr(
         conservative_advancement,
@@ -540,7 +540,7 @@ def test_obstacles_keep_their_names_when_far_ones_are_left_out():
 
 
 @pytest.mark.parametrize("s", [0.4, 2.2])
-def test_the_smallest_clearance_is_where_it_is_said_to_be(s):
+def test_the_smallest_clearance_is_at_the_reported_place(s):
     path = curved_path()
     problem = problem_for(path, beside(path, s, REQUIRED + 0.02, 1))
     certificate = certify_path(path, problem)
@@ -571,7 +571,7 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
         assert rule.required_at(*away, start_clearance, relief).max() <= most + 1e-12
 
 
-def test_a_curvature_beyond_all_numbers_is_never_certified():
+def test_an_overflowing_curvature_is_never_certified():
     blade = Footprint(np.array([[2.0, -0.005], [2.0, 0.005], [-0.1, 0.005], [-0.1, -0.005]]))
     ell = Footprint(np.array([[2.0, -0.1], [2.0, 0.1], [0.1, 0.1], [0.1, 2.0], [-0.1, 2.0], [-0.1, -0.1]]))
     path = clothoid([0.0, 1e-170], [1e170, 1e170])
@@ -596,7 +596,7 @@ def test_far_from_everything_the_clearance_is_a_bound(late):
 
 
 @pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
-def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
+def test_one_subdivision_is_enough_if_no_obstacle_was_cropped(monkeypatch, far, runs):
     path, made, run = curved_path(), [], _Subdivision.run
     monkeypatch.setattr(_Subdivision, "run", lambda self: made.append(1) or run(self))
     boxes = [square(1.0, 3.0, 0.3), *(square(50.0 + k, 50.0, 0.3) for k in range(far))]
@@ -605,7 +605,7 @@ def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
     assert len(made) == runs
 
 
-def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+def test_the_deadline_is_polled_between_blocks_of_a_long_path(monkeypatch):
     path = clothoid([0.0, 20.0], [0.0, 0.0])
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
     whole = certify_path(path, problem)
@@ -618,7 +618,7 @@ def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monk
     assert late.poses_checked < 100
 
 
-def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+def test_the_deadline_is_polled_between_blocks_of_obstacles(monkeypatch):
     rng = np.random.default_rng(4)
     path = clothoid([0.0, 3.0], [0.0, 0.0])
     posts = [square(x, y, 0.02) for x, y in zip(rng.uniform(0, 3, 80), rng.choice([-1, 1], 80) * 0.6, strict=True)]
@@ -639,7 +639,7 @@ class Named(Path):
         return hash(self.frame)
 
 
-def test_the_kept_verdict_is_that_of_the_path_itself_not_of_an_equal_one():
+def test_verdicts_are_cached_by_identity_of_the_path():
     straight, detour = (Named(clothoid([0.0, 3.0], [0.0, bend]).segments, "map") for bend in (0.0, 1.0))
     assert straight == detour
     problem = problem_for(straight, ObstacleSet.from_polygons([square(1.5, 1.0)]))
@@ -684,7 +684,7 @@ def test_the_bound_holds_along_sharply_curved_stretches(seed):
     assert found.bound[0] <= dense_distance(spline, width, footprint, free) + 1e-9
 
 
-def test_a_body_that_swings_towards_a_post_is_seen_coming():
+def test_a_body_that_swings_towards_a_post_is_detected():
     # A quarter of a metre on a circle of 0.4 m: the front swings 8 cm further to the left than its tangent says.
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.5], [2.5, 2.5])
     post = np.array([0.9, 0.7]) + 0.001 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -728,7 +728,7 @@ def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
     assert truth - 5e-4 < found.bound[0] <= truth
 
 
-def test_what_is_not_a_number_proves_nothing():
+def test_nan_proves_nothing():
     one = stretch_of(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.1], [0.0, 0.0]), 0.05)
     endless = one._replace(twist=np.array([np.inf]), width=np.array([0.0]))  # inf * 0
     post = ObstacleSet.from_polygons([np.array([[1.2, 0.3], [1.3, 0.3], [1.3, 0.4]])])

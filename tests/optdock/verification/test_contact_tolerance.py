@@ -73,7 +73,7 @@ def refused_pose(certificate):
     return Pose2(*certificate.violations[0].where["pose"])
 
 
-def test_a_needle_that_only_passes_a_seam_is_seen_on_its_way():
+def test_a_needle_that_crosses_a_seam_during_the_motion_is_found():
     """The needle swings through the seam; the overlap is shallow at both ends of the path."""
     thin = Footprint([[1.0, 0.0], [0.0, 2e-7], [-0.1, 0.1], [-0.1, -0.1], [0.0, -2e-7]])
     spline = ClothoidSpline(Pose2(0.0, -0.01, -0.2), [0.0, 0.02], [20.0, 20.0])
@@ -118,7 +118,7 @@ def test_contact_with_a_front_is_no_overlap(front, into):
 
 @settings(max_examples=12)
 @given(st.integers(0, 1_000_000))
-def test_what_counts_as_free_is_nowhere_deep(seed):
+def test_accepted_poses_have_no_deep_overlap(seed):
     """Random touching triangles and a star in contact with them, compared with shapely's offset curves."""
     rng = np.random.default_rng(seed)
     centre, ring = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.0, 2.0 * np.pi, 5)
@@ -147,6 +147,6 @@ def test_what_counts_as_free_is_nowhere_deep(seed):
     assert robot.intersection(rock.buffer(-2.3e-6)).area < 1e-18
 
 
-def test_forgiven_contact_stays_clear_of_the_core():
+def test_accepted_contact_does_not_reach_the_core():
     """The core of a footprint is twice as deep as the tolerance of certificates."""
     assert contact_tolerance.DEPTH == 2.0 * TOLERANCE

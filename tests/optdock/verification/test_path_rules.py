@@ -112,7 +112,7 @@ def test_the_start_curvature_binds_when_it_is_given():
 @pytest.mark.parametrize(
     ("asked", "expected"), [(1.0, []), (0.99, []), (0.9, ["start_curvature"]), (-1.0, ["start_curvature"])]
 )
-def test_the_start_curvature_of_samples_binds_as_far_as_they_tell_it(asked, expected):
+def test_the_start_curvature_of_samples_is_checked_within_one_step(asked, expected):
     """The mean over the first step differs by the change of curvature over the step: 0.01 m * 2 1/m^2."""
     arc = path_of(spline((0.0, 1.0), (1.0, 1.0)))
     path = Path((PolylineSegment(arc.sample(0.01).poses, Direction.FORWARD),))
@@ -127,7 +127,7 @@ def test_a_final_straight_lies_on_the_dock_s_axis():
         assert kinds(path, problem(path, final_straight=0.5)) == expected
 
 
-def test_a_robot_that_sets_off_does_not_begin_with_a_turn_in_place():
+def test_a_robot_in_motion_does_not_begin_with_a_turn_in_place():
     path = Path(
         (
             TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5),
@@ -184,14 +184,14 @@ def test_a_moving_robot_keeps_its_gear():
     assert kinds(path, problem(path, start_speed=-0.2)) == ["direction"]
 
 
-def test_the_gear_into_the_dock_is_that_of_the_motion_not_of_a_last_nanometre():
+def test_a_last_nanometre_does_not_define_the_gear_into_the_dock():
     back = spline((0.0, 1.0), (0.0, 0.0), sign=-1)
     path = path_of(back, spline((0.0, 1e-9), (0.0, 0.0), back.end))
     for asked, expected in ((DockDirection.FORWARD, ["direction"]), (DockDirection.BACKWARD, [])):
         assert kinds(path, problem(path, direction=asked, final_straight=0.0)) == expected
 
 
-def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
+def test_a_first_nanometre_does_not_define_the_gear_of_a_moving_robot():
     first = spline((0.0, 1e-9), (0.0, 0.0))
     path = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
     assert kinds(path, problem(path, start_speed=0.2)) == ["direction"]
@@ -199,7 +199,7 @@ def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
 
 
 @pytest.mark.parametrize(("count", "is_motion"), [(2, False), (200, True)])
-def test_gears_too_short_to_count_do_not_add_up(count, is_motion):
+def test_short_gears_add_up_to_a_motion(count, is_motion):
     """Two steps of 0.4 micrometres have no direction, two hundred are a motion in reverse."""
     s = 0.4e-6 * np.arange(count + 1)
     tiny = [polyline([-a, -b], [0.0, 0.0]).segments[0].poses for a, b in itertools.pairwise(s)]
@@ -271,7 +271,7 @@ def test_a_spike_of_curvature_in_the_first_micrometre_of_the_final_straight_is_s
     assert kinds(path, problem(path, MotionLimits(), final_straight=0.5)) == ["final_straight"]
 
 
-def test_a_half_circle_in_one_step_is_no_motion_of_wheels():
+def test_a_half_circle_in_one_step_is_rejected():
     """The arc of the step has the curvature and its chord the clearance, but no motion has both."""
     for count, expected in ((2, ["slip"]), (16, [])):
         angle = np.linspace(-np.pi / 2, np.pi / 2, count)
@@ -293,7 +293,7 @@ def test_a_certificate_is_plain_data():
     assert data["violations"][0]["kind"] == "final_straight"
 
 
-def test_joints_do_not_add_up():
+def test_jumps_at_joints_add_up():
     """A hundred jumps of a hundredth of the tolerance are accepted, of three hundredths they are not."""
     for jump, expected in ((0.9e-8, []), (3e-8, ["joint"])):
         pieces = [spline((0.0, 0.01), (0.0, 0.0), Pose2(0.01 * k, jump * k, 0.0)) for k in range(101)]
@@ -306,7 +306,7 @@ def polyline(x, y, yaw=0.0):
 
 
 @pytest.mark.parametrize(("slope", "expected"), [(0.0099, ["slip"]), (-0.0099, ["slip"]), (0.0003, [])])
-def test_slips_do_not_add_up(slope, expected):
+def test_slips_of_steps_add_up(slope, expected):
     """Every step slips by less than its tolerance; in total the robot drifts 3 cm."""
     x = np.linspace(0.0, 3.0, 301)
     path = polyline(x, slope * x)
@@ -378,7 +378,7 @@ SUMS = ("drifts sideways", "add up", "in total", "direction of motion")
 
 @settings(max_examples=40)
 @given(st.integers(0, 100_000), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.sampled_from([0.0, 1e-9, 1e-6]))
-def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
+def test_exact_samples_satisfy_the_rules_of_sums(seed, spacing, rounding):
     rng = np.random.default_rng(seed)
     knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.3, 1.0, rng.integers(2, 9)))))
     curvature = rng.uniform(0.1, 1.5) * rng.uniform(-1.0, 1.0, knots.size)

@@ -56,15 +56,15 @@ def test_a_slow_approach_does_not_creep_through_the_slack():
     assert free_motion(BOX, block(0.4, -0.5, 0.6, 0.5), ORIGIN, Twist2(0.001), 60.0).free < 0.1
 
 
-def test_from_a_deep_overlap_nothing_is_free():
+def test_a_deep_overlap_blocks_every_motion():
     assert free_motion(BOX, block(0.3, -0.5, 0.6, 0.5), ORIGIN, Twist2(-0.2), 3.0) == (0.0, 0)
 
 
-def test_an_obstacle_inside_the_footprint_is_seen():
+def test_an_obstacle_inside_the_footprint_is_found():
     assert free_motion(BOX, block(-0.05, -0.05, 0.05, 0.05), ORIGIN, Twist2(0.2), 3.0).free == 0.0
 
 
-def test_thin_obstacles_between_samples_are_seen():
+def test_thin_obstacles_between_samples_are_found():
     post = block(3.0, -0.001, 3.001, 0.001)
     found = free_motion(BOX, post, ORIGIN, Twist2(10.0), 1.0)
     assert found.free == pytest.approx(0.26, abs=1e-4)

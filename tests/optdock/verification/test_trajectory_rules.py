@@ -142,7 +142,7 @@ def test_lateral_jerk_on_an_arc_is_twice_speed_times_acceleration_times_curvatur
     is_the_lateral_jerk(motion, exact)
 
 
-def test_where_the_robot_rests_or_turns_in_place_there_is_no_lateral_jerk():
+def test_the_lateral_jerk_is_zero_at_rest_and_in_turns_in_place():
     turn = Path((TurnSegment(Pose2(0.0, 0.0, 0.0), 1.2),))
     limits = dataclasses.replace(OPEN, max_yaw_rate=5.0, max_yaw_acceleration=10.0, max_lateral_jerk=1e-9)
     motion = Trajectory(turn, TimeLaw(*move(turn.length, speed=0.1, acceleration=0.1, jerk=0.1)))
@@ -270,7 +270,7 @@ def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
 
 @pytest.mark.parametrize("angle", [3e-6, 0.02, 1.5])
 @pytest.mark.parametrize("gear", [1, -1])
-def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
+def test_rests_at_joints_are_long_enough_for_steering(angle, gear):
     """The curvature jumps at a cusp and at a joint within one gear."""
     bend = np.tan(0.5 * angle) / 0.7
     first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [bend, bend])
@@ -296,7 +296,7 @@ UNEVEN = {
 
 @pytest.mark.parametrize("name", UNEVEN)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
+def test_the_extremes_of_a_turn_are_found_in_every_phase(name, sign):
     """Deceleration and acceleration, jerk of either sign, and a yaw rate with its maximum inside a phase."""
     law = TimeLaw(*UNEVEN[name])
     turn = Path((TurnSegment(Pose2(1.0, 2.0, 3.0), sign * float(law.states[-1, 0])),))
@@ -372,7 +372,7 @@ def test_a_wait_of_years_costs_no_memory():
 
 @pytest.mark.parametrize("limit", [0.5, np.inf])
 @pytest.mark.parametrize("gears", [True, False])
-def test_no_law_over_distance_turns_in_place(gears, limit):
+def test_a_polyline_step_that_only_turns_is_not_covered(gears, limit):
     there = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     turn = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 3.0]])
     back = np.array([[1.0, 0.0, 3.0], [1.0 + np.cos(3.0), np.sin(3.0), 3.0]])
@@ -394,7 +394,7 @@ def test_a_zigzag_of_headings_turns_as_fast_as_its_steps():
 
 @pytest.mark.parametrize("kind", ["yaw_acceleration", "steering_rate"])
 @pytest.mark.parametrize("curvature", [0.004, 0.1, 0.3])
-def test_a_curvature_that_swings_from_step_to_step_is_no_straight_line(curvature, kind):
+def test_an_oscillating_curvature_is_detected(curvature, kind):
     """The means at the poses hide an oscillation that requires 12 rad/s^2."""
     n, h = 200, 0.01
     swing = 2.0 * curvature / h
@@ -431,7 +431,7 @@ def spike(width, at=1.0, turn=0.4):
 
 @pytest.mark.parametrize("width", [1e-2, 1e-10, 2.3e-16])
 @pytest.mark.parametrize("resting", [False, True])
-def test_a_turn_within_any_distance_is_seen(width, resting):
+def test_a_turn_within_any_distance_is_detected(width, resting):
     motion = Trajectory(spike(width), law(move(1.0), move(2.0)) if resting else law(move(3.0)))
     found = kinds(motion, TURNING)
     assert "yaw_acceleration" in found
@@ -446,7 +446,7 @@ def test_a_jump_of_curvature_within_any_distance_is_a_jump_of_yaw_rate(width):
 
 
 @pytest.mark.parametrize("wait", [1.0, 1e17])
-def test_what_follows_a_wait_of_any_length_is_judged(wait):
+def test_the_motion_after_a_wait_of_any_length_is_judged(wait):
     circle = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [2.0, 2.0])),))
     motion = Trajectory(circle, law(([wait], [0.0]), move(3.0)))
     assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.9)) == ["yaw_rate"]
@@ -456,7 +456,7 @@ def test_what_follows_a_wait_of_any_length_is_judged(wait):
 
 
 @pytest.mark.parametrize("at_end", [True, False])
-def test_a_turn_beyond_the_ends_of_the_motion_is_not_left_out(at_end):
+def test_a_turn_beyond_the_ends_of_the_motion_is_a_violation(at_end):
     width, short = 1e-9, 0.9e-6
     knots = [0.0, width, 3.0] if not at_end else [0.0, 3.0 - width, 3.0]
     curvature = [0.8 / width, 0.0, 0.0] if not at_end else [0.0, 0.0, 0.8 / width]
@@ -465,7 +465,7 @@ def test_a_turn_beyond_the_ends_of_the_motion_is_not_left_out(at_end):
     assert "coverage" in kinds(Trajectory(turning, TimeLaw(t, j, start_s=0.0 if at_end else short)), TURNING)
 
 
-def test_when_time_is_up_nothing_more_is_proven():
+def test_after_the_deadline_nothing_more_is_proven():
     motion, asked = Trajectory(path(), law(move(3.0))), []
     limits = dataclasses.replace(OPEN, max_yaw_rate=2.0)
     late = certify_trajectory(motion, limits, SpeedZone(), is_late=lambda: asked.append(1) is None)
