@@ -164,7 +164,7 @@ def reversed_plan(path, problem):
     return Path.from_poses(poses), back
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(0.0, 0.06), st.floats(0.0, 0.05), st.floats(0.1, 1.0), st.sampled_from([0.0, 0.4]))
 def test_a_reversed_docking_path_is_certified(gap, at_dock, taper, run):
     """Along a wall that ends at the distance from the dock at which the taper is satisfied, or slightly later."""

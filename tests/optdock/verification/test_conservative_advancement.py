@@ -422,7 +422,7 @@ def test_far_obstacles_are_reported_with_their_true_distance():
     assert certificate.min_clearance == pytest.approx(30.0 - 0.5 - 1.0 - 0.45, abs=1e-9)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.integers(0, 10_000))
 def test_only_obstacles_that_can_be_the_nearest_are_evaluated(seed):
     """The proof equals that among the near obstacles alone, and agrees with dense sampling."""
@@ -482,7 +482,7 @@ def test_distant_obstacles_are_not_evaluated(monkeypatch):
     assert set(pieces) == {1}
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0), st.sampled_from([-0.002, 0.002]))
 def test_the_verdict_does_not_depend_on_the_frame(x, y, yaw, shift):
     frame = Pose2(x, y, yaw)
@@ -669,7 +669,7 @@ def dense_distance(spline, width, footprint, rocks):
     return float(shapely.distance(outlines[:, None], shapely.polygons(rocks)).min())
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 100_000))
 def test_the_bound_holds_along_sharply_curved_stretches(seed):
     rng = np.random.default_rng(seed)

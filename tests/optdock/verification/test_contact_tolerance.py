@@ -116,7 +116,7 @@ def test_contact_with_a_front_is_no_overlap(front, into):
         assert certificate.certified, certificate.reason
 
 
-@settings(max_examples=12)
+@settings(max_examples=25)
 @given(st.integers(0, 1_000_000))
 def test_accepted_poses_have_no_deep_overlap(seed):
     """Random touching triangles and a star in contact with them, compared with shapely's offset curves."""

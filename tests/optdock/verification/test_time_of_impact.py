@@ -74,7 +74,7 @@ def test_without_obstacles_everything_is_free():
     assert free_motion(BOX, ObstacleSet.empty(), ORIGIN, Twist2(1.0, 1.0), 9.0) == (9.0, -1)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 100_000), st.floats(-0.6, 0.6), st.floats(-1.5, 1.5), st.floats(0.0, 0.1))
 def test_it_agrees_with_dense_sampling(seed, v, w, clearance):
     random = np.random.default_rng(seed)
