@@ -1,4 +1,4 @@
-"""The one deadline of a call, handed down to every stage that may take long."""
+"""Deadline of a call, shared by all stages that may take long."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ __all__ = ["ENDLESS", "Deadline", "OutOfTime", "garbage_collection_paused", "nev
 
 
 class OutOfTime(Exception):
-    """A stage saw that its time is up; nothing of it can be used. It never leaves the package that raised it."""
+    """The deadline of a stage has passed and the stage has no result; internal to the package that raises it."""
 
 
 def never_late() -> bool:
-    """The `is_late` of a caller without a deadline."""
+    """Return False: the default `is_late` without a deadline."""
     return False
 
 
 class _Latch:
-    """A question that is not asked again once it was answered with yes."""
+    """A predicate that is not evaluated again after it was true."""
 
-    __slots__ = ("_question", "said_yes")
+    __slots__ = ("_predicate", "was_true")
 
-    def __init__(self, question: Callable[[], bool]) -> None:
-        self._question, self.said_yes = question, False
+    def __init__(self, predicate: Callable[[], bool]) -> None:
+        self._predicate, self.was_true = predicate, False
 
     def __call__(self) -> bool:
-        self.said_yes = self.said_yes or bool(self._question())
-        return self.said_yes
+        self.was_true = self.was_true or bool(self._predicate())
+        return self.was_true
 
 
 class Deadline:
-    """A moment on a monotonic clock, counted from when this was made.
+    """A point in time on a monotonic clock, relative to the construction of this object.
 
     Args:
-        seconds: Wall-clock allowance [s]; infinite means no deadline.
-        clock: Monotonic seconds.
-        stop: Polled with the clock; True: the deadline has passed, whatever the clock says.
+        seconds: Wall-clock allowance [s]; infinite without a deadline.
+        clock: Returns monotonic seconds.
+        stop: Polled together with the clock; True makes the deadline pass immediately.
 
     >>> now = iter([10.0, 10.2, 10.6])
     >>> deadline = Deadline(0.5, lambda: next(now))
@@ -64,43 +64,43 @@ class Deadline:
 
     @classmethod
     def of_allowance(cls, seconds: float, clock: Callable[[], float] = time.monotonic) -> Deadline:
-        """As Nav2 gives time allowances [s]: 0 means no deadline."""
+        """Return the deadline of a Nav2 time allowance [s], where 0 means no deadline."""
         return cls(seconds if seconds > 0.0 else math.inf, clock)
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the beginning."""
+        """Seconds since construction."""
         return self._clock() - self._began
 
     @property
     def left(self) -> float:
-        """Seconds left, negative when overdrawn."""
+        """Remaining seconds; negative after the deadline."""
         return self.seconds - self.elapsed
 
     def fits(self, seconds: float) -> bool:
-        """Whether work of this length ends in time."""
+        """Whether work of this duration ends before the deadline."""
         return self.elapsed + seconds <= self.seconds
 
     def passed(self) -> bool:
-        """Whether no time is left; a method, so that it serves as a `cancel_checker` or `is_late`."""
+        """Whether no time remains; usable as a `cancel_checker` or `is_late`."""
         return self.elapsed >= self.seconds or self._stop()
 
     @property
     def stopped(self) -> bool:
         """Whether `stop` has returned True."""
-        return self._stop.said_yes
+        return self._stop.was_true
 
     def look(self) -> None:
-        """Go on only while there is time.
+        """Check the deadline.
 
         Raises:
-            OutOfTime: There is none left.
+            OutOfTime: If no time remains.
         """
         if self.passed():
             raise OutOfTime
 
     def shortened(self, by: float = 0.0, at_most: float = math.inf) -> Deadline:
-        """The same beginning and clock, but it passes `by` seconds earlier, and never later than after `at_most`."""
+        """Return a deadline with the same start, `by` seconds earlier and at most `at_most` seconds after the start."""
         earlier = copy.copy(self)
         earlier.seconds = min(self.seconds - by, at_most)
         return earlier
@@ -111,13 +111,12 @@ ENDLESS = Deadline()
 
 @contextlib.contextmanager
 def garbage_collection_paused() -> Iterator[None]:
-    """Within it Python starts no automatic collection of cyclic garbage.
+    """Disable automatic garbage collection within the context.
 
-    A full collection cannot be interrupted and takes as long as the process has objects: 35 ms with the libraries of
-    this project alone, 250 ms beside a million small objects of the caller's. What was made within is collected at the
-    end, below a millisecond for a call of 100 ms: else the first object after it would start a collection that is due,
-    a full one now and then. Where calls of several threads overlap, collection is back at the latest when the first of
-    them ends.
+    A full collection cannot be interrupted and takes time proportional to the number of objects of the process: 35 ms
+    with the libraries of this project alone, 250 ms with a million small objects of the caller. On exit the young
+    generations are collected, which takes less than 1 ms after a call of 100 ms. Where calls of several threads
+    overlap, collection is enabled again when the first of them ends.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -1,7 +1,6 @@
-"""The exception tree: Nav2's nouns, each with Nav2's action error code.
+"""Exceptions, named as in Nav2, each with Nav2's action error code.
 
-Every exception that leaves this library derives from `OptdockError`, carries a `code` and may carry `where`: the
-data that locates the fault (arc length, pose, obstacle, bound, amount), ready for a plan file.
+Every exception that leaves this library derives from `OptdockError`.
 """
 
 from __future__ import annotations
@@ -49,12 +48,13 @@ __all__ = [
 
 
 class OptdockError(Exception):
-    """Base of every exception raised by optdock.
+    """Base class of every exception raised by optdock.
 
     Attributes:
-        code: Nav2's action error code, 0 where Nav2 has none.
-        where: What locates the fault; plain numbers, strings and lists of them.
-        partial: What a pipeline had finished when it failed, or None.
+        code: Nav2's action error code; 0 if Nav2 defines none.
+        where: Data that locates the fault (arc length, pose, obstacle, bound, amount) as plain numbers, strings and
+            lists of them.
+        partial: Result of the stages that had finished before a pipeline failed, or None.
     """
 
     code: ClassVar[int] = 0
@@ -66,85 +66,85 @@ class OptdockError(Exception):
 
 
 class InvalidValue(OptdockError, ValueError):
-    """A value breaks a rule that its constructor states."""
+    """A value violates a constraint of the constructor or function that it is passed to."""
 
 
 class InvalidMessage(InvalidValue):
-    """A ROS message breaks a rule; the error names message, field, value and rule."""
+    """A ROS message is invalid; the error names the message, field, value and rule."""
 
 
 class InvalidFile(OptdockError):
-    """A file cannot be read or breaks its format; the message lists every fault, one per line."""
+    """A file cannot be read or does not match its format; the message lists every fault, one per line."""
 
 
 class DockNotInDB(InvalidValue):
-    """The dock asked for is not in the dock database."""
+    """The requested dock is not in the dock database."""
 
     code = 901
 
 
 class DockNotValid(InvalidFile):
-    """A dock is of a type that nothing knows, or in a frame that nothing relates to the map's."""
+    """A dock has an unknown type, or a frame without a known transform to the map frame."""
 
     code = 902
 
 
 class LifecycleError(OptdockError):
-    """A plugin was asked for a transition its lifecycle state does not allow."""
+    """The lifecycle state of a plugin does not allow the requested transition."""
 
 
 class MissingExtra(OptdockError):
-    """An optional dependency is not installed; the message names the extra that brings it."""
+    """An optional dependency is not installed; the message names the extra that contains it."""
 
 
 class PluginError(OptdockError):
-    """A plugin is unknown, cannot be imported or does not keep its interface."""
+    """A plugin is unknown, cannot be imported or does not implement its interface."""
 
 
 class TimedOut(OptdockError):
-    """The deadline came first, in whatever stage: the planner, the smoother or the time parameterizer."""
+    """The deadline passed during planning, smoothing or time parameterization."""
 
 
 class Cancelled(OptdockError):
-    """The cancel checker asked to stop, in whatever stage."""
+    """The cancel checker requested a stop during planning, smoothing or time parameterization."""
 
 
 class CertificationFailed(OptdockError):
-    """The independent certificate refuses a result that a solver proposed."""
+    """The certificate rejects a result of a solver."""
 
     code = 503
 
 
 class FailedToTimePath(OptdockError):
-    """No time law keeps the motion limits on this path from this start state."""
+    """No time law satisfies the motion limits on this path from this start state."""
 
     code = 600
 
 
 class TimingTimedOut(FailedToTimePath, TimedOut):
-    """The deadline came before the time law; the path is certified and hangs on the error."""
+    """The deadline passed before a time law was found; the certified path is attached to the error."""
 
     code = 601
 
 
 class TimingCancelled(Cancelled):
-    """The cancel checker asked to stop while a smoothed path was timed, or the motion proven."""
+    """The cancel checker requested a stop during time parameterization or certification of the motion."""
 
 
 class PlannerException(OptdockError):
-    """Any failure of a global planner."""
+    """Base class of the failures of a global planner."""
 
     code = 200
 
 
 class StartOutsideMapBounds(PlannerException):
-    """The start lies off the map."""
+    """The start is outside the map."""
 
     code = 203
 
 
 class GoalOutsideMapBounds(PlannerException):
-    """The goal lies off the map."""
+    """The goal is outside the map."""
 
     code = 204
 
@@ -162,22 +162,22 @@ class GoalOccupied(PlannerException):
 
 
 class PlannerTimedOut(PlannerException, TimedOut):
-    """The planner ran out of time."""
+    """The deadline passed during planning."""
 
     code = 207
 
 
 class NoValidPathCouldBeFound(PlannerException):
-    """There is no path of the kind this planner makes."""
+    """The planner found no path of the type that it generates."""
 
     code = 208
 
 
 class NoMotionExists(NoValidPathCouldBeFound):
-    """No motion of any kind joins start and goal, or none can end in the dock as it asks, and that is proven.
+    """It is proven that no motion connects start and goal, or that none ends in the dock as required.
 
     Attributes:
-        proof: The `ImpossibilityProof`, or the `BlockedStraight`.
+        proof: The `ImpossibilityProof` or the `BlockedStraight`.
     """
 
     def __init__(self, message: str, *, proof: object, where: Mapping[str, object] | None = None) -> None:
@@ -186,43 +186,43 @@ class NoMotionExists(NoValidPathCouldBeFound):
 
 
 class PlannerCancelled(PlannerException, Cancelled):
-    """The cancel checker asked the planner to stop."""
+    """The cancel checker requested a stop during planning."""
 
     code = 0
 
 
 class ControllerException(OptdockError):
-    """Any failure of a controller."""
+    """Base class of the failures of a controller."""
 
     code = 100
 
 
 class ControllerInvalidPath(ControllerException):
-    """The controller was given no path, or one it cannot follow."""
+    """The controller received no path, or a path that it cannot follow."""
 
     code = 103
 
 
 class NoValidControl(ControllerException):
-    """No command is admissible in this cycle."""
+    """No command is admissible in this control cycle."""
 
     code = 106
 
 
 class SmootherException(OptdockError):
-    """Any failure of a smoother."""
+    """Base class of the failures of a smoother."""
 
     code = 500
 
 
 class SmootherTimedOut(SmootherException, TimedOut):
-    """The deadline came before any certified path."""
+    """The deadline passed before any path was certified."""
 
     code = 502
 
 
 class FailedToSmoothPath(SmootherException):
-    """No path near the input keeps every bound; the message names the bound in the way."""
+    """No path near the input satisfies every bound; the message names the violated bound."""
 
     code = 504
 
@@ -234,10 +234,10 @@ class InvalidPath(SmootherException):
 
 
 class SmootherCancelled(SmootherException, Cancelled):
-    """The cancel checker asked the smoother to stop."""
+    """The cancel checker requested a stop during smoothing."""
 
     code = 0
 
 
 class BehaviorException(OptdockError):
-    """Any failure of a behavior."""
+    """Base class of the failures of a behavior."""

@@ -1,6 +1,6 @@
-"""Dense convex quadratic programs of fixed size, filled in place and solved by DAQP [Arnstrom2022].
+"""Dense convex quadratic programs of fixed size, solved in place by DAQP [Arnstrom2022].
 
-A program is built once per size, which takes as long as several solutions, and solved as often as its numbers change.
+Construction takes as long as several solutions; a program is constructed once per size and solved repeatedly.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 __all__ = ["UNBOUNDED", "DenseProgram"]
 
-UNBOUNDED = 1e30  # how DAQP spells infinity
+UNBOUNDED = 1e30  # DAQP's value for infinity
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 
 
 class DenseProgram:
     """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, with `h` positive definite.
 
-    Its arrays, named as in the formula, are in Fortran order; casadi's buffers read them without a copy, so they are to
-    be filled, never replaced.
+    The arrays have the names of the formula and are in Fortran order. They are filled in place and must not be
+    replaced, because casadi's buffers read them without a copy.
 
     Args:
         size: Number of variables.
         rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
-        most_iterations: Of the active set, after which DAQP gives up; None: DAQP's own bound.
+        most_iterations: Maximum number of active-set iterations; None for DAQP's default.
     """
 
     def __init__(self, size: int, rows: int, most_iterations: int | None = None) -> None:
@@ -49,28 +49,32 @@ class DenseProgram:
         buffer, run = self._function.buffer()
         for name in _ARGUMENTS:
             values: FloatArray = getattr(self, name)
-            # casadi's stub knows the C form of the two setters only.
+            # casadi's stub declares only the C form of the two setters.
             buffer.set_arg(self._function.index_in(name), _memory(values))  # type: ignore[call-arg]
         buffer.set_res(self._function.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
         return buffer, run
 
     def solve(self) -> FloatArray | None:
-        """The minimizer, Shape (size,); None where DAQP finds none."""
+        """Return the minimizer, Shape (size,), or None if DAQP finds none."""
         try:
             self._run()
-        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
+        except RuntimeError:  # casadi raises no other exception, e.g. if a lower bound exceeds its upper bound
             return None
-        # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
+        # On failure DAQP keeps the previous solution in the buffer, and it reports success for NaN input.
         if not self._buffer.stats()["success"] or not bool(np.isfinite(self._solution).all()):
             return None
         solution: FloatArray = self._solution.copy()
         return solution
 
     def solve_slowly(self) -> FloatArray | None:
-        """The minimizer by PIQP [Schwan2023], built anew for the rows in use; unused rows make it print warnings."""
+        """Return the minimizer by PIQP [Schwan2023], set up for the rows in use (unused ones cause warnings)."""
         if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
             return None
-        if bool(np.any(self.lbx > self.ubx) or np.any(self.lba > self.uba)) or not _has_piqp():
+        if bool(np.any(self.lbx > self.ubx) or np.any(self.lba > self.uba)):
+            return None
+        import casadi
+
+        if not casadi.has_conic("piqp"):
             return None
         used = (self.lba > -UNBOUNDED) | (self.uba < UNBOUNDED)
         values = {name: getattr(self, name) for name in _ARGUMENTS}
@@ -81,12 +85,6 @@ class DenseProgram:
         return solution if found else None
 
 
-def _has_piqp() -> bool:
-    import casadi
-
-    return bool(casadi.has_conic("piqp"))
-
-
 def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, int | str]]) -> casadi.Function:
     import casadi
 
@@ -95,5 +93,5 @@ def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, 
 
 
 def _memory(values: FloatArray) -> memoryview:
-    """Of an array in its own order: a view, whose address the buffer keeps."""
+    """Memory of an array in its own order; casadi's buffer keeps the address."""
     return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer

@@ -1,4 +1,4 @@
-"""Law: how much code a certificate and a proof of impossibility rest on, and on which libraries."""
+"""Size of the trusted code of certificates and proofs of impossibility, and its libraries."""
 
 import ast
 import io
@@ -18,7 +18,7 @@ PAGE = (ROOT / "docs" / "theory" / "certificate.md").read_text(encoding="utf-8")
 
 
 def imported(path):
-    """Everything that a module imports, for its types too."""
+    """Yield everything that a module imports, also for type annotations."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
@@ -27,7 +27,7 @@ def imported(path):
 
 
 def reached(*begin):
-    """The modules of this project that are reached by imports, and the names of other packages."""
+    """Return the modules of this project that are reached by imports, and the names of other packages."""
     found, others, left = set(), set(), list(begin)
     while left:
         module = left.pop()
@@ -42,7 +42,7 @@ def reached(*begin):
 
 
 def lines_of_code(path):
-    """Lines that hold more than comments and docstrings."""
+    """Count the lines that hold more than comments and docstrings."""
     text, documented, lines = path.read_text(encoding="utf-8"), set(), set()
     for node in ast.walk(ast.parse(text)):
         kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
@@ -66,7 +66,7 @@ def lines_of_code(path):
     ids=["certificates", "proofs of impossibility"],
 )
 def test_the_page_says_how_much_code_must_be_trusted(begin, said):
-    """And no solver is among it: NumPy, and shapely for the unions of polygons, are."""
+    """No solver is among the trusted code; NumPy and shapely are."""
     modules, others = reached(*begin)
     lines, count = (int(number.replace(",", "")) for number in re.search(said, PAGE).groups())
     assert lines - 100 < sum(lines_of_code(MODULES[module]) for module in modules) <= lines

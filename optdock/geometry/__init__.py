@@ -1,1 +1,1 @@
-"""Poses, curves, convex polygons and their distances: the lowest layer, knows nothing of robots."""
+"""Poses, curves, convex polygons and their distances; the lowest layer, independent of robots."""

@@ -1,7 +1,8 @@
-"""The array aliases, and what a frozen value does with the arrays that it is given."""
+"""Array aliases, and read-only arrays for frozen dataclasses."""
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -21,29 +22,27 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 _Array = TypeVar("_Array", bound="NDArray[np.generic]")
 _Value = TypeVar("_Value")
 
-__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "frozen", "frozen_array", "readonly"]
+__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "digest", "frozen", "frozen_array", "readonly"]
+
+_DIGEST_BYTES = 8  # a collision of two problems has probability 2^-64; digests detect mistakes, not attacks
 
 
 def readonly(array: _Array) -> _Array:
-    """A copy of an array in memory that cannot be written to.
+    """Return a copy of an array in memory that cannot be made writable again.
 
-    The memory is that of a `bytes` object that is not held elsewhere. The holder of an array that owns its memory can
-    take the read-only flag back with `setflags(write=True)`; of this one, and of its views, numpy refuses that.
+    The memory belongs to a `bytes` object, so NumPy refuses `setflags(write=True)` on the copy and on its views.
     """
-    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # what is computed of it rounds alike
+    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # same order, so that results round alike
     order: Literal["C", "F"] = "F" if by_columns else "C"
     copied: _Array = np.ndarray(array.shape, array.dtype, array.tobytes(order), order=order)
     return copied
 
 
 class FrozenArrays:
-    """A frozen value that holds arrays in memory that cannot be written to, and whose copies are as frozen as it is.
+    """Base class of frozen dataclasses that hold arrays: the arrays are read-only, copies are the object itself.
 
-    A dataclass that checks nothing gets that from here; one with a `__post_init__` of its own makes its arrays
-    `readonly` there.
-
-    Numpy's own copies and what pickle restores are writable. What cannot change needs no copies, so a copy is
-    the value itself; and what pickle restores is made `readonly` again.
+    A dataclass with a `__post_init__` of its own must make its arrays `readonly` there. Arrays restored by pickle are
+    made `readonly` again.
     """
 
     def __post_init__(self) -> None:
@@ -61,7 +60,7 @@ class FrozenArrays:
 
 
 def frozen(value: _Value) -> _Value:
-    """A value with every array in it, and in tuples of values, `readonly`."""
+    """Return a value with all arrays in it, also within tuples, made `readonly`."""
     if isinstance(value, np.ndarray):
         return readonly(value)
     if isinstance(value, tuple):
@@ -71,15 +70,15 @@ def frozen(value: _Value) -> _Value:
 
 
 def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> FloatArray:
-    """A read-only float64 copy of `values`, checked for shape and finiteness.
+    """Return a read-only float64 copy of `values`, checked for shape and finiteness.
 
     Args:
         values: Numbers, Shape (n,) or, with `columns`, Shape (n, columns).
-        name: What the values are called in error messages.
+        name: Name of the values in error messages.
         columns: Number of columns of a two-dimensional array; None for one dimension.
 
     Raises:
-        InvalidValue: Wrong shape, not numbers (text and switches are none), NaN or infinity.
+        InvalidValue: If the shape is wrong, or an element is not a number (text or a bool), NaN or infinite.
     """
     try:
         given = np.asarray(values)
@@ -97,6 +96,21 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     return readonly(array)
 
 
+def digest(*parts: ArrayLike | str) -> str:
+    """Return a hexadecimal digest of numbers, arrays and strings, in this order and with these shapes.
+
+    Equal digests mean numbers that are equal to the last bit; -0.0 and integers have the digests of 0.0 and of floats.
+    """
+    found = hashlib.blake2b(digest_size=_DIGEST_BYTES)
+    for part in parts:
+        if isinstance(part, str):
+            found.update(b"word" + part.encode() + b"\0")
+        else:
+            values = np.asarray(part, dtype=np.float64) + 0.0  # -0.0 + 0.0 is 0.0
+            found.update(repr(values.shape).encode() + values.tobytes())
+    return found.hexdigest()
+
+
 def _objects(array: NDArray[np.generic]) -> Iterable[object]:
-    """The elements of an array that numpy found no type for."""
+    """Return the elements of an array of dtype object."""
     return array.ravel().tolist() if array.dtype.kind == "O" else ()

@@ -1,6 +1,6 @@
-"""What a frozen value takes for a number, a word or a part: the thing itself, never something that looks like it.
+"""Strict checks of constructor arguments: numbers, enumeration members and classes.
 
-A wrong word for a gear or a quoted number that passes construction would switch a rule off later, in silence.
+A lenient check would let a quoted number or a misspelled gear silently disable a rule later.
 """
 
 from __future__ import annotations
@@ -16,19 +16,29 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from enum import Enum
 
-__all__ = ["MOST_SAMPLES", "exactly", "finite_number", "instance", "member", "number", "sampling_step"]
+__all__ = [
+    "MOST_SAMPLES",
+    "exactly",
+    "finite_number",
+    "instance",
+    "member",
+    "non_negative",
+    "number",
+    "positive",
+    "sampling_step",
+]
 
-MOST_SAMPLES = 10_000_000  # at once, about 1 GB; a smaller step is a mistake of units
+MOST_SAMPLES = 10_000_000  # about 1 GB; a smaller step is most likely a wrong unit
 
 _Member = TypeVar("_Member", bound="Enum")
 _Kind = TypeVar("_Kind")
 
 
 def number(value: object, name: str) -> float:
-    """A number as a float; infinity and NaN are left to the caller's rule.
+    """Return a number as a float; NaN and infinity are accepted.
 
     Raises:
-        InvalidValue: Text, a switch, or anything else that is not a real number.
+        InvalidValue: If the value is text, a bool or anything else that is not a real number.
     """
     if type(value) is float:
         return value
@@ -43,10 +53,10 @@ def number(value: object, name: str) -> float:
 
 
 def finite_number(value: object, name: str) -> float:
-    """A finite number as a float.
+    """Return a finite number as a float.
 
     Raises:
-        InvalidValue: No number, NaN or infinity.
+        InvalidValue: If the value is not a number, NaN or infinite.
     """
     found = number(value, name)
     if not math.isfinite(found):
@@ -54,25 +64,47 @@ def finite_number(value: object, name: str) -> float:
     return found
 
 
-def sampling_step(step: object, extent: float, name: str) -> float:
-    """A step between samples over `extent`, both in the same unit.
+def non_negative(value: object, name: str, unit: str = "") -> float:
+    """Return a finite number >= 0 as a float.
 
     Raises:
-        InvalidValue: It is not a finite number > 0, or there would be more than `MOST_SAMPLES`.
+        InvalidValue: If the value is not such a number.
     """
-    found = finite_number(step, name)
-    if not found > 0.0:
-        raise InvalidValue(f"{name}: must be > 0, got {step}")
+    found = number(value, name)
+    if not (math.isfinite(found) and found >= 0.0):
+        raise InvalidValue(f"{name}: must be finite and >= 0{unit and ' '}{unit}, got {found}")
+    return found
+
+
+def positive(value: object, name: str, unit: str = "") -> float:
+    """Return a finite number > 0 as a float.
+
+    Raises:
+        InvalidValue: If the value is not such a number.
+    """
+    found = number(value, name)
+    if not (math.isfinite(found) and found > 0.0):
+        raise InvalidValue(f"{name}: must be finite and > 0{unit and ' '}{unit}, got {found}")
+    return found
+
+
+def sampling_step(step: object, extent: float, name: str) -> float:
+    """Return a step between samples over `extent`, both in the same unit.
+
+    Raises:
+        InvalidValue: If the step is not finite and > 0, or gives more than `MOST_SAMPLES` samples.
+    """
+    found = positive(step, name)
     if extent > found * MOST_SAMPLES:
         raise InvalidValue(f"{name}: {found:g} over {extent:g} would be more than {MOST_SAMPLES} samples")
     return found
 
 
 def member(kind: type[_Member], value: object, name: str) -> _Member:
-    """The member of an enumeration that `value` is, or whose exact value it is.
+    """Return the member of an enumeration that equals `value` or has exactly this value.
 
     Raises:
-        InvalidValue: No such member; the message lists them.
+        InvalidValue: If there is no such member; the message lists the members.
 
     >>> from optdock.model.dock import DockDirection
     >>> member(DockDirection, "forward", "dock.direction").name
@@ -88,10 +120,10 @@ def member(kind: type[_Member], value: object, name: str) -> _Member:
 
 
 def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
-    """The value itself, if it is of this class.
+    """Return the value if it is an instance of this class.
 
     Raises:
-        InvalidValue: It is of another class.
+        InvalidValue: If it is not.
     """
     if isinstance(value, kind):
         return value
@@ -99,10 +131,10 @@ def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
 
 
 def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
-    """The value itself, if it is of this class and of no subclass, which could be something else in the same clothes.
+    """Return the value if its class is `kind` and not a subclass, which could override methods that proofs rely on.
 
     Raises:
-        InvalidValue: It is of another class.
+        InvalidValue: If it is of another class.
     """
     if type(value) is kind:
         return value

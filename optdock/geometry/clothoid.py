@@ -1,4 +1,4 @@
-"""Clothoid splines: curves whose curvature is piecewise linear in arc length (G2, exact between samples)."""
+"""Clothoid splines: curves whose curvature is piecewise linear in arc length."""
 
 from __future__ import annotations
 
@@ -18,23 +18,29 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["ClothoidSpline"]
+__all__ = ["ClothoidSpline", "subdivided"]
 
 # Five Gauss points integrate cos(theta) over a cell that turns by at most 0.5 rad with an error below 1e-15 of its
-# length on an arc: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30. Where the
-# curvature changes its sign within the cell the tenth derivative is larger; the error stays below 1e-9 of the length.
+# length on an arc: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30. If the curvature
+# changes sign within the cell, the tenth derivative is larger, but the error stays below 1e-9 of the length.
 _NODES, _WEIGHTS = map(readonly, np.polynomial.legendre.leggauss(5))
 _MAX_TURN_PER_CELL = 0.5
 _MAX_CELLS = 100_000
 
 
 def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Knots with enough points between them that no cell turns by more than `_MAX_TURN_PER_CELL`."""
+    """Return knots with points between them such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
     steps = np.diff(knots)
     turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
     parts = np.ceil(np.clip(turn / _MAX_TURN_PER_CELL, 1.0, _MAX_CELLS + 1.0)).astype(np.int64)
     if parts.sum() > _MAX_CELLS:
         raise InvalidValue(f"clothoid: turns by {turn.sum():.3g} rad in all, more than can be evaluated")
+    return subdivided(knots, parts)
+
+
+def subdivided(knots: FloatArray, parts: IntArray) -> FloatArray:
+    """Return knots, Shape (n + 1,), with interval i divided into parts[i] equal parts."""
+    steps = np.diff(knots)
     owner = np.repeat(np.arange(steps.size), parts)
     rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
@@ -44,8 +50,8 @@ def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
 class ClothoidSpline(FrozenArrays):
     """A drivable curve: `yaw'(s) = curvature(s)`, `(x, y)'(s) = direction * (cos yaw, sin yaw)`.
 
-    `s` is the distance travelled, so a left turn along the travel has positive curvature in both gears. Curvature is
-    linear between knots. Positions are integrated by Gauss quadrature, to better than 1e-9 of the length.
+    `s` is the travelled distance, so a left turn has positive curvature in both gears. Curvature is linear between
+    knots. Positions are integrated by Gauss quadrature with an error below 1e-9 of the length.
 
     Args:
         start: Pose at s = 0.
@@ -54,8 +60,8 @@ class ClothoidSpline(FrozenArrays):
         sign: +1 forward, -1 reverse.
 
     Raises:
-        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, or the curve
-            leads beyond 1e8 m or 1e6 rad, or turns within a distance that floats cannot resolve.
+        InvalidValue: If shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, a pose
+            exceeds 1e8 m or 1e6 rad, or a turn takes less distance than floats resolve.
     """
 
     start: Pose2
@@ -66,10 +72,8 @@ class ClothoidSpline(FrozenArrays):
     _break_states: FloatArray = field(init=False, repr=False)  # (cells + 1, 4): x, y, yaw, curvature
 
     def __post_init__(self) -> None:
-        knots, curvature = (
-            frozen_array(self.knots, "clothoid.knots"),
-            frozen_array(self.curvature, "clothoid.curvature"),
-        )
+        knots = frozen_array(self.knots, "clothoid.knots")
+        curvature = frozen_array(self.curvature, "clothoid.curvature")
         if knots.size < 2 or knots.size != curvature.size:
             raise InvalidValue(f"clothoid: needs >= 2 knots, each with a curvature, got {knots.size}, {curvature.size}")
         if knots[0] != 0.0 or not np.all(np.diff(knots) > 0.0):
@@ -77,19 +81,17 @@ class ClothoidSpline(FrozenArrays):
         sign = finite_number(self.sign, "clothoid.sign")
         if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
-        object.__setattr__(self, "sign", int(sign))
         exactly(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
         if not np.all(np.diff(breaks) > 0.0):
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
-        for name, value in (("knots", knots), ("curvature", curvature), ("_breaks", readonly(breaks))):
-            object.__setattr__(self, name, value)
+        vars(self).update(knots=knots, curvature=curvature, sign=int(sign), _breaks=readonly(breaks))
         with np.errstate(over="ignore", invalid="ignore"):
             states = self._integrate_breaks()
         if not np.all(np.isfinite(states)):
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         check_range(states, "clothoid")
-        object.__setattr__(self, "_break_states", readonly(states))
+        vars(self).update(_break_states=readonly(states))
 
     def _integrate_breaks(self) -> FloatArray:
         steps = np.diff(self._breaks)
@@ -110,13 +112,10 @@ class ClothoidSpline(FrozenArrays):
         """Arc length [m]."""
         return float(self.knots[-1])
 
-    def _cells(self, s: FloatArray) -> IntArray:
-        return np.searchsorted(self._breaks[1:-1], s, side="right")
-
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Poses at arc lengths `s`, Shape (n,) [m], clipped to the curve; Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m], clipped to the curve. Shape (n, 3)."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
-        cell = self._cells(points)
+        cell = np.searchsorted(self._breaks[1:-1], points, side="right")
         base, step = self._break_states[cell], points - self._breaks[cell]
         rate = self._cell_rates[cell]
         move = _displacements(step, base[:, 2], base[:, 3], rate)
@@ -133,18 +132,18 @@ class ClothoidSpline(FrozenArrays):
         return readonly(np.diff(self.curvature) / np.diff(self.knots))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Curvature at arc lengths `s`, Shape (n,) [1/m]."""
+        """Return the curvature at arc lengths `s`, Shape (n,) [1/m]."""
         return np.interp(np.atleast_1d(np.asarray(s, dtype=np.float64)), self.knots, self.curvature)
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """D curvature / ds at `s`, Shape (n,) [1/m^2]; at a knot the value to its right, at the end to its left."""
+        """Return d curvature / ds at `s`, Shape (n,) [1/m^2]; right-sided at knots, left-sided at the end."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         piece = np.searchsorted(self.knots[1:-1], points, side="right")
         rates: FloatArray = self.curvature_rates[piece]
         return rates
 
     def piece(self, begin: float, end: float) -> ClothoidSpline:
-        """The curve from arc length `begin` to `end` [m], 0 <= begin < end <= length; what is left begins at 0."""
+        """Return the curve from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s starts at 0."""
         inside = self.knots[(self.knots > begin) & (self.knots < end)]
         knots = np.concatenate(([begin], inside, [end]))
         start = self.start if begin == 0.0 else Pose2.from_sequence(self.poses_at(begin)[0])
@@ -157,7 +156,7 @@ class ClothoidSpline(FrozenArrays):
 
 
 def _displacements(step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-    """Integral of (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
+    """Integrate (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
     u = 0.5 * step[:, None] * (1.0 + _NODES)
     theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
     half = 0.5 * step

@@ -1,4 +1,4 @@
-"""The robot's outline, in Nav2's syntax."""
+"""Outline of the robot, in Nav2's syntax."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, readonly
-from optdock.geometry.checked import finite_number, number
+from optdock.geometry.checked import finite_number, positive
 from optdock.geometry.polygon import convex_cover, convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import displacement, normalize_angle
 from optdock.geometry.separation import ConvexBody
@@ -25,26 +25,26 @@ __all__ = ["CORE_DEPTH", "Footprint", "convex_body"]
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
-CORE_DEPTH = 2e-6  # [m]: how deep within the outline the core begins
+CORE_DEPTH = 2e-6  # [m]: distance of the core from the outline
 _CORE_ARC = 4  # segments of a quarter circle in the outline of a core
-_RADIUS_SIDES = 32  # of the polygon around a circle: it sticks out by at most 0.5 % of the radius
+_RADIUS_SIDES = 32  # of the polygon around a circle; its corners exceed the radius by 0.5 %
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Footprint(FrozenArrays):
-    """A simple polygon around the robot, in its own frame (x forward, y left).
+    """A simple polygon around the robot in its own frame (x forward, y left).
 
     Args:
         vertices: Shape (n, 2) [m], either orientation, n >= 3.
 
     Attributes:
-        bodies: The convex pieces that cover exactly the polygon; one when it is convex.
-        core: Convex pieces of what lies at least `CORE_DEPTH` inside a polygon that is not convex, which is not seen
-            piece by piece (`optdock.verification.contact_tolerance`); none when it is convex. Arcs of its outline are
-            chords inside the removed rim, so a core is never too small, but for one hundredth of `CORE_DEPTH`.
+        bodies: Convex pieces that cover exactly the polygon; one piece if it is convex.
+        core: Convex pieces that cover all points at least `CORE_DEPTH` inside a polygon that is not convex; empty if it
+            is convex (`optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
+            that lie outside it, so the pieces contain the exact core up to one hundredth of `CORE_DEPTH`.
 
     Raises:
-        InvalidValue: Fewer than three distinct vertices, no area, crossing edges, NaN.
+        InvalidValue: If the polygon has fewer than three distinct vertices, no area, crossing edges or NaN.
     """
 
     vertices: FloatArray
@@ -53,38 +53,34 @@ class Footprint(FrozenArrays):
 
     def __post_init__(self) -> None:
         vertices = simple_polygon(self.vertices, "footprint")
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "bodies", tuple(convex_body(piece) for piece in convex_pieces(vertices)))
-        object.__setattr__(self, "core", _core(vertices) if len(self.bodies) > 1 else ())
+        bodies = tuple(convex_body(piece) for piece in convex_pieces(vertices))
+        vars(self).update(vertices=vertices, bodies=bodies, core=_core(vertices) if len(bodies) > 1 else ())
 
     def __repr__(self) -> str:
         return f"<Footprint {self.length:.4g} m x {self.width:.4g} m, {len(self.vertices)} corners>"
 
     @classmethod
     def from_radius(cls, radius: float) -> Footprint:
-        """A round robot: the regular polygon of 32 sides around the circle of `radius` [m].
+        """Return the regular polygon of 32 sides circumscribed about the circle of `radius` [m], for a round robot.
 
-        The circle is inside and touches the middle of every side; at the corners the polygon sticks out by 0.5 % of
-        the radius. Sides face forward, left, backward and right, so length and width are those of the circle, and
-        padding moves every side outwards by at least the padding. (Nav2's polygon has its corners on the circle and is
-        smaller than the robot.)
+        The corners exceed the radius by 0.5 %. Sides face forward, left, backward and right, so length and width equal
+        the diameter, and padding moves every side outwards by at least the padding. (Nav2's polygon is inscribed in the
+        circle and therefore smaller than the robot.)
 
         Raises:
-            InvalidValue: The radius is not a positive number.
+            InvalidValue: If the radius is not a finite number > 0.
         """
-        checked = number(radius, "footprint.radius")
-        if not (np.isfinite(checked) and checked > 0.0):
-            raise InvalidValue(f"footprint.radius: must be > 0 m, got {radius}")
         angle = 2.0 * np.pi * (np.arange(_RADIUS_SIDES) + 0.5) / _RADIUS_SIDES
-        corner = checked * (1.0 + 1e-15) / np.cos(np.pi / _RADIUS_SIDES)  # beyond what rounding takes away
+        # 1e-15 more than needed, so that rounding does not move a side into the circle.
+        corner = positive(radius, "footprint.radius", "m") * (1.0 + 1e-15) / np.cos(np.pi / _RADIUS_SIDES)
         return cls(corner * np.column_stack((np.cos(angle), np.sin(angle))))
 
     @classmethod
     def from_string(cls, text: str) -> Footprint:
-        """Nav2's `"[[x, y], [x, y], ...]"`; commas, spaces and tabs separate.
+        """Parse Nav2's `"[[x, y], [x, y], ...]"`; separators are commas, spaces and tabs.
 
         Raises:
-            InvalidValue: Anything but a list of at least three pairs of numbers.
+            InvalidValue: If the text is not a list of at least three pairs of numbers.
         """
         stripped = text.strip()
         points = _POINT.findall(stripped)
@@ -95,10 +91,10 @@ class Footprint(FrozenArrays):
 
     @classmethod
     def rectangle(cls, front: float, rear: float, width: float) -> Footprint:
-        """A rectangle from x = -rear to x = front [m], `width` [m] wide and centred in y.
+        """Return a rectangle from x = -rear to x = front [m], `width` [m] wide and centred in y.
 
         Raises:
-            InvalidValue: A number is not finite, or the outline no polygon.
+            InvalidValue: If a number is not finite or the rectangle has no area.
         """
         sides = {"front": front, "rear": rear, "width": width}
         front, rear, width = (finite_number(value, f"footprint: {name}") for name, value in sides.items())
@@ -106,7 +102,7 @@ class Footprint(FrozenArrays):
         return cls(np.array([[front, half], [-rear, half], [-rear, -half], [front, -half]]))
 
     def padded(self, padding: float) -> Footprint:
-        """Every vertex moved by sign(x) * padding and sign(y) * padding [m], as Nav2 does."""
+        """Return the polygon with every vertex moved by sign(x) * padding and sign(y) * padding [m], as in Nav2."""
         return Footprint(self.vertices + padding * np.sign(self.vertices))
 
     @property
@@ -121,17 +117,17 @@ class Footprint(FrozenArrays):
 
     @property
     def circumscribed_radius(self) -> float:
-        """Largest distance of an outline point from the origin [m]."""
+        """Largest distance of a point of the outline from the origin [m]."""
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
 
     def displacement(self, pose: Pose2, reference: Pose2) -> float:
-        """How far any point of the outline is at most from where it would be at the reference [m]."""
+        """Return the largest distance between points of the outline at the pose and at the reference [m]."""
         turn = normalize_angle(pose.yaw - reference.yaw)
         return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
     @property
     def inscribed_radius(self) -> float:
-        """Smallest distance of an outline point from the origin [m]."""
+        """Smallest distance of a point of the outline from the origin [m]."""
         start, edge = self.vertices, np.roll(self.vertices, -1, axis=0) - self.vertices
         along = np.clip(-np.sum(start * edge, axis=1) / np.sum(edge**2, axis=1), 0.0, 1.0)
         nearest = start + along[:, None] * edge
@@ -146,7 +142,7 @@ def _core(vertices: FloatArray) -> tuple[ConvexBody, ...]:
 
 
 def convex_body(piece: ArrayLike) -> ConvexBody:
-    """A convex piece, Shape (n, 2) [m], with the planes of its edges."""
+    """Return a convex piece, Shape (n, 2) [m], with the planes of its edges."""
     vertices = np.array(piece, dtype=np.float64)
     normals, offsets = edge_planes(vertices)
     return ConvexBody(readonly(vertices), readonly(normals), readonly(offsets))

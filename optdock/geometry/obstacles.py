@@ -1,4 +1,4 @@
-"""Obstacles as convex polygons, held for vectorised queries."""
+"""Obstacles as convex polygons, stored for vectorized queries."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
-from optdock.geometry.fingerprint import digest
+from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
@@ -32,21 +31,21 @@ __all__ = ["ObstacleSet", "box_distance", "in_words", "without_repeated"]
 class ObstacleSet(FrozenArrays):
     """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
 
-    Build it with `empty`, `from_polygons`, `from_rectangles` or `from_footprint`, and join sets with `+`.
+    Created by `empty`, `from_polygons`, `from_rectangles` or `from_footprint`; sets are joined with `+`.
 
     Args:
         vertices: Shape (m, k, 2) [m].
         names: Names of the groups that the pieces belong to, for messages.
-        group: Shape (m,), index of each piece's group in `names`.
+        group: Shape (m,), index of the group of each piece in `names`.
 
     Attributes:
         normals: Shape (m, k, 2), outward unit normals of the edges.
-        offsets: Shape (m, k) [m], how far the piece reaches along each normal.
+        offsets: Shape (m, k) [m], extent of the piece along each normal.
         lower: Shape (m, 2) [m], lower corner of each bounding box.
-        upper: Shape (m, 2) [m], upper corner.
+        upper: Shape (m, 2) [m], upper corner of each bounding box.
 
     Raises:
-        InvalidValue: Shapes do not fit, a vertex is not finite, or a group has no name.
+        InvalidValue: If shapes do not match, a vertex is not finite, or a group index has no name.
     """
 
     vertices: FloatArray
@@ -82,15 +81,13 @@ class ObstacleSet(FrozenArrays):
         )
 
     def _hold(self, names: tuple[str, ...], **arrays: FloatArray | IntArray) -> ObstacleSet:
-        """Set every field, once; the arrays must not be held elsewhere."""
-        object.__setattr__(self, "names", names)
-        for name, value in arrays.items():
-            object.__setattr__(self, name, readonly(value))
+        """Set every field once; the arrays must not be referenced elsewhere."""
+        vars(self).update(names=names, **{name: readonly(value) for name, value in arrays.items()})
         return self
 
     @functools.cached_property
     def digest(self) -> str:
-        """Short digest of the polygons, in their order."""
+        """Digest of the polygons in their order."""
         return digest(self.vertices)
 
     def __repr__(self) -> str:
@@ -103,10 +100,10 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def of(cls, obstacles: ObstacleSet | Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
-        """The set itself; or that of simple polygons, as `from_polygons`.
+        """Return the set itself, or the set of simple polygons as `from_polygons` makes it.
 
         Raises:
-            InvalidValue: Neither a set nor polygons, or a polygon is none; the message says which.
+            InvalidValue: If the argument is neither, or a polygon is invalid; the message names the polygon.
         """
         if isinstance(obstacles, cls):
             return obstacles
@@ -117,15 +114,15 @@ class ObstacleSet(FrozenArrays):
     @classmethod
     @functools.cache
     def empty(cls) -> ObstacleSet:
-        """No obstacle at all; always the same object."""
+        """Return the set without obstacles, always the same object."""
         return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
 
     @classmethod
     def from_polygons(cls, polygons: Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
-        """Simple polygons, convex or not, either orientation; polygon i is called `name[i]`.
+        """Return the set of simple polygons, convex or not, of either orientation; polygon i is named `name[i]`.
 
         Raises:
-            InvalidValue: A polygon has fewer than three vertices, no area, crosses itself, or holds NaN.
+            InvalidValue: If a polygon has fewer than three vertices, no area, crossing edges or NaN.
         """
         pieces: list[FloatArray] = []
         group: list[int] = []
@@ -139,10 +136,10 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def from_rectangles(cls, lower: FloatArray, upper: FloatArray, name: str) -> ObstacleSet:
-        """Axis-aligned rectangles from their corners, Shape (m, 2) [m] each, all called `name`.
+        """Return axis-aligned rectangles given by their corners, Shape (m, 2) [m] each, all named `name`.
 
         Raises:
-            InvalidValue: Not two lists of as many corners, or an upper corner is not above its lower corner.
+            InvalidValue: If the numbers of corners differ, or an upper corner is not above its lower corner.
         """
         lower, upper = (frozen_array(corners, name, columns=2) for corners in (lower, upper))
         if lower.shape != upper.shape:
@@ -155,14 +152,14 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def from_footprint(cls, footprint: Footprint, pose: Pose2, name: str) -> ObstacleSet:
-        """The pieces of a footprint standing at a pose."""
+        """Return the pieces of a footprint at a pose."""
         return cls.from_pieces(
             [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies], name
         )
 
     @classmethod
     def from_pieces(cls, pieces: Sequence[FloatArray], name: str) -> ObstacleSet:
-        """Convex counter-clockwise pieces, Shape (n, 2) [m] each, of one thing called `name`."""
+        """Return convex counter-clockwise pieces, Shape (n, 2) [m] each, in one group `name`."""
         return _padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
 
     def __add__(self, other: ObstacleSet) -> ObstacleSet:
@@ -173,17 +170,17 @@ class ObstacleSet(FrozenArrays):
         )
 
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
-        """The pieces at `rows`, under their old names."""
+        """Return the pieces at `rows`, with their names."""
         parts = ("vertices", "group", "normals", "offsets", "lower", "upper")
         return object.__new__(ObstacleSet)._hold(self.names, **{part: getattr(self, part)[rows] for part in parts})
 
     def in_box(self, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-        """The pieces whose bounding boxes meet the box from `lower` to `upper`, Shape (2,) [m] each."""
+        """Return the pieces whose bounding boxes intersect the box from `lower` to `upper`, Shape (2,) [m] each."""
         rows = self.rows_in_box(lower, upper)
         return self if rows.size == len(self) else self.subset(rows)
 
     def near(self, places: FloatArray, reach: float) -> ObstacleSet:
-        """The pieces whose bounding boxes come within `reach` [m] of one of the places, Shape (n, 2) [m]."""
+        """Return the pieces whose bounding boxes are within `reach` [m] of one of the points, Shape (n, 2) [m]."""
         some = self.in_box(places.min(axis=0) - reach, places.max(axis=0) + reach)
         if len(some) == 0:
             return some
@@ -191,11 +188,11 @@ class ObstacleSet(FrozenArrays):
         return some if rows.size == len(some) else some.subset(rows)
 
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
-        """The rows of those pieces, ascending."""
+        """Return the rows of the pieces that `in_box` selects, ascending."""
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
     def rows_at(self, points: FloatArray) -> IntArray:
-        """The piece in which each point lies, Shape (n, 2) [m], its outline included; -1 in none. Shape (n,)."""
+        """Return the piece that contains each point, Shape (n, 2) [m], outline included, or -1. Shape (n,)."""
         found = np.full(len(points), -1)
         near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
         for row in near.tolist():
@@ -204,11 +201,11 @@ class ObstacleSet(FrozenArrays):
         return found
 
     def name_of(self, row: int) -> str:
-        """The name of piece `row`; a sentence has `in_words` of it."""
+        """Return the name of piece `row`; `in_words` gives the name in a message."""
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
-        """The polygons of `rows`, in that order, as `separation` takes them."""
+        """Return the polygons of `rows`, in this order, as `separation` takes them."""
         return ConvexPieces(*self._columns[:, :, rows])
 
     @functools.cached_property
@@ -219,7 +216,7 @@ class ObstacleSet(FrozenArrays):
 
 
 def _widen(vertices: FloatArray, width: int) -> FloatArray:
-    """Repeat the last vertex until there are `width`; Shape (..., n, 2) to (..., width, 2)."""
+    """Repeat the last vertex up to `width` vertices; Shape (..., n, 2) to (..., width, 2)."""
     missing = width - vertices.shape[-2]
     if missing == 0:
         return vertices
@@ -227,7 +224,7 @@ def _widen(vertices: FloatArray, width: int) -> FloatArray:
 
 
 def in_words(name: str) -> str:
-    """What a sentence calls an obstacle; files and `where` keep its name.
+    """Return the name of an obstacle for a message; files and `where` use the name itself.
 
     >>> in_words("unknown"), in_words("dock")
     ('unknown cells of the map', 'dock')
@@ -236,20 +233,20 @@ def in_words(name: str) -> str:
 
 
 def _padded(pieces: Sequence[FloatArray], names: tuple[str, ...], group: IntArray) -> ObstacleSet:
-    """The set of convex pieces, whose last vertices are repeated so that all have as many."""
+    """Return the set of convex pieces, padded to the same number of vertices."""
     width = max((len(piece) for piece in pieces), default=3)
     stack = [_widen(piece, width) for piece in pieces]
     return ObstacleSet(np.stack(stack) if stack else np.zeros((0, width, 2)), names, group)
 
 
 def without_repeated(obstacles: ObstacleSet) -> ObstacleSet:
-    """Every piece of a set once: of equal ones the first."""
+    """Return the set without duplicate pieces; the first of equal pieces is kept."""
     _, first = np.unique(obstacles.vertices.reshape(len(obstacles), -1), axis=0, return_index=True)
     return obstacles if first.size == len(obstacles) else obstacles.subset(np.sort(first))
 
 
 def box_distance(obstacles: ObstacleSet, points: FloatArray) -> FloatArray:
-    """Distance of every point, Shape (n, 2) [m], to every bounding box of a set. Shape (n, m) [m]."""
+    """Return the distance of every point, Shape (n, 2) [m], to every bounding box of a set. Shape (n, m) [m]."""
     x, y = points[:, :1], points[:, 1:]
     across = np.maximum(np.maximum(obstacles.lower[:, 0] - x, x - obstacles.upper[:, 0]), 0.0)
     along = np.maximum(np.maximum(obstacles.lower[:, 1] - y, y - obstacles.upper[:, 1]), 0.0)

@@ -22,11 +22,11 @@ __all__ = ["convex_cover", "convex_pieces", "edge_normals", "edge_planes", "is_c
 
 _Point: TypeAlias = "tuple[float, float]"
 _Ring: TypeAlias = "list[_Point]"
-_DENT = 1e-9  # [m]: a polygon that is convex but for dents no deeper counts as its hull; far below what is accepted
+_DENT = 1e-9  # [m]: a polygon with dents up to this depth counts as its hull; far below all tolerances
 
 
 def signed_area(vertices: FloatArray) -> float:
-    """Shoelace area [m^2], positive when the vertices run counter-clockwise. Shape (n, 2) [m].
+    """Return the shoelace area [m^2], positive for counter-clockwise vertices, Shape (n, 2) [m].
 
     >>> signed_area(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]))
     2.0
@@ -36,10 +36,10 @@ def signed_area(vertices: FloatArray) -> float:
 
 
 def is_convex(vertices: FloatArray) -> bool:
-    """Whether counter-clockwise vertices form a simple polygon that is convex, but for dents of at most a nanometre.
+    """Whether counter-clockwise vertices form a simple polygon that is convex up to dents of at most a nanometre.
 
-    Straight angles are allowed. How deep a dent is goes by the convex hull of all vertices, so that many dents that are
-    flat one by one cannot add up.
+    Straight angles are allowed. The depth of a dent is measured from the convex hull of all vertices, so that many
+    dents that are individually flat cannot add up.
     """
     before, after = _edges_at(vertices)
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -56,12 +56,12 @@ def is_convex(vertices: FloatArray) -> bool:
 
 
 def _edges_at(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The edges before and after every vertex."""
+    """Return the edges before and after every vertex."""
     return vertices - np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0) - vertices
 
 
 def _hull_members(vertices: FloatArray) -> IntArray:
-    """Indices of the corners of the convex hull, ascending ([Andrew1979])."""
+    """Return the ascending indices of the corners of the convex hull ([Andrew1979])."""
     points = vertices.tolist()
     order = sorted(range(len(points)), key=points.__getitem__)
     members: set[int] = set()
@@ -80,7 +80,7 @@ def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
 
 
 def _depth_of_dents(vertices: FloatArray) -> float:
-    """Largest distance of a vertex from the hull's edge across its pocket [m]; no point of the hull is further out."""
+    """Return the largest distance of a vertex from the hull edge across its pocket [m], a bound for all points."""
     corners = _hull_members(vertices)
     index = np.arange(len(vertices))
     nearest = np.searchsorted(corners, index, side="right") - 1
@@ -92,14 +92,15 @@ def _depth_of_dents(vertices: FloatArray) -> float:
 
 
 def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
-    """A checked polygon: counter-clockwise, without repeated vertices, read-only. Shape (n, 2) [m].
+    """Return a checked polygon: counter-clockwise, without repeated vertices, read-only. Shape (n, 2) [m].
 
     Args:
-        vertices: Shape (n, 2) [m], either orientation, not closed or closed.
-        name: What the polygon is called in error messages.
+        vertices: Shape (n, 2) [m], either orientation, open or closed.
+        name: Name of the polygon in error messages.
 
     Raises:
-        InvalidValue: Fewer than three distinct vertices, no area, edges that cross or touch, NaN, beyond 1e8 m.
+        InvalidValue: If there are fewer than three distinct vertices, no area, edges that cross or touch, NaN, or
+            coordinates beyond 1e8 m.
     """
     points = frozen_array(vertices, name, columns=2)
     if points.size and np.max(np.abs(points)) > FARTHEST:
@@ -115,47 +116,44 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
     far = arms[np.argmax(np.sum(arms**2, axis=1))]
     is_straight = np.max(np.abs(far[0] * arms[:, 1] - far[1] * arms[:, 0])) <= smallest
     if not (is_straight or is_convex(points)):
-        _check_simple(points, name)
+        import shapely
+
+        polygon = shapely.Polygon(points)
+        if not shapely.is_valid(polygon):
+            raise InvalidValue(f"{name}: must not cross or touch itself: {shapely.is_valid_reason(polygon)}")
     if is_straight or signed_area(points) <= smallest:
         raise InvalidValue(f"{name}: the polygon has no area")
     return readonly(np.ascontiguousarray(points))
 
 
-def _check_simple(points: FloatArray, name: str) -> None:
-    import shapely
-
-    polygon = shapely.Polygon(points)
-    if not shapely.is_valid(polygon):
-        raise InvalidValue(f"{name}: must not cross or touch itself: {shapely.is_valid_reason(polygon)}")
-
-
 def edge_normals(vertices: FloatArray) -> FloatArray:
-    """Outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
+    """Return the outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
 
-    An edge of length zero, as padding makes, takes the normal of the edge before it; where there is none, as polygons
-    that rounding made a point have no edge, any normal will do.
+    An edge of length zero, as padding makes, takes the normal of the edge before it. A polygon that rounding has
+    reduced to a point has arbitrary normals.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices
     size = np.max(np.abs(edges), axis=-1)
     count = vertices.shape[-2]
-    again = range(count) if count and np.any(size[..., 0] <= 0.0) else range(0)  # the edge before the first is the last
+    # The edge before the first one is the last one, so an empty first edge needs a second pass.
+    again = range(count) if count and np.any(size[..., 0] <= 0.0) else range(0)
     for i in (*range(1, count), *again):
         empty = size[..., i] <= 0.0
         edges[..., i, :] = np.where(empty[..., None], edges[..., i - 1, :], edges[..., i, :])
         size[..., i] = np.where(empty, size[..., i - 1], size[..., i])
     if len(again):
         edges, size = np.where(size[..., None] > 0.0, edges, 1.0), np.where(size > 0.0, size, 1.0)
-    edges = edges / size[..., None]  # the length of a denormal edge has no digits left to divide by
+    edges = edges / size[..., None]  # first scaled, because the length of a denormal edge has too few digits
     length = np.hypot(edges[..., 0], edges[..., 1])
     normals: FloatArray = np.stack((edges[..., 1], -edges[..., 0]), axis=-1) / length[..., None]
     return normals
 
 
 def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Outward unit normals of the edges, Shape (..., n, 2), and how far the polygon reaches along each, Shape (..., n).
+    """Return the outward unit normals, Shape (..., n, 2), and the extent of the polygon along each, Shape (..., n).
 
-    The reach is that of the furthest vertex, not of the edge itself. So whatever rounding made of the normals, and
-    however flat a dent beside the edge is, no part of the polygon lies beyond any of its planes.
+    The extent is that of the farthest vertex and not of the edge, so no part of the polygon is beyond any plane,
+    regardless of the rounding of the normals and of dents.
     """
     normals = edge_normals(vertices)
     reach = np.full(vertices.shape[:-1], -np.inf)
@@ -166,11 +164,11 @@ def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
-    """A simple counter-clockwise polygon cut into convex counter-clockwise pieces that cover it.
+    """Decompose a simple counter-clockwise polygon into convex counter-clockwise pieces that cover it.
 
-    They leave nothing out; where dents of at most a nanometre were filled they stick out by as much. Constrained
-    Delaunay triangles, merged over shared edges while the union stays convex
-    ([Hertel1983]: at most four times the minimum number of pieces).
+    The pieces exceed the polygon by at most a nanometre, where dents are filled. Constrained Delaunay triangles are
+    merged over shared edges while the union stays convex ([Hertel1983]: at most four times the minimum number of
+    pieces).
     """
     if is_convex(vertices):
         return (_without_dents(vertices),)
@@ -180,7 +178,7 @@ def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def convex_cover(shape: BaseGeometry) -> tuple[FloatArray, ...]:
-    """Convex counter-clockwise pieces that cover a shapely polygon, or several; holes are allowed."""
+    """Return convex counter-clockwise pieces that cover a shapely polygon or multipolygon; holes are allowed."""
     import shapely
 
     triangles = shapely.constrained_delaunay_triangles(shape).geoms
@@ -189,7 +187,7 @@ def convex_cover(shape: BaseGeometry) -> tuple[FloatArray, ...]:
 
 
 def _without_dents(vertices: FloatArray) -> FloatArray:
-    """The hull of a polygon that is convex but for dents, straight angles kept where there is no dent."""
+    """Return the hull of a polygon that is convex up to dents; straight angles are kept if there is no dent."""
     before, after = _edges_at(vertices)
     if np.all(before[:, 0] * after[:, 1] >= before[:, 1] * after[:, 0]):
         return readonly(np.array(vertices))
@@ -201,7 +199,7 @@ def _oriented(points: FloatArray) -> _Ring:
 
 
 def _merge_convex(rings: list[_Ring]) -> list[_Ring]:
-    """Join triangles over every diagonal that no corner needs; a diagonal once needed stays so, one pass is enough."""
+    """Join triangles over every diagonal that convexity does not require; one pass is enough."""
     pieces = dict(enumerate(rings))
     owner = {edge: i for i, ring in pieces.items() for edge in _edges(ring)}
     for a, b in [edge for edge in owner if edge < edge[::-1]]:
@@ -219,6 +217,6 @@ def _edges(ring: _Ring) -> list[tuple[_Point, _Point]]:
 
 
 def _joined(first: _Ring, second: _Ring, edge: tuple[_Point, _Point]) -> _Ring:
-    """The union over an edge that runs from a to b in the first ring and from b to a in the second."""
+    """Return the union over an edge that runs from a to b in the first ring and from b to a in the second."""
     i, j = first.index(edge[1]), second.index(edge[0])
     return first[i:] + first[:i] + (second[j:] + second[:j])[1:-1]

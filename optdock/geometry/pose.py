@@ -1,6 +1,6 @@
 """SE(2): poses, twists and angles.
 
-Conventions: SI units, x forward, y left, yaw counter-clockwise in radians. An array of poses has Shape (n, 3) with
+Conventions: SI units, x forward, y left, yaw counter-clockwise in radians. An array of poses has Shape (n, 3) with the
 columns x [m], y [m], yaw [rad].
 """
 
@@ -37,15 +37,15 @@ __all__ = [
 
 Number = TypeVar("Number", float, "FloatArray")
 
-FARTHEST = 1e8  # [m] of any coordinate: beyond it squares overflow or millimetres vanish; no map on earth is that large
-MOST_TURNED = 1e6  # [rad] of any yaw: its last digit is then 1e-10 rad, a tenth of a nanometre at one metre
+FARTHEST = 1e8  # [m], largest coordinate: the spacing of floats is then 15 nm, and no map on earth is larger
+MOST_TURNED = 1e6  # [rad], largest yaw: the spacing of floats is then 1e-10 rad
 
 
 def check_range(poses: FloatArray, name: str) -> None:
-    """Refuse poses, Shape (n, 3), so far off or turned so often that floats cannot tell them apart.
+    """Check that poses, Shape (n, 3), are in the range in which floats resolve them.
 
     Raises:
-        InvalidValue: A coordinate beyond 1e8 m or a yaw beyond 1e6 rad.
+        InvalidValue: If a coordinate is beyond 1e8 m or a yaw beyond 1e6 rad.
     """
     for column, most, unit in ((poses[:, :2], FARTHEST, "m"), (poses[:, 2], MOST_TURNED, "rad")):
         found = float(np.max(np.abs(column), initial=0.0))
@@ -55,7 +55,7 @@ def check_range(poses: FloatArray, name: str) -> None:
 
 
 def normalize_angle(angle: float) -> float:
-    """The same direction in (-pi, pi].
+    """Return the same direction in (-pi, pi].
 
     >>> normalize_angle(3 * math.pi) == math.pi
     True
@@ -65,20 +65,20 @@ def normalize_angle(angle: float) -> float:
 
 
 def wrap_angles(angles: FloatArray) -> FloatArray:
-    """The same directions in [-pi, pi), of angles of any shape [rad]."""
+    """Return the same directions in [-pi, pi), for angles of any shape [rad]."""
     wrapped: FloatArray = np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi
     return wrapped
 
 
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:
-    """Yaws made continuous: consecutive values differ by at most pi. Shape (n,) [rad]."""
+    """Return continuous yaws: consecutive values differ by at most pi. Shape (n,) [rad]."""
     return np.asarray(np.unwrap(yaw), dtype=np.float64)
 
 
 def arc_end(
     x: float, y: float, yaw: float, twist: tuple[float, float, float], duration: float
 ) -> tuple[float, float, float]:
-    """`Pose2.moved` on bare floats; the body velocity is (linear, angular, lateral)."""
+    """Compute `Pose2.moved` on plain floats; the body velocity is (linear, angular, lateral)."""
     linear, angular, lateral = twist
     turn = angular * duration
     half = 0.5 * turn
@@ -90,15 +90,15 @@ def arc_end(
 
 @dataclass(frozen=True, slots=True)
 class Pose2:
-    """A pose in the plane; `a @ b` is b expressed through a (compose), as with matrices.
+    """A pose in the plane; `a @ b` is the composition of the transforms a and b.
 
     Args:
         x: Forward [m], within +-1e8.
         y: Left [m], within +-1e8.
-        yaw: Counter-clockwise heading [rad]; kept as given, not normalized; within +-1e6.
+        yaw: Counter-clockwise heading [rad], not normalized, within +-1e6.
 
     Raises:
-        InvalidValue: A component is not a number, NaN, infinite or out of range.
+        InvalidValue: If a component is not a number, NaN, infinite or out of range.
 
     >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
     Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
@@ -113,7 +113,7 @@ class Pose2:
         if type(x) is type(y) is type(yaw) is float and (
             -FARTHEST <= x <= FARTHEST and -FARTHEST <= y <= FARTHEST and -MOST_TURNED <= yaw <= MOST_TURNED
         ):
-            return  # as nearly always; the rest converts numbers of other kinds, or names what is wrong
+            return  # the usual case; the checks below convert numbers of other types or raise
         for name, most, unit in (("x", FARTHEST, "m"), ("y", FARTHEST, "m"), ("yaw", MOST_TURNED, "rad")):
             value = finite_number(getattr(self, name), f"pose.{name}")
             if abs(value) > most:
@@ -122,7 +122,7 @@ class Pose2:
 
     @property
     def brief(self) -> str:
-        """`(x, y, yaw)` to a tenth of a millimetre, for people."""
+        """`(x, y, yaw)` rounded to four decimals, for messages."""
         return "({:.7g}, {:.7g}, {:.7g})".format(*(round(value, 4) + 0.0 for value in (self.x, self.y, self.yaw)))
 
     def __matmul__(self, other: Pose2) -> Pose2:
@@ -130,26 +130,26 @@ class Pose2:
         return Pose2(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
 
     def inverse(self) -> Pose2:
-        """The pose with `pose @ pose.inverse()` the identity."""
+        """Return the inverse transform: `pose @ pose.inverse()` is the identity."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, -self.yaw)
 
     def distance_to(self, other: Pose2) -> float:
-        """Distance between the two positions [m]; yaw plays no part."""
+        """Return the distance between the two positions [m]; yaw is ignored."""
         return math.hypot(other.x - self.x, other.y - self.y)
 
     def gap_to(self, other: Pose2) -> float:
-        """The larger of distance [m] and turn [rad] between two poses that should be one."""
+        """Return the larger of the distance [m] and the angle [rad] between two poses."""
         return max(self.distance_to(other), abs(normalize_angle(self.yaw - other.yaw)))
 
     def in_frame_of(self, reference: Pose2) -> Pose2:
-        """This pose seen from `reference`, yaw in (-pi, pi]: x is along, y is cross, yaw is the heading error."""
+        """Return this pose in the frame of `reference`: along-track, cross-track and heading error in (-pi, pi]."""
         x, y = self.x - reference.x, self.y - reference.y
         c, s = math.cos(reference.yaw), math.sin(reference.yaw)
         return Pose2(c * x + s * y, c * y - s * x, normalize_angle(self.yaw - reference.yaw))
 
     def moved(self, twist: Twist2, duration: float) -> Pose2:
-        """The pose after `duration` [s] at a constant body velocity: an exact arc, straight lines included.
+        """Return the pose after `duration` [s] at a constant body velocity: an exact arc or straight line.
 
         >>> end = Pose2(0.0, 0.0, 0.0).moved(Twist2(math.pi, math.pi), 0.5)
         >>> round(end.x, 12), round(end.y, 12)
@@ -158,15 +158,15 @@ class Pose2:
         return Pose2(*arc_end(self.x, self.y, self.yaw, (twist.linear, twist.angular, twist.lateral), duration))
 
     def as_array(self) -> FloatArray:
-        """Shape (3,): x, y, yaw."""
+        """Return x, y, yaw, Shape (3,)."""
         return np.array([self.x, self.y, self.yaw])
 
     @classmethod
     def from_sequence(cls, values: Sequence[float] | FloatArray) -> Pose2:
-        """A pose from `[x, y, yaw]`.
+        """Return the pose of `[x, y, yaw]`.
 
         Raises:
-            InvalidValue: Not exactly three finite numbers.
+            InvalidValue: If there are not exactly three finite numbers.
         """
         if len(values) != 3:
             raise InvalidValue(f"pose: must be [x, y, yaw], got {len(values)} values")
@@ -183,7 +183,7 @@ class Twist2:
         lateral: Leftward speed [m/s].
 
     Raises:
-        InvalidValue: A component is not a number, NaN or infinite.
+        InvalidValue: If a component is not a number, NaN or infinite.
     """
 
     linear: float = 0.0
@@ -193,13 +193,13 @@ class Twist2:
     def __post_init__(self) -> None:
         kinds = type(self.linear), type(self.angular), type(self.lateral)
         if kinds == (float, float, float) and math.isfinite(self.linear + self.angular + self.lateral):
-            return  # as nearly always; the rest converts numbers of other kinds, or names what is wrong
+            return  # the usual case; the checks below convert numbers of other types or raise
         for name in ("linear", "angular", "lateral"):
             object.__setattr__(self, name, finite_number(getattr(self, name), f"twist.{name}"))
 
 
 def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """Body points moved into the world at every pose.
+    """Transform body points to the world at every pose.
 
     Args:
         poses: Shape (n, 3) [m, m, rad].
@@ -215,14 +215,14 @@ def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:
-    """Poses of a frame in the frame in which that one is seen.
+    """Transform poses from a frame to its parent frame.
 
     Args:
-        frame: Pose of the frame.
-        poses: Shape (n, 3).
+        frame: Pose of the frame in the parent frame.
+        poses: Shape (n, 3), in the frame.
 
     Returns:
-        Shape (n, 3); yaws are turned by one angle, not normalized, so that continuous ones stay so.
+        Shape (n, 3); yaws are not normalized, so continuous yaws stay continuous.
     """
     places = transform_points(frame.as_array()[None], poses[:, :2])[0]
     seen: FloatArray = np.column_stack((places, frame.yaw + poses[:, 2]))
@@ -230,7 +230,7 @@ def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:
 
 
 def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
-    """Poses seen from their references, yaw in (-pi, pi]. Shape (n, 3) each."""
+    """Return poses in the frames of their references, yaw in (-pi, pi]. Shape (n, 3) each."""
     delta = poses - references
     c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
     yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
@@ -238,14 +238,14 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
 
 
 def displacement(off: Number, turn: Number, radius: float) -> Number:
-    """How far a pose that is off and turned moves any point within a radius of its origin, at most [m].
+    """Return an upper bound of the distance that any point within `radius` of the origin moves [m].
 
-    A turn moves a point by a chord, off + 2 R sin(|turn| / 2).
+    A rotation moves a point by a chord, so the bound is off + 2 R sin(|turn| / 2).
 
     Args:
-        off: Distance of the poses, a number or an array [m].
-        turn: Angle between them, likewise; of any number of whole turns [rad].
-        radius: Of the body [m].
+        off: Distance between the positions, a number or an array [m].
+        turn: Angle between the headings, also beyond a whole turn [rad].
+        radius: Radius of the body [m].
     """
     moved: Number = off + 2.0 * radius * np.abs(np.sin(0.5 * turn))
     return moved

@@ -19,11 +19,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
-from optdock.geometry.fingerprint import ProblemFingerprint
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import transform_points
 from optdock.impossibility.proof import SLACK, ImpossibilityVerdict, least_required
 from optdock.model.dock import DockDirection
+from optdock.model.problem import ProblemFingerprint
 from optdock.verification.path_rules import STRAIGHT_TOLERANCE
 from optdock.verification.proximity import end_clearances, pose_clearances
 

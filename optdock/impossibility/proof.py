@@ -38,8 +38,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.geometry.arrays import FrozenArrays
-from optdock.geometry.fingerprint import ProblemFingerprint
 from optdock.geometry.obstacles import in_words
+from optdock.model.problem import ProblemFingerprint
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:

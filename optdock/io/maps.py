@@ -19,8 +19,8 @@ from optdock.io.guarded_file import is_regular
 from optdock.io.map_image import GreyImage, load_grey_image
 from optdock.io.numbers import is_number, unit_fault
 from optdock.io.yaml_lines import load_yaml
+from optdock.model.costmap import OccupancyGrid
 from optdock.model.costs import LETHAL, NO_INFORMATION, OCCUPANCY_UNKNOWN, OccupancyArray
-from optdock.model.occupancy import OccupancyGrid
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray

@@ -96,12 +96,11 @@ def path_columns(path: Path, spacing: float) -> dict[str, object]:
     """The samples of `path`, at most `spacing` [m] apart, and its exact curves, as plain JSON values."""
     samples = path.sample(spacing)
     columns: dict[str, object] = {name: column.tolist() for name, column in samples._asdict().items()}
-    curves = [_curve(segment) for segment in path.segments]
-    return columns if None in curves else {**columns, "segments": curves}
+    return {**columns, "segments": [_curve(segment) for segment in path.segments]}
 
 
-def _curve(segment: Segment) -> Json | None:
-    """The parameters of an exact curve; None for a kind of segment this format has no words for."""
+def _curve(segment: Segment) -> Json:
+    """Return the parameters of an exact curve."""
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return {
@@ -112,9 +111,7 @@ def _curve(segment: Segment) -> Json | None:
         }
     if isinstance(segment, PolylineSegment):
         return {"poses": segment.poses.tolist(), "direction": int(segment.direction)}
-    if isinstance(segment, TurnSegment):
-        return {"start": segment.pose.as_array().tolist(), "turn": segment.turn}
-    return None
+    return {"start": segment.pose.as_array().tolist(), "turn": segment.turn}
 
 
 def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:

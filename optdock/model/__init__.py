@@ -1,1 +1,1 @@
-"""What is planned with: paths and their segments, motions, limits, robots, docks, problems, measurements."""
+"""The planning model: paths, motions, limits, robots, docks, problems and measurements."""

@@ -1,8 +1,8 @@
-"""The robot's camera: where it is mounted, what it sees, and which part of a path must see the dock's marker.
+"""The robot's camera: mount, field of view, and the part of a path on which the dock's marker must be visible.
 
-The field of view is a cone cut off by two circles. How far a point lies inside is measured as a length, not as an
-angle: the smallest of its signed distances to the edges of the cone and to the circles. A length is 1-Lipschitz in the
-position of the point and has no singularity where the point is near the camera; bearings have one.
+The field of view is a cone truncated by two circles. The margin of a point is a length and not an angle: the smallest
+of its signed distances to the edges of the cone and to the circles. The length is 1-Lipschitz in the position of the
+point and regular near the camera, where bearings are singular.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.checked import exactly, number
+from optdock.geometry.checked import exactly, non_negative, number
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.path import place_before_end
 
@@ -29,16 +29,16 @@ _WHOLE_TURN = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera on the robot, or any other sensor that detects the dock within a cone.
+    """A camera on the robot, or another sensor that detects the dock within a cone.
 
     Args:
-        mount: Pose of the camera in the robot's frame; it looks along the x axis of this pose.
-        field_of_view: Whole angle of the cone, > 0 and <= 2 pi; 2 pi sees all around [rad].
-        min_range: Nearest distance at which the marker is detected, >= 0 [m].
-        max_range: Farthest such distance, > min_range; may be infinite [m].
+        mount: Pose of the camera in the robot frame; the optical axis is the x axis of this pose.
+        field_of_view: Full angle of the cone, > 0 and <= 2 pi [rad].
+        min_range: Smallest distance at which the marker is detected, >= 0 [m].
+        max_range: Largest such distance, > min_range; may be infinite [m].
 
     Raises:
-        InvalidValue: A value is out of these ranges, or the mount is not a pose.
+        InvalidValue: If a value is out of range or the mount is not a pose.
     """
 
     mount: Pose2
@@ -48,27 +48,25 @@ class Camera:
 
     def __post_init__(self) -> None:
         exactly(Pose2, self.mount, "robot.camera.mount")
-        for name in ("field_of_view", "min_range", "max_range"):
-            object.__setattr__(self, name, number(getattr(self, name), f"robot.camera.{name}"))
-        if not 0.0 < self.field_of_view <= _WHOLE_TURN:
-            raise InvalidValue(f"robot.camera.field_of_view: must be > 0 and <= 2 pi rad, got {self.field_of_view}")
-        if not (math.isfinite(self.min_range) and self.min_range >= 0.0):
-            raise InvalidValue(f"robot.camera.min_range: must be finite and >= 0 m, got {self.min_range}")
-        if not self.max_range > self.min_range:
-            raise InvalidValue(
-                f"robot.camera.max_range: must be > min_range = {self.min_range} m, got {self.max_range}"
-            )
+        view = number(self.field_of_view, "robot.camera.field_of_view")
+        nearest = non_negative(self.min_range, "robot.camera.min_range", "m")
+        farthest = number(self.max_range, "robot.camera.max_range")
+        if not 0.0 < view <= _WHOLE_TURN:
+            raise InvalidValue(f"robot.camera.field_of_view: must be > 0 and <= 2 pi rad, got {view}")
+        if not farthest > nearest:
+            raise InvalidValue(f"robot.camera.max_range: must be > min_range = {nearest} m, got {farthest}")
+        vars(self).update(field_of_view=view, min_range=nearest, max_range=farthest)
 
     @property
     def sees_all_around(self) -> bool:
-        """Whether the field of view is a whole turn, so that no bearing is out of it."""
+        """Whether the field of view is a whole turn, so that every bearing is inside."""
         return self.field_of_view >= _WHOLE_TURN
 
     def points_seen(self, poses: FloatArray, point: FloatArray) -> FloatArray:
-        """A point of the world in the camera's frame, seen from every pose of the robot.
+        """Return a world point in the camera frame, for every pose of the robot.
 
         Args:
-            poses: Of the robot, Shape (n, 3).
+            poses: Robot poses, Shape (n, 3).
             point: Shape (2,) [m].
 
         Returns:
@@ -81,10 +79,10 @@ class Camera:
         return np.column_stack((c * dx + s * dy, c * dy - s * dx))
 
     def margins(self, points: FloatArray) -> ViewMargins:
-        """How far points in the camera's frame, Shape (n, 2) [m], lie inside its view.
+        """Compute the margins of points in the camera frame, Shape (n, 2) [m], to the boundary of the view.
 
-        With bearing b, distance r and half-angle h the distance to the edges of the cone is r sin(min(h - b, pi / 2)):
-        the distance to the nearer edge line, or to the apex where that is nearer.
+        With bearing b, distance r and half-angle h, the distance to the edges of the cone is r sin(min(h - b, pi / 2)):
+        the distance to the nearer edge line, or to the apex if that is nearer.
         """
         bearing = np.abs(np.arctan2(points[:, 1], points[:, 0]))
         distance = np.hypot(points[:, 0], points[:, 1])
@@ -95,14 +93,14 @@ class Camera:
 
 
 class ViewMargins(NamedTuple):
-    """How far points lie inside the view of a camera, Shape (n,) each; negative outside.
+    """Margins of points to the boundary of a camera's view, Shape (n,) each; negative outside.
 
     Attributes:
-        cone: Signed distance to the edges of the cone [m]; inf where the camera sees all around.
-        near: Distance beyond `min_range` [m]; inf without one.
-        far: Distance short of `max_range` [m].
-        bearing: |angle| from the camera's axis [rad].
-        distance: From the camera [m].
+        cone: Signed distance to the edges of the cone [m]; inf if the field of view is a whole turn.
+        near: Distance minus `min_range` [m]; inf if `min_range` is 0.
+        far: `max_range` minus distance [m].
+        bearing: |angle| from the optical axis [rad].
+        distance: Distance from the camera [m].
     """
 
     cone: FloatArray
@@ -113,13 +111,13 @@ class ViewMargins(NamedTuple):
 
     @property
     def smallest(self) -> FloatArray:
-        """Signed distance to the boundary of the view, or less outside of it. Shape (n,) [m]."""
+        """Signed distance to the boundary of the view, or a lower value outside. Shape (n,) [m]."""
         smallest: FloatArray = np.minimum(self.cone, np.minimum(self.near, self.far))
         return smallest
 
 
 class ViewQuantity(NamedTuple):
-    """What of a view is worst: `bearing` [rad] or `distance` [m], its value and the limit that it breaks."""
+    """The worst quantity of a view, `bearing` [rad] or `distance` [m], with its value and the violated limit."""
 
     name: str
     unit: str
@@ -128,7 +126,7 @@ class ViewQuantity(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """By how much the value is beyond the limit."""
+        """Amount by which the value violates the limit."""
         return abs(self.value - self.limit)
 
     def __str__(self) -> str:
@@ -139,13 +137,13 @@ class ViewQuantity(NamedTuple):
 
 
 class RequiredView(NamedTuple):
-    """Which part of a path must see which point.
+    """The part of a path on which a marker must be visible.
 
     Attributes:
-        camera: Of the robot.
+        camera: Camera of the robot.
         marker: Shape (2,), in the world [m].
-        visible_distance: The part begins so far before the end of the path [m], along the path.
-        blind_distance: It ends so far before the end [m].
+        visible_distance: Distance of the beginning of the part from the end of the path, along the path [m].
+        blind_distance: Distance of the end of the part from the end of the path [m].
     """
 
     camera: Camera
@@ -154,28 +152,26 @@ class RequiredView(NamedTuple):
     blind_distance: float
 
     def stretch(self, path: Path) -> tuple[float, float] | None:
-        """Where on a path the marker must be in view, from `s` to `s` [m]; None: nowhere, all of it is blind.
+        """Return the interval of `s` on which the marker must be visible [m], or None if it is empty.
 
-        Turns in place count no distance. A turn belongs to the part where less than `visible_distance` and at least
-        `blind_distance` are left to drive after it.
+        Turns in place have no driven distance. A turn belongs to the part if less than `visible_distance` and at least
+        `blind_distance` remain to be driven after it.
         """
-        begin, end = (
-            max(0.0, place_before_end(path, self.visible_distance)),
-            place_before_end(path, self.blind_distance),
-        )
+        begin = max(0.0, place_before_end(path, self.visible_distance))
+        end = place_before_end(path, self.blind_distance)
         return (begin, end) if end > begin else None
 
     def margins(self, poses: FloatArray) -> ViewMargins:
-        """How far the marker is inside the view from poses of the robot, Shape (n, 3)."""
+        """Compute the margins of the marker for robot poses, Shape (n, 3)."""
         return self.camera.margins(self.camera.points_seen(poses, self.marker))
 
     def worst(self, margins: ViewMargins, at: int, required: float) -> ViewQuantity:
-        """The quantity that breaks a required margin at row `at`, with the limit that the requirement leaves of it.
+        """Return the quantity that violates a required margin at row `at`, with the limit that the requirement implies.
 
         Args:
-            margins: What was found.
-            at: Which of them.
-            required: Margin required there [m]; 0 where the robot has no tracking tube.
+            margins: Margins of the poses.
+            at: Row of the violation.
+            required: Required margin at this pose [m]; 0 if the robot has no tracking tube.
         """
         distance, camera = float(margins.distance[at]), self.camera
         if margins.far[at] <= min(margins.cone[at], margins.near[at]):

@@ -1,4 +1,4 @@
-"""Occupied cells as obstacles: each cell is a square, and squares are merged into few exact rectangles."""
+"""Occupied cells as obstacles: square cells are merged into few exact rectangles."""
 
 from __future__ import annotations
 
@@ -31,48 +31,41 @@ __all__ = [
 
 Region: TypeAlias = "tuple[ArrayLike, ArrayLike]"
 
-_BORDER_END = (
-    10.0 * FARTHEST
-)  # [m]: a pose cannot be further off than `FARTHEST`, nor a footprint longer than 1.5 of it
+_BORDER_END = 10.0 * FARTHEST  # [m]: poses are within `FARTHEST`, and no footprint reaches 1.5 `FARTHEST` beyond
 
 
 def obstacles_from_costmap(
     costmap: Costmap,
     *,
     unknown_is_obstacle: bool = True,
-    threshold: int = LETHAL,
     region: Region | None = None,
     border: bool = True,
 ) -> ObstacleSet:
-    """The occupied cells as exact, disjoint, axis-aligned rectangles, and the world off the map.
+    """Return the occupied cells as exact, disjoint, axis-aligned rectangles, and the outside of the map.
 
-    Occupied cells are called `map`, unknown ones `unknown`, the outside of the map `map border`. The border is an
-    obstacle by default: what lies beyond it is unknown, and Nav2's collision checkers refuse poses off the map.
-    It is four half-planes, so that everything off the map is an obstacle, however far.
+    The groups are named `map` (occupied cells), `unknown` and `map border`. The border is an obstacle by default,
+    because the outside is unknown and Nav2's collision checkers reject poses off the map. It is represented by four
+    half-planes.
 
     Args:
         costmap: The grid.
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles.
-        threshold: Costs from here up to LETHAL are obstacles; use 254 unless the costs are not inflated.
-        region: Lower and upper corner [m] of the box of interest; cells that do not meet it are left out, and the
-            cost of the call follows its size. None: the whole map.
+        region: Lower and upper corner [m] of the region of interest; cells that do not intersect it are omitted, and
+            the run time is proportional to its size. None for the whole map.
         border: Whether the outside of the map is an obstacle.
 
     Raises:
-        InvalidValue: threshold is not in 1..254, or the region's corners are not finite or not in order.
+        InvalidValue: If the corners of the region are not finite and ordered.
 
     >>> from optdock.model.costmap import Costmap
     >>> walls = Costmap(np.array([[254, 254, 254], [254, 0, 0], [254, 0, 0]]), resolution=0.5)
     >>> obstacles_from_costmap(walls, border=False).upper.tolist()
     [[0.5, 1.5], [1.5, 0.5]]
     """
-    if not 1 <= threshold <= LETHAL:
-        raise InvalidValue(f"threshold: must be in 1..{LETHAL}, got {threshold}")
     box = None if region is None else _checked_region(region)
     first, stop = _cell_window(costmap, box)
     window = costmap.data[first[1] : stop[1], first[0] : stop[0]]
-    occupied = (window >= threshold) & (window != NO_INFORMATION)
-    obstacles = _rectangles(costmap, cell_rectangles(occupied) + np.tile(first, 2), "map")
+    obstacles = _rectangles(costmap, cell_rectangles(window == LETHAL) + np.tile(first, 2), "map")
     if unknown_is_obstacle:
         unknown = cell_rectangles(window == NO_INFORMATION) + np.tile(first, 2)
         obstacles = obstacles + _rectangles(costmap, unknown, "unknown")
@@ -84,26 +77,21 @@ def obstacles_from_costmap(
 
 @functools.lru_cache(maxsize=16)
 def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> ObstacleSet:
-    """All that a frozen costmap says must not be touched: `obstacles_from_costmap` of the whole map, found once.
-
-    Args:
-        costmap: Frozen; the answer is kept for as long as few other maps are asked for.
-        unknown_is_obstacle: As there.
-    """
+    """Return `obstacles_from_costmap` of a whole frozen costmap; the most recent results are cached."""
     return obstacles_from_costmap(costmap, unknown_is_obstacle=unknown_is_obstacle)
 
 
 def added_obstacles(
     costmap: Costmap, known: Costmap | None, places: FloatArray, reach: float, *, unknown_is_obstacle: bool = True
 ) -> ObstacleSet:
-    """The cells near some places that are obstacles in a costmap and were none before, and its border.
+    """Return cells near given points that are obstacles in a costmap but not in an earlier one, and the border.
 
     Args:
-        costmap: As it is now.
-        known: As it was; of another grid, or of none, nothing was known.
+        costmap: The new costmap.
+        known: The earlier costmap; None, or another grid, means that nothing was known.
         places: Shape (n, 2) [m].
-        reach: Cells further than this from all of them are left out [m].
-        unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles, then and now.
+        reach: Cells farther than this from all places are omitted [m].
+        unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles in both costmaps.
     """
     lower, upper = places.min(axis=0) - reach, places.max(axis=0) + reach
     first, stop = _cell_window(costmap, (lower, upper))
@@ -136,13 +124,13 @@ def added_obstacles(
 
 
 def is_same_grid(first: Costmap, second: Costmap) -> bool:
-    """Whether the cells of two costmaps are the same squares."""
+    """Whether two costmaps have the same cells."""
     same = first.data.shape == second.data.shape and first.origin == second.origin
     return same and first.resolution == second.resolution
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
-    """Disjoint rectangles that cover exactly the true cells; the fewer of merged row runs and merged column runs.
+    """Return disjoint rectangles that cover exactly the true cells: merged row runs or merged column runs, the fewer.
 
     Args:
         occupied: Shape (rows, columns).
@@ -156,10 +144,10 @@ def cell_rectangles(occupied: BoolArray) -> IntArray:
 
 
 def _merged_runs(occupied: BoolArray) -> IntArray:
-    """Runs of true cells in every row; equal runs in consecutive rows become one rectangle. Shape (m, 4)."""
+    """Return runs of true cells in rows, equal runs in consecutive rows merged to one rectangle. Shape (m, 4)."""
     padded = np.zeros((occupied.shape[0], occupied.shape[1] + 2), dtype=np.bool_)
     padded[:, 1:-1] = occupied
-    # Every row changes an even number of times, so the flat list alternates between starts and stops of runs.
+    # The number of changes per row is even, so the flat list alternates between starts and stops of runs.
     changes = np.flatnonzero(padded[:, 1:] != padded[:, :-1])
     row, start = np.divmod(changes[::2], occupied.shape[1] + 1)
     stop = changes[1::2] % (occupied.shape[1] + 1)
@@ -189,7 +177,7 @@ def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
 
 
 def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) -> tuple[IntArray, IntArray]:
-    """First cell (i, j) and the one after the last of those that meet the box; both empty off the map."""
+    """Return the first cell (i, j) of the box and the one after its last cell; an empty window off the map."""
     size = np.array([costmap.columns, costmap.rows])
     if box is None:
         return np.zeros(2, dtype=np.int64), size
@@ -199,10 +187,10 @@ def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) ->
 
 
 def _border(costmap: Costmap) -> ObstacleSet:
-    """Four half-planes around the map, which overlap beyond its corners.
+    """Return four half-planes around the map that overlap beyond its corners.
 
-    Each is a rectangle whose other sides lie beyond every point that a footprint can reach at any pose. Their distance
-    costs no precision: the normal of the near side is exactly an axis, so the distance from it is one subtraction.
+    Each is a rectangle whose far sides lie beyond every point that a footprint can reach at any pose. The large extent
+    costs no precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
     """
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
     left, low = min(x0 - 1.0, -_BORDER_END), min(y0 - 1.0, -_BORDER_END)

@@ -1,4 +1,4 @@
-"""The costmap: a grid of costs with its place in the world."""
+"""Costmaps and occupancy grids: cells with their place in the world."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import readonly
-from optdock.geometry.checked import finite_number, number
+from optdock.geometry.arrays import FrozenArrays, readonly
+from optdock.geometry.checked import finite_number, positive
 from optdock.model.costs import (
     FREE_SPACE,
     INSCRIBED,
@@ -19,6 +19,8 @@ from optdock.model.costs import (
     NO_INFORMATION,
     CostArray,
     OccupancyArray,
+    OccupancyRule,
+    costs_from_occupancy,
     occupancy_from_costs,
 )
 
@@ -29,9 +31,9 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["FREE_SPACE", "INSCRIBED", "LETHAL", "NO_INFORMATION", "Costmap"]
+__all__ = ["FREE_SPACE", "INSCRIBED", "LETHAL", "NO_INFORMATION", "Costmap", "OccupancyGrid"]
 
-_FAR = 2.0**40  # cells; farther points, and points that are not finite, count as this far off the map
+_FAR = 2.0**40  # cells; index limit of points that are farther or not finite
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,7 +46,8 @@ class Costmap:
         origin: Lower left corner of cell (0, 0), x and y [m].
 
     Raises:
-        InvalidValue: No cell, costs that are not integers in 0..255, resolution not > 0, origin not finite.
+        InvalidValue: If there is no cell, a cost is not an integer in 0..255, the resolution is not > 0, or the origin
+            is not finite.
 
     >>> Costmap(np.array([[0, 254]]), resolution=0.5).cost_at([[0.2, 0.2], [0.7, 0.2], [9.0, 9.0]]).tolist()
     [0, 254, 255]
@@ -55,16 +58,13 @@ class Costmap:
     origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "resolution", number(self.resolution, "costmap.resolution"))
-        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
-            raise InvalidValue(f"costmap.resolution: must be finite and > 0 m, got {self.resolution}")
-        object.__setattr__(self, "origin", _checked_origin(self.origin))
-        object.__setattr__(self, "data", _checked_costs(self.data))
+        resolution = positive(self.resolution, "costmap.resolution", "m")
+        vars(self).update(resolution=resolution, origin=_checked_origin(self.origin), data=_checked_costs(self.data))
         if not all(math.isfinite(value) for value in self.upper):
             raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
 
     def __reduce__(self) -> tuple[Callable[..., Costmap], tuple[object, ...]]:
-        """How it is copied and pickled: what is frozen stays so, and so does what layers write into."""
+        """Copy and pickle as read-only or writable, like the original."""
         made = _writable if self._is_writable else Costmap
         return made, (self.data, self.resolution, self.origin)
 
@@ -76,7 +76,7 @@ class Costmap:
     def writable(
         cls, shape: tuple[int, int], resolution: float, origin: tuple[float, float], fill: int = FREE_SPACE
     ) -> Costmap:
-        """A grid for layers to write into; hand out `frozen()` copies of it.
+        """Return a grid that layers can write into; publish `frozen()` copies of it.
 
         Args:
             shape: Rows and columns.
@@ -85,24 +85,24 @@ class Costmap:
             fill: Cost of every cell.
 
         Raises:
-            InvalidValue: As the constructor.
+            InvalidValue: As for the constructor.
         """
         return _writable(np.full(shape, fill, dtype=np.uint8), resolution, origin)
 
     def frozen(self) -> Costmap:
-        """The grid itself where it is read-only; else a read-only copy."""
+        """Return the grid itself if it is read-only, else a read-only copy."""
         return Costmap(self.data, self.resolution, self.origin) if self._is_writable else self
 
     @property
     def _is_writable(self) -> bool:
-        """Whether layers write into it: only then the memory is its array's own, whatever the array is flagged."""
+        """Whether layers can write into the grid; only then the array owns its memory, regardless of its flags."""
         return self.data.flags.owndata
 
     def with_data(self, data: ArrayLike) -> Costmap:
-        """The same grid with other costs.
+        """Return the same grid with other costs.
 
         Raises:
-            InvalidValue: Another shape, or costs that are not integers in 0..255.
+            InvalidValue: If the shape differs or the costs are not integers in 0..255.
         """
         costs = _checked_costs(data)
         if costs.shape != self.data.shape:
@@ -127,16 +127,13 @@ class Costmap:
     @property
     def upper(self) -> tuple[float, float]:
         """Upper right corner of the map [m]."""
-        return (
-            self.origin[0] + self.columns * self.resolution,
-            self.origin[1] + self.rows * self.resolution,
-        )
+        return self.origin[0] + self.columns * self.resolution, self.origin[1] + self.rows * self.resolution
 
     def cell_of(self, points: ArrayLike) -> IntArray:
-        """Cells (i, j) of points: floor((point - origin) / resolution), on the map or off it.
+        """Return the cells (i, j) of points: floor((point - origin) / resolution), also off the map.
 
         Args:
-            points: Shape (n, 2) [m]; a point that is not finite gets a cell off the map.
+            points: Shape (n, 2) [m]; points that are not finite map to cells off the map.
 
         Returns:
             Shape (n, 2), column i and row j.
@@ -146,7 +143,7 @@ class Costmap:
         return cells
 
     def centre_of(self, cells: ArrayLike) -> FloatArray:
-        """Centres of cells (i, j), Shape (n, 2), on the map or off it. Shape (n, 2) [m]."""
+        """Return the centres of cells (i, j), Shape (n, 2), also off the map. Shape (n, 2) [m]."""
         centres: FloatArray = np.array(self.origin) + (np.asarray(cells, dtype=np.float64) + 0.5) * self.resolution
         return centres
 
@@ -160,7 +157,7 @@ class Costmap:
         return self.has_cell(self.cell_of(points))
 
     def cost_at(self, points: ArrayLike) -> CostArray:
-        """Costs at points, Shape (n, 2) [m]; NO_INFORMATION off the map. Shape (n,)."""
+        """Return the costs at points, Shape (n, 2) [m]; NO_INFORMATION off the map. Shape (n,)."""
         cells = self.cell_of(points)
         inside = self.has_cell(cells)
         costs = np.full(inside.shape, NO_INFORMATION, dtype=np.uint8)
@@ -168,13 +165,47 @@ class Costmap:
         return costs
 
     def occupancy(self) -> OccupancyArray:
-        """Nav2's published occupancies, Shape (rows, columns), -1 (unknown) or 0..100."""
+        """Return the occupancies as Nav2 publishes them, Shape (rows, columns), -1 (unknown) or 0..100."""
         return occupancy_from_costs(self.data)
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid(FrozenArrays):
+    """Occupancies with their place in the world (ROS: `nav_msgs/OccupancyGrid`).
+
+    Args:
+        data: Shape (rows, columns), -1 (unknown) or 0..100; row 0 has the lowest y. Copied and made read-only.
+        resolution: Side of a cell [m].
+        origin: Lower left corner of the first cell, x and y [m].
+
+    Raises:
+        InvalidValue: If there is no cell, an occupancy is outside -1..100, the resolution is not > 0, or the origin is
+            not finite.
+    """
+
+    data: OccupancyArray
+    resolution: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.data)
+        grid = Costmap(costs_from_occupancy(values), self.resolution, self.origin)  # checks everything
+        occupancy = readonly(values.astype(np.int8, order="C"))
+        vars(self).update(data=occupancy, resolution=grid.resolution, origin=grid.origin)
+
+    @property
+    def costmap(self) -> Costmap:
+        """The costmap by the default rule: unknown cells stay unknown."""
+        return self.costmap_by(OccupancyRule())
+
+    def costmap_by(self, rule: OccupancyRule) -> Costmap:
+        """Return the costmap by another rule."""
+        return Costmap(costs_from_occupancy(self.data, rule), self.resolution, self.origin)
 
 
 def _writable(data: CostArray, resolution: float, origin: tuple[float, float]) -> Costmap:
     grid = Costmap(data, resolution, origin)
-    object.__setattr__(grid, "data", grid.data.copy())
+    vars(grid).update(data=grid.data.copy())
     return grid
 
 
@@ -186,7 +217,7 @@ def _checked_origin(origin: object) -> tuple[float, float]:
 
 
 def _checked_costs(data: ArrayLike) -> CostArray:
-    """A read-only copy of costs, Shape (rows, columns)."""
+    """Return a read-only copy of costs, Shape (rows, columns)."""
     values = np.asarray(data)
     if values.dtype.kind not in "iu":
         raise InvalidValue(f"costmap.data: must be integers, got {values.dtype}")

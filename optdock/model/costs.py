@@ -1,4 +1,4 @@
-"""Cost values, and their conversion from and to occupancy (Nav2: `cost_values.hpp`, `StaticLayer::interpretValue`)."""
+"""Cost values and their conversion from and to occupancy (Nav2: `cost_values.hpp`, `StaticLayer::interpretValue`)."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ _OCCUPANCY_INSCRIBED = 99
 
 @dataclass(frozen=True)
 class OccupancyRule:
-    """How occupancy becomes cost; the fields are Nav2's costmap parameters.
+    """Conversion of occupancy to cost; the fields are Nav2's costmap parameters.
 
-    `track_unknown_space` is True here (Nav2: False), because a dock planner must not drive into unknown space.
+    `track_unknown_space` is True by default (Nav2: False), because a dock planner must not drive into unknown space.
 
     Args:
-        track_unknown_space: Unknown stays unknown (255); False makes it free.
-        lethal_cost_threshold: Occupancy from which a cell is lethal, 1..100.
-        trinary_costmap: Everything below the threshold is free; False scales it.
+        track_unknown_space: Whether unknown cells stay unknown (255); otherwise they are free.
+        lethal_cost_threshold: Smallest occupancy of a lethal cell, 1..100.
+        trinary_costmap: Whether all values below the threshold are free; otherwise they are scaled.
         unknown_cost_value: The occupancy that means unknown, as an unsigned byte: 255 is -1.
         inscribed_obstacle_cost_value: The occupancy that means inscribed (253).
 
     Raises:
-        InvalidValue: The threshold is not in 1..100, another value not in 0..255.
+        InvalidValue: If the threshold is not in 1..100 or another value not in 0..255.
     """
 
     track_unknown_space: bool = True
@@ -71,7 +71,7 @@ class OccupancyRule:
                 raise InvalidValue(f"{name}: must be in 0..255, got {getattr(self, name)}")
 
     def table(self) -> CostArray:
-        """Cost of the occupancies 0..100, then of -1. Shape (102,)."""
+        """Return the costs of the occupancies 0..100, then of -1. Shape (102,)."""
         occupancy = np.append(np.arange(101), 255)
         scaled = (occupancy / self.lethal_cost_threshold * LETHAL).astype(np.int64)
         below = np.zeros_like(scaled) if self.trinary_costmap else scaled
@@ -82,14 +82,14 @@ class OccupancyRule:
 
 
 def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None) -> CostArray:
-    """Costs of occupancies: 100 and more of the threshold 254, 99 253, -1 255 (or 0), others by `rule`.
+    """Return the costs of occupancies; by default 100 is 254, 99 is 253, -1 is 255 and other values are 0.
 
     Args:
         occupancy: Integers, -1 (unknown) or 0..100, any shape.
         rule: The conversion; None for the defaults.
 
     Raises:
-        InvalidValue: Not integers, or a value outside -1..100.
+        InvalidValue: If a value is not an integer in -1..100.
     """
     values = np.asarray(occupancy)
     if values.dtype.kind not in "iu":
@@ -102,7 +102,7 @@ def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None
 
 
 def occupancy_from_costs(costs: CostArray) -> OccupancyArray:
-    """Nav2's published occupancies: 0; 1..252 to 1..98; 253 to 99; 254 to 100; 255 to -1. Any shape."""
+    """Return the occupancies as Nav2 publishes them: 1..252 to 1..98, 253 to 99, 254 to 100, 255 to -1. Any shape."""
     scale = np.arange(256)
     table = np.where(scale == FREE_SPACE, 0, 1 + (97 * (scale - 1)) // 251)
     table[[INSCRIBED, LETHAL, NO_INFORMATION]] = (_OCCUPANCY_INSCRIBED, 100, OCCUPANCY_UNKNOWN)

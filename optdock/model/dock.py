@@ -1,8 +1,7 @@
-"""The dock: where the robot must end, how it gets in, and what stands there."""
+"""The dock: goal pose, approach and outline of the station."""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.checked import exactly, finite_number, member, number
+from optdock.geometry.checked import exactly, finite_number, member, non_negative, positive
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.limits import SpeedZone
@@ -25,7 +24,7 @@ __all__ = ["Dock", "DockDirection", "DockTolerances"]
 
 
 class DockDirection(str, Enum):
-    """The gear of the last motion into the dock."""
+    """Gear of the last motion into the dock."""
 
     FORWARD = "forward"
     BACKWARD = "backward"
@@ -34,15 +33,15 @@ class DockDirection(str, Enum):
 
 @dataclass(frozen=True)
 class DockTolerances:
-    """When the robot counts as docked, in the dock's frame.
+    """Tolerances of the docked pose, in the dock frame.
 
     Args:
         along: Accepted |error| along the goal heading [m].
-        cross: Accepted |error| across it [m].
+        cross: Accepted |error| across the goal heading [m].
         yaw: Accepted |heading error| [rad].
 
     Raises:
-        InvalidValue: A tolerance is not finite and > 0.
+        InvalidValue: If a tolerance is not finite and > 0.
     """
 
     along: float = 0.02
@@ -51,10 +50,7 @@ class DockTolerances:
 
     def __post_init__(self) -> None:
         for name in ("along", "cross", "yaw"):
-            value = number(getattr(self, name), f"dock.tolerances.{name}")
-            object.__setattr__(self, name, value)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidValue(f"dock.tolerances.{name}: must be finite and > 0, got {value}")
+            vars(self)[name] = positive(getattr(self, name), f"dock.tolerances.{name}")
 
     def accept(self, found: Pose2, wanted: Pose2) -> bool:
         """Whether a robot at one pose counts as docked at another."""
@@ -67,25 +63,24 @@ class Dock:
     """A docking station.
 
     Args:
-        pose: The pose of the robot when docked.
-        footprint: Outline of the station in the docked robot's frame, or None; it is an obstacle.
-        direction: Gear of the last motion, a `DockDirection` or its word; AUTO lets the planner choose by the side of
-            the start.
+        pose: Pose of the docked robot.
+        footprint: Outline of the station in the frame of the docked robot, or None; it is an obstacle.
+        direction: Gear of the last motion, a `DockDirection` or its value; AUTO: the planner chooses by the side of the
+            start.
         final_straight: Length of the straight run at the end [m].
         approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
-        approach_distance: How far before the end that begins [m]; 0: nowhere.
-        tolerances: When the robot counts as docked.
-        marker: The point that the robot's camera detects, (x, y) in the docked robot's frame, as the footprint [m]; or
-            None. Only its position counts, not which way it faces.
-        visible_distance: The marker must be in the view of `Robot.camera` from so far before the end of the path on,
-            along the path [m]; 0: nowhere. A shorter path must see it from its start on.
-        blind_distance: But not over the last so many metres of the path [m], where the camera is too near to see the
-            marker, or the robot has turned its back to it.
+        approach_distance: Length of the slow zone at the end of the path [m]; 0 for none.
+        tolerances: Tolerances of the docked pose.
+        marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The
+            orientation of the marker is not modelled.
+        visible_distance: The marker must be in the view of `Robot.camera` from this distance before the end of the path
+            on [m], or from the start of a shorter path on; 0 for nowhere.
+        blind_distance: Length of the last part of the path where the marker need not be visible [m].
 
     Raises:
-        InvalidValue: final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
-            direction is none, the marker is not a pair of finite numbers, visible_distance is > 0 without a marker,
-            blind_distance is not >= 0 and, where there is one, < visible_distance; or a part is of another class.
+        InvalidValue: If final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
+            direction is unknown, the marker is not a pair of finite numbers, visible_distance is > 0 without a marker,
+            blind_distance is not >= 0 or, if > 0, not < visible_distance, or a part has another class.
     """
 
     pose: Pose2
@@ -103,31 +98,16 @@ class Dock:
         exactly(Pose2, self.pose, "dock.pose")
         if self.footprint is not None:
             exactly(Footprint, self.footprint, "dock.footprint")
-        object.__setattr__(self, "direction", member(DockDirection, self.direction, "dock.direction"))
-        object.__setattr__(self, "approach_speed", self.approach.speed)
-        object.__setattr__(self, "approach_distance", self.approach.distance)
+        zone = self.approach
+        vars(self).update(
+            direction=member(DockDirection, self.direction, "dock.direction"),
+            approach_speed=zone.speed,
+            approach_distance=zone.distance,
+            marker=None if self.marker is None else _point(self.marker, "dock.marker"),
+        )
         exactly(DockTolerances, self.tolerances, "dock.tolerances")
-        object.__setattr__(self, "final_straight", finite_number(self.final_straight, "dock.final_straight"))
-        if not self.final_straight >= 0.0:
-            raise InvalidValue(f"dock.final_straight: must be finite and >= 0 m, got {self.final_straight}")
-        if self.marker is not None:
-            object.__setattr__(self, "marker", _point(self.marker, "dock.marker"))
-        self._check_view()
-
-    @property
-    def marker_in_world(self) -> FloatArray | None:
-        """The marker where the dock stands, Shape (2,) [m]; None without one."""
-        if self.marker is None:
-            return None
-        found: FloatArray = transform_points(self.pose.as_array()[None], np.array([self.marker]))[0, 0]
-        return found
-
-    def _check_view(self) -> None:
-        for name in ("visible_distance", "blind_distance"):
-            value = finite_number(getattr(self, name), f"dock.{name}")
-            object.__setattr__(self, name, value)
-            if not value >= 0.0:
-                raise InvalidValue(f"dock.{name}: must be finite and >= 0 m, got {value}")
+        for name in ("final_straight", "visible_distance", "blind_distance"):
+            vars(self)[name] = non_negative(getattr(self, name), f"dock.{name}", "m")
         if self.visible_distance > 0.0 and self.marker is None:
             raise InvalidValue(f"dock.visible_distance: needs dock.marker, got {self.visible_distance} m without")
         if self.blind_distance > 0.0 and not self.blind_distance < self.visible_distance:
@@ -136,24 +116,23 @@ class Dock:
                 f"got {self.blind_distance}"
             )
 
+    @property
+    def marker_in_world(self) -> FloatArray | None:
+        """Position of the marker in the world, Shape (2,) [m]; None without a marker."""
+        if self.marker is None:
+            return None
+        found: FloatArray = transform_points(self.pose.as_array()[None], np.array([self.marker]))[0, 0]
+        return found
+
     @functools.cached_property
     def approach(self) -> SpeedZone:
-        """The slow stretch at the end of the path."""
+        """The slow zone at the end of the path."""
         return SpeedZone(self.approach_speed, self.approach_distance)
-
-    @property
-    def without_view(self) -> Dock:
-        """The same dock, which need not be seen on the way."""
-        return dataclasses.replace(self, visible_distance=0.0, blind_distance=0.0)
 
 
 def _point(value: object, name: str) -> tuple[float, float]:
-    """A point (x, y) of finite numbers [m].
-
-    Raises:
-        InvalidValue: It is none.
-    """
+    """Return a point (x, y) of finite numbers in the range of coordinates [m]."""
     if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or len(value) != 2:
         raise InvalidValue(f"{name}: must be [x, y] in m, got {value!r}")
-    place = Pose2(finite_number(value[0], name), finite_number(value[1], name), 0.0)  # with the range of coordinates
+    place = Pose2(finite_number(value[0], name), finite_number(value[1], name), 0.0)  # checks the range
     return place.x, place.y

@@ -1,4 +1,4 @@
-"""What a robot measures while it docks, as the executor receives it."""
+"""Measurements of a robot while it docks, the input of the executor."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["AtDock", "Detection", "Measurements", "OdometryPose"]
 
 
 class Detection(NamedTuple):
-    """Where a detector saw the dock.
+    """A detection of the dock.
 
     Attributes:
-        stamp: When the picture was taken [s], on the clock of the measurements; it arrives later.
-        pose: Of the docked robot, which is what `Dock.pose` says, seen from the robot at `stamp`.
-        position_sigma: Standard deviation of its x and y, each [m].
-        yaw_sigma: Standard deviation of its yaw [rad].
+        stamp: Time of the exposure [s], on the clock of the measurements; earlier than the arrival.
+        pose: Docked pose (see `Dock.pose`) in the robot frame at `stamp`.
+        position_sigma: Standard deviation of x and of y [m].
+        yaw_sigma: Standard deviation of the yaw [rad].
     """
 
     stamp: float
@@ -29,11 +29,11 @@ class Detection(NamedTuple):
 
 
 class OdometryPose(NamedTuple):
-    """Where the robot is by its wheels alone.
+    """Pose of the robot by wheel odometry.
 
     Attributes:
-        stamp: When it was measured [s], on the clock of the measurements; it may arrive later.
-        pose: In a frame of its own, which drifts but never jumps: REP 105's `odom`.
+        stamp: Time of the measurement [s], on the clock of the measurements; may be earlier than the arrival.
+        pose: Pose in a continuous frame that drifts, `odom` in REP 105.
     """
 
     stamp: float
@@ -41,20 +41,20 @@ class OdometryPose(NamedTuple):
 
 
 class Measurements(NamedTuple):
-    """All that arrived since the last control cycle.
+    """Everything that arrived since the last control cycle.
 
     Attributes:
-        stamp: Of the control cycle [s], on a monotonic clock.
-        pose: Of the robot in the fixed frame; None where localization has nothing new.
-        twist: Body velocity of the odometry, for control. Without `odometry` the way of the robot is its integral,
-            which is wrong by the way driven in half the window that a velocity is averaged over.
-        detections: New ones, in any order.
-        contact: What an external switch or charger says; None where there is none.
-        costmap: A new picture of the surroundings; None where it has not changed.
-        odometry: The newest pose of the odometry; None where there is none.
-        pose_stamp: When `pose` was measured [s]; None: at `stamp`.
-        held: Whether the robot must stand, as after an emergency stop; the task goes on when it is released.
-        current: Into the battery [A], negative where it is discharged; None where nothing tells.
+        stamp: Time of the control cycle [s], on a monotonic clock.
+        pose: Pose of the robot in the fixed frame; None if localization has no new pose.
+        twist: Body velocity of the odometry, for control. Without `odometry` the motion of the robot is its integral,
+            with an error of the distance driven in half the averaging window of the velocity.
+        detections: New detections, in any order.
+        contact: State of an external contact switch or charger; None without one.
+        costmap: New costmap of the surroundings; None if unchanged.
+        odometry: Latest odometry pose; None without one.
+        pose_stamp: Time of `pose` [s]; None for `stamp`.
+        held: Whether the robot must stand, e.g. after an emergency stop; the task continues when it is released.
+        current: Current into the battery [A], negative while discharging; None if not measured.
     """
 
     stamp: float
@@ -70,14 +70,14 @@ class Measurements(NamedTuple):
 
 
 class AtDock(NamedTuple):
-    """The input of a dock type in a control cycle.
+    """Input of a dock type in a control cycle.
 
     Attributes:
-        stamp: Of the cycle [s], on a clock that never goes back.
-        measurements: Of the cycle; their detections are those that the dock type has chosen.
+        stamp: Time of the cycle [s], on a monotonic clock.
+        measurements: Measurements of the cycle, with the detections that the dock type selected.
         commanded: The last command.
-        robot: Where the robot is believed to be, seen from the docked pose.
-        is_near: Whether it is as near to the docked pose as contact is possible.
+        robot: Estimated pose of the robot in the frame of the docked pose.
+        is_near: Whether the robot is close enough to the docked pose for contact.
     """
 
     stamp: float

@@ -1,7 +1,7 @@
 """Paths: gear segments by arc length, joined at cusps.
 
-`s` is the distance travelled, never negative, in either gear; a turn in place counts 1 m for every rad (`segments` says
-why). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory` for that.
+`s` is the travelled distance, never negative, in either gear; a turn in place counts 1 m per rad (see `segments`).
+Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidPath
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, digest, frozen_array, readonly
 from optdock.geometry.checked import sampling_step
-from optdock.geometry.fingerprint import digest
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.model.segments import (
     SAME_POSITION,
@@ -29,6 +28,7 @@ from optdock.model.segments import (
     PolylineSegment,
     Segment,
     TurnSegment,
+    first_pose,
     moved_segment,
     piece_of,
 )
@@ -58,18 +58,18 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Path(FrozenArrays):
-    """Gear segments in driving order; between two of them is a cusp.
+    """Gear segments in driving order, separated by cusps.
 
     Args:
-        segments: At least one; each begins where the one before it ends.
-        frame: Name of the coordinate frame; empty where it was not given.
+        segments: At least one; each starts where its predecessor ends.
+        frame: Name of the coordinate frame; empty if unknown.
 
     Attributes:
-        segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
+        segment_starts: Arc length at the start of each segment, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, one that is neither a clothoid segment nor a polyline segment nor a turn segment, or a
-            frame that is not a name.
+        InvalidPath: If there is no segment, a segment has another class than the three segment classes, or the frame is
+            not a string.
     """
 
     segments: tuple[Segment, ...]
@@ -77,32 +77,32 @@ class Path(FrozenArrays):
     segment_starts: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "segments", tuple(self.segments))
-        if not self.segments:
+        segments = tuple(self.segments)
+        if not segments:
             raise InvalidPath("path: has no segment")
         if not isinstance(self.frame, str):
             raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
-        object.__setattr__(self, "frame", str.__str__(self.frame))  # of a subclass the plain word
-        for i, segment in enumerate(self.segments):
-            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+        for i, segment in enumerate(segments):
+            # Subclasses are rejected too, because they can override the poses that proofs rely on.
             if type(segment) not in (ClothoidSegment, PolylineSegment, TurnSegment):
                 kinds, found = "a ClothoidSegment, a PolylineSegment or a TurnSegment", type(segment).__name__
                 raise InvalidPath(f"path: segment {i} must be {kinds}, got {found}")
-        lengths = [segment.length for segment in self.segments]
-        object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
+        starts = readonly(np.concatenate(([0.0], np.cumsum([segment.length for segment in segments]))))
+        # str.__str__ reduces an instance of a subclass to the plain string.
+        vars(self).update(segments=segments, frame=str.__str__(self.frame), segment_starts=starts)
 
     @classmethod
     def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
-        """A polyline path; the gear of a step is the sign of (motion . heading), a change of it is a cusp.
+        """Return a polyline path; the gear of a step is the sign of (motion . heading), a change of gear is a cusp.
 
-        Repeated poses are dropped. A step that only turns belongs to the gear before it.
+        Repeated poses are dropped. A step that only turns gets the gear of its predecessor.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.
-            frame: Name of their coordinate frame.
+            frame: Name of the coordinate frame.
 
         Raises:
-            InvalidPath: Fewer than two distinct poses, a value that is not finite, or one out of range.
+            InvalidPath: If there are fewer than two distinct poses, or a value is not finite or out of range.
         """
         if not isinstance(poses, np.ndarray):
             poses = np.array([pose.as_array() if isinstance(pose, Pose2) else pose for pose in poses])
@@ -123,10 +123,10 @@ class Path(FrozenArrays):
         )
 
     def with_frame(self, frame: str) -> Path:
-        """The same path, of which it is now known that it stands in `frame`; an empty name tells nothing.
+        """Return the same path with the frame name set; an empty name changes nothing.
 
         Raises:
-            InvalidPath: It is known to stand in another frame. Nothing here transforms one into the other.
+            InvalidPath: If the path has another frame; poses are not transformed.
         """
         if frame in ("", self.frame):
             return self
@@ -136,29 +136,30 @@ class Path(FrozenArrays):
 
     def __repr__(self) -> str:
         gears = ", ".join(segment.direction.name.lower().replace("_", " ") for segment in self.segments)
-        return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{_in_frame(self.frame)}>"
+        frame = f" in {self.frame!r}" if self.frame else ""
+        return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{frame}>"
 
     @property
     def length(self) -> float:
-        """Arc length over all gears and turns: where `s` ends [m]."""
+        """Arc length over all gears and turns, the upper end of `s` [m]."""
         return float(self.segment_starts[-1])
 
     @property
     def driven(self) -> float:
-        """How far the robot drives [m]: the arc length without the turns in place."""
+        """Driven distance [m]: the arc length without turns in place."""
         turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
         return self.length - turned
 
     @functools.cached_property
     def turns(self) -> bool:
-        """Whether it turns in place anywhere."""
+        """Whether the path contains a turn in place."""
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
 
     def piece(self, begin: float, end: float = math.inf) -> Path:
-        """The part of the path from `begin` to `end` [m], clipped to it; its own s begins at 0.
+        """Return the part of the path from `begin` to `end` [m], clipped to the path; its own s starts at 0.
 
         Raises:
-            InvalidPath: There is none between them; stretches of less than `SAME_POSITION` are none.
+            InvalidPath: If the part is empty; parts shorter than `SAME_POSITION` count as empty.
         """
         end = min(end, self.length)
         found = []
@@ -173,18 +174,18 @@ class Path(FrozenArrays):
         return Path(tuple(found), self.frame)
 
     def moved(self, move: Pose2) -> Path:
-        """The path as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
+        """Return the path after a rigid motion of the plane: every pose p becomes `move @ p`."""
         return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
     @property
     def cusps(self) -> tuple[float, ...]:
-        """Arc lengths at which the robot rests: the gear changes, or a turn in place begins or ends [m]."""
+        """Arc lengths at which the robot rests: gear changes, and begins and ends of turns in place [m]."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
     @functools.cached_property
     def start(self) -> Pose2:
-        """Pose at s = 0; before the turn where the path begins with one in place."""
-        return Pose2.from_sequence(_first_pose(self.segments[0]))
+        """Pose at s = 0, before a first turn in place."""
+        return first_pose(self.segments[0])
 
     @functools.cached_property
     def end(self) -> Pose2:
@@ -194,27 +195,27 @@ class Path(FrozenArrays):
 
     @functools.cached_property
     def digest(self) -> str:
-        """Short digest of its exact curves: equal for equal paths, whatever their source."""
+        """Digest of the exact curves; equal for equal paths."""
         return digest(*(part for segment in self.segments for part in _definition(segment)))
 
     def pose_at(self, s: float) -> Pose2:
-        """Pose at arc length `s` [m], clipped to the path."""
+        """Return the pose at arc length `s` [m], clipped to the path."""
         return Pose2.from_sequence(self.poses_at(s)[0])
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Poses at arc lengths `s`, Shape (n,) [m]; at a cusp the next gear's. Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp that of the next gear. Shape (n, 3)."""
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Curvature at `s`; at a cusp the next gear's. Shape (n,) [1/m]."""
+        """Return the curvature at `s`; at a cusp that of the next gear. Shape (n,) [1/m]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_at(local), ())
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """D curvature / ds at `s`; at a cusp the next gear's. Shape (n,) [1/m^2]."""
+        """Return d curvature / ds at `s`; at a cusp that of the next gear. Shape (n,) [1/m^2]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
 
     def direction_at(self, s: ArrayLike) -> IntArray:
-        """1 or -1 at `s`, 0 where the robot turns in place; at a cusp the next gear's. Shape (n,)."""
+        """Return 1 or -1 at `s`, and 0 in turns in place; at a cusp the value of the next gear. Shape (n,)."""
         gears = np.array([int(segment.direction) for segment in self.segments])
         directions: IntArray = gears[_owners(self, np.atleast_1d(np.asarray(s, dtype=np.float64)))]
         return directions
@@ -232,42 +233,32 @@ class Path(FrozenArrays):
         return out
 
     def sample(self, spacing: float) -> PathSamples:
-        """Points at most `spacing` [m] apart, ends and cusps included; a cusp appears once with each gear.
+        """Return points at most `spacing` [m] apart, with ends and cusps; a cusp appears once with each gear.
 
         Raises:
-            InvalidValue: The spacing is not a finite number > 0, or far too small.
+            InvalidValue: If the spacing is not a finite number > 0 or far too small.
         """
         spacing = sampling_step(spacing, self.length, "spacing")
         blocks = [_sample_segment(segment, spacing) for segment in self.segments]
-        shifted = (
+        shifted = [
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
-        )
-        return _joined(list(shifted))
-
-
-def _in_frame(frame: str) -> str:
-    return f" in {frame!r}" if frame else ""
+        ]
+        return PathSamples(*(np.concatenate(columns) for columns in zip(*shifted, strict=True)))
 
 
 def may_be_one_frame(first: str, second: str) -> bool:
-    """Whether two names can mean the same frame: they are equal, or one of them is unknown."""
+    """Whether two names can denote the same frame: they are equal, or one is empty (unknown)."""
     return first == second or "" in (first, second)
 
 
 def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
-    """The numbers that define a segment."""
+    """Return the numbers that define a segment."""
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
     if isinstance(segment, TurnSegment):
         return segment.pose.as_array(), segment.turn
-    assert isinstance(segment, PolylineSegment)  # a path holds no other kind
     return segment.poses, int(segment.direction)
-
-
-def _first_pose(segment: Segment) -> FloatArray:
-    first: FloatArray = segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0]
-    return first
 
 
 def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
@@ -281,7 +272,7 @@ def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
 
 
 def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
-    """Every given pose, and poses between them: where the robot turns in place, arc length cannot tell poses apart."""
+    """Sample a polyline with turning steps by pose number, because arc length cannot distinguish their poses."""
     counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
     borders = np.arange(segment.knots.size)
     step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])
@@ -289,12 +280,8 @@ def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
     return PathSamples(s, x, y, yaw, segment.curvature_at(s), np.full(s.size, int(segment.direction)))
 
 
-def _joined(blocks: Sequence[PathSamples]) -> PathSamples:
-    return PathSamples(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
-
-
 def _distinct(poses: FloatArray) -> FloatArray:
-    """Indices of the poses that differ from the kept pose before them."""
+    """Return the indices of the poses that differ from their predecessor."""
     step = np.diff(poses, axis=0)
     moved = (np.hypot(step[:, 0], step[:, 1]) > SAME_POSITION) | (np.abs(step[:, 2]) > SAME_YAW)
     return np.concatenate(([0], np.flatnonzero(moved) + 1))
@@ -315,7 +302,7 @@ def _step_gears(poses: FloatArray) -> IntArray:
 
 
 def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
-    """Where a robot drives on a path, from `s` to `s` [m]: between turns in place, in order."""
+    """Return the intervals of `s` between turns in place [m], in order."""
     if not path.turns:
         return ((0.0, path.length),)
     ends = itertools.pairwise(path.segment_starts.tolist())
@@ -325,7 +312,7 @@ def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
 
 
 def place_before_end(path: Path, distance: float) -> float:
-    """Where on a path `distance` [m] are left to drive; below 0 where the path is shorter."""
+    """Return the `s` at which `distance` [m] remain to be driven; negative if the path is shorter."""
     s = path.length - distance
     for segment, end in (
         zip(path.segments[::-1], path.segment_starts[:0:-1].tolist(), strict=True) if path.turns else ()
@@ -336,16 +323,16 @@ def place_before_end(path: Path, distance: float) -> float:
 
 
 def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
-    """A path cut at its turns in place: paths without any, and the turns between them, in order."""
+    """Split a path at its turns in place into paths without turns, and the turns, in order."""
     groups = itertools.groupby(path.segments, key=lambda segment: isinstance(segment, TurnSegment))
     cut = [[*segments] if turn else [Path(tuple(segments), path.frame)] for turn, segments in groups]
-    return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # as the groups' key says
+    return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # by the key of the groups
 
 
 def joint_curvatures(path: Path) -> FloatArray:
-    """Curvature that the wheels are steered for just before and just after every cusp, Shape (cusps, 2) [1/m].
+    """Return the curvature just before and just after every cusp, Shape (cusps, 2) [1/m].
 
-    Signed as driven forward, a left turn of the wheels positive: what a gear drives in reverse, it steers mirrored.
+    Signed as driven forward, a left turn of the wheels positive; a curve driven in reverse is steered mirrored.
     """
     ends = [
         (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments
@@ -355,5 +342,5 @@ def joint_curvatures(path: Path) -> FloatArray:
 
 
 def _owners(path: Path, s: FloatArray) -> IntArray:
-    """The segment that each arc length lies on, at a cusp the next one."""
+    """Return the segment of each arc length, at a cusp the next one."""
     return np.searchsorted(path.segment_starts[1:-1], s, side="right")

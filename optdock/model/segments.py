@@ -1,9 +1,9 @@
-"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline); and turns in place.
+"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline), and turns in place.
 
-A turn in place leads nowhere, so arc length cannot tell its poses apart. It has a stretch of the path coordinate s all
-the same: as long as the way of a point 1 m from the robot's origin, 1 m for every rad. So every s has one pose; a time
-law over s drives a turn as it drives a curve, with yaw rate and yaw acceleration for speed and acceleration; proofs,
-samples and files need not know that there are turns. Only what counts metres must leave them out.
+A turn in place covers no distance, so arc length cannot distinguish its poses. It therefore occupies an interval of the
+path coordinate s with the length of the arc of a point 1 m from the robot's origin, 1 m per rad. Every s then has one
+pose; a time law over s covers a turn like a curve, with yaw rate and yaw acceleration as speed and acceleration; and
+proofs, samples and files treat turns like other segments. Only driven distances must exclude turns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -36,13 +36,14 @@ __all__ = [
     "PolylineSegment",
     "Segment",
     "TurnSegment",
+    "first_pose",
     "moved_segment",
     "piece_of",
 ]
 
 SAME_POSITION = 1e-9  # [m]: shorter steps carry no direction
 SAME_YAW = 1e-9  # [rad]
-TURN_RADIUS = 1.0  # [m]: a turn in place counts as the way of a point so far from the robot's origin
+TURN_RADIUS = 1.0  # [m]: a turn in place has the length of the arc of a point at this distance from the origin
 
 
 class Direction(IntEnum):
@@ -56,7 +57,7 @@ class Direction(IntEnum):
 class PathSamples(NamedTuple):
     """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction.
 
-    The direction is 1 or -1, and 0 where the robot turns in place.
+    The direction is 1 or -1, and 0 in turns in place.
     """
 
     s: FloatArray
@@ -68,52 +69,18 @@ class PathSamples(NamedTuple):
 
     @property
     def poses(self) -> FloatArray:
-        """Shape (n, 3): x, y, yaw."""
+        """x, y, yaw, Shape (n, 3)."""
         return np.column_stack((self.x, self.y, self.yaw))
-
-
-class Segment(Protocol):
-    """One gear's curve by arc length, or a turn; arguments are clipped to [0, length]."""
-
-    @property
-    def direction(self) -> Direction:
-        """Gear."""
-        ...
-
-    @property
-    def length(self) -> float:
-        """Arc length [m]; of a turn in place its stretch of the path coordinate."""
-        ...
-
-    @property
-    def knots(self) -> FloatArray:
-        """Arc lengths between which the curve is smooth, from 0 to length [m]."""
-        ...
-
-    def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3)."""
-        ...
-
-    def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m]."""
-        ...
-
-    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m^2]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSegment(FrozenArrays):
-    """A gear segment that is exactly a clothoid spline: what the smoother returns."""
+    """A gear segment that is exactly a clothoid spline, as the smoother returns it."""
 
     spline: ClothoidSpline
 
     def __post_init__(self) -> None:
-        # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
-        if type(self.spline) is not ClothoidSpline:
-            found = type(self.spline).__name__
-            raise InvalidValue(f"path: a clothoid segment's spline: must be a ClothoidSpline, got {found}")
+        exactly(ClothoidSpline, self.spline, "path: a clothoid segment's spline")
 
     def __repr__(self) -> str:
         return f"<ClothoidSegment {self.length:.3f} m {self.direction.name.lower()}, {self.knots.size - 1} pieces>"
@@ -134,33 +101,33 @@ class ClothoidSegment(FrozenArrays):
         return self.spline.knots
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3)."""
+        """Return the poses at `s`. Shape (n, 3)."""
         return self.spline.poses_at(s)
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m]."""
+        """Return the curvature at `s`. Shape (n,) [1/m]."""
         return self.spline.curvature_at(s)
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n,) [1/m^2]."""
+        """Return the curvature rate at `s`. Shape (n,) [1/m^2]."""
         return self.spline.curvature_rate_at(s)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PolylineSegment(FrozenArrays):
-    """A gear segment given by poses: what any planner hands over.
+    """A gear segment given by poses, as planners return it.
 
-    Between poses position and yaw move linearly. A step is taken for the circular arc with its chord and its turn, so
-    a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns has no
-    length and infinite curvature.
+    Position and yaw are linear between poses. The curvature of a step is that of the circular arc with its chord and
+    its turn, so a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns
+    has no length and infinite curvature.
 
     Args:
         poses: Shape (n, 3) [m, m, rad], n >= 2.
         direction: Gear.
 
     Raises:
-        InvalidPath: Fewer than two poses.
-        InvalidValue: Poses that are not finite or beyond 1e8 m or 1e6 rad, or a direction that is none.
+        InvalidPath: If there are fewer than two poses.
+        InvalidValue: If a pose is not finite or beyond 1e8 m or 1e6 rad, or the direction is not a gear.
     """
 
     poses: FloatArray
@@ -172,19 +139,18 @@ class PolylineSegment(FrozenArrays):
         poses = np.array(frozen_array(self.poses, "path", columns=3))
         if len(poses) < 2:
             raise InvalidPath(f"path: a segment needs at least 2 poses, got {len(poses)}")
-        object.__setattr__(self, "direction", member(Direction, self.direction, "path: a segment's direction"))
-        if self.direction is Direction.IN_PLACE:
+        direction = member(Direction, self.direction, "path: a segment's direction")
+        if direction is Direction.IN_PLACE:
             raise InvalidValue("path: a segment's direction: poses are driven forward or in reverse; see TurnSegment")
         check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
-        turn, arc = _step_arcs(poses)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = np.where(arc > 0.0, turn / arc, np.copysign(np.inf, turn))
-        curvature = np.where((arc <= 0.0) & (turn == 0.0), 0.0, curvature)
-        nodes = _node_means(curvature)
-        object.__setattr__(self, "poses", readonly(poses))
-        object.__setattr__(self, "knots", readonly(np.concatenate(([0.0], np.cumsum(arc)))))
-        object.__setattr__(self, "node_curvature", readonly(nodes))
+        vars(self).update(poses=readonly(poses), direction=direction)
+        knots = np.concatenate(([0.0], np.cumsum(_step_arcs(poses)[1])))
+        curvature = self.step_curvature
+        with np.errstate(invalid="ignore"):
+            inner = 0.5 * (curvature[:-1] + curvature[1:])
+        nodes = np.concatenate((curvature[:1], np.where(np.isnan(inner), np.inf, inner), curvature[-1:]))
+        vars(self).update(knots=readonly(knots), node_curvature=readonly(nodes))
 
     def __repr__(self) -> str:
         return f"<PolylineSegment {self.length:.3f} m {self.direction.name.lower()}, {len(self.poses)} poses>"
@@ -196,7 +162,7 @@ class PolylineSegment(FrozenArrays):
 
     @property
     def step_curvature(self) -> FloatArray:
-        """Turn over arc length of every step, Shape (n - 1,) [1/m]; infinite where the robot turns in place."""
+        """Turn over arc length of every step, Shape (n - 1,) [1/m]; infinite for steps that only turn."""
         turn, arc = _step_arcs(self.poses)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
@@ -204,31 +170,31 @@ class PolylineSegment(FrozenArrays):
 
     @property
     def step_swing(self) -> FloatArray:
-        """How much the curvature moves over every step, to its mean there and on to the next, Shape (n - 1,) [1/m^2].
+        """Variation of the curvature over every step, to its mean and on to the next step, Shape (n - 1,) [1/m^2].
 
-        Half of the changes at both ends of the step, over its length. Where curvature rises or falls throughout this is
-        the slope of `curvature_at`; where it swings to and fro from step to step, the means at the poses hide it.
+        Half of the changes at both ends of the step, over its length. For monotonic curvature this is the slope of
+        `curvature_at`; an oscillation from step to step is hidden by the means at the poses.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))
-        changes[[0, -1]] = 0.0  # at its ends a segment has the curvature of its first and of its last step
+        changes[[0, -1]] = 0.0  # the curvature at the ends is that of the first and of the last step
         swing[moving] = 0.5 * (changes[:-1] + changes[1:]) / np.diff(self.knots)[moving]
         return swing
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Linear between the given poses. Shape (n, 3)."""
+        """Interpolate the given poses linearly. Shape (n, 3)."""
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))
         return np.column_stack([np.interp(points, self.knots, self.poses[:, i]) for i in range(3)])
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Linear between the mean curvatures of the steps at each pose. Shape (n,) [1/m]."""
+        """Interpolate the mean curvatures of the adjacent steps at the poses. Shape (n,) [1/m]."""
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))
         finite = np.where(np.isfinite(self.node_curvature), self.node_curvature, np.sign(self.node_curvature) * 1e9)
         curvature: FloatArray = np.interp(points, self.knots, finite)
         return curvature
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Slope of `curvature_at`, Shape (n,) [1/m^2]."""
+        """Return the slope of `curvature_at`, Shape (n,) [1/m^2]."""
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))
         kept = np.flatnonzero(np.diff(self.knots, prepend=-1.0) > 0.0)
         if kept.size < 2:
@@ -241,19 +207,19 @@ class PolylineSegment(FrozenArrays):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TurnSegment(FrozenArrays):
-    """A turn in place: the position stays, the yaw moves from one heading to another.
+    """A turn in place: constant position, yaw from one heading to another.
 
-    Only for robots that `turns_in_place`. It begins and ends at rest.
+    Only for robots with `turns_in_place`. The robot rests at both ends.
 
     Args:
-        pose: Where it begins.
-        turn: How far it turns, left positive; more than a whole turn, if asked [rad].
+        pose: Pose at the beginning.
+        turn: Angle, left positive; may exceed a whole turn [rad].
 
     Attributes:
-        knots: Begin and end of its stretch of the path coordinate, `TURN_RADIUS` * |turn| long, Shape (2,) [m].
+        knots: Begin and end of the interval of s, `TURN_RADIUS` * |turn| long, Shape (2,) [m].
 
     Raises:
-        InvalidValue: The pose is none; the turn is 0, not finite, or leads beyond 1e6 rad.
+        InvalidValue: If the pose is not a pose, or the turn is 0, not finite or leads beyond 1e6 rad.
     """
 
     pose: Pose2
@@ -265,8 +231,7 @@ class TurnSegment(FrozenArrays):
         turn = finite_number(self.turn, "path: a turn")
         if turn == 0.0:
             raise InvalidValue("path: a turn: must not be 0 rad")
-        object.__setattr__(self, "turn", turn)
-        object.__setattr__(self, "knots", readonly(np.array([0.0, TURN_RADIUS * abs(turn)])))
+        vars(self).update(turn=turn, knots=readonly(np.array([0.0, TURN_RADIUS * abs(turn)])))
         check_range(self.poses_at(self.knots), "path: a turn")
 
     def __repr__(self) -> str:
@@ -279,32 +244,41 @@ class TurnSegment(FrozenArrays):
 
     @property
     def length(self) -> float:
-        """Its stretch of the path coordinate [m]."""
+        """Length of the interval of s [m]."""
         return float(self.knots[-1])
 
     @property
     def end(self) -> Pose2:
-        """Where it ends."""
+        """Pose at the end."""
         return Pose2(self.pose.x, self.pose.y, self.pose.yaw + self.turn)
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3)."""
+        """Return the poses at `s`. Shape (n, 3)."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         poses = np.tile(self.pose.as_array(), (points.size, 1))
         poses[:, 2] += math.copysign(1.0 / TURN_RADIUS, self.turn) * points
         return poses
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """D yaw / ds: 1 / `TURN_RADIUS` to the left, or to the right. Shape (n,) [1/m]."""
+        """Return d yaw / ds: 1 / `TURN_RADIUS` to the left, the negative to the right. Shape (n,) [1/m]."""
         return np.full(np.atleast_1d(np.asarray(s)).size, math.copysign(1.0 / TURN_RADIUS, self.turn))
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """None. Shape (n,) [1/m^2]."""
+        """Return zeros. Shape (n,) [1/m^2]."""
         return np.zeros(np.atleast_1d(np.asarray(s)).size)
 
 
+Segment: TypeAlias = ClothoidSegment | PolylineSegment | TurnSegment
+"""A curve of one gear by arc length, or a turn; arguments are clipped to [0, length]."""
+
+
+def first_pose(segment: Segment) -> Pose2:
+    """Return the pose at s = 0; for a polyline with a turning first step the pose before the turn."""
+    return Pose2.from_sequence(segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0])
+
+
 def piece_of(segment: Segment, begin: float, end: float) -> Segment:
-    """A segment from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s begins at 0."""
+    """Return a segment from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s starts at 0."""
     if begin <= 0.0 and end >= segment.length:
         return segment
     if isinstance(segment, ClothoidSegment):
@@ -312,36 +286,27 @@ def piece_of(segment: Segment, begin: float, end: float) -> Segment:
     if isinstance(segment, TurnSegment):
         share = (end - begin) / segment.length
         return TurnSegment(Pose2.from_sequence(segment.poses_at(begin)[0]), share * segment.turn)
-    assert isinstance(segment, PolylineSegment)  # there is no other kind
     inside = (segment.knots > begin) & (segment.knots < end)
     poses = np.concatenate((segment.poses_at(begin), segment.poses[inside], segment.poses_at(end)))
     return PolylineSegment(poses, segment.direction)
 
 
 def moved_segment(segment: Segment, move: Pose2) -> Segment:
-    """A segment as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
+    """Return a segment after a rigid motion of the plane: every pose p becomes `move @ p`."""
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return ClothoidSegment(ClothoidSpline(move @ spline.start, spline.knots, spline.curvature, spline.sign))
     if isinstance(segment, TurnSegment):
         return TurnSegment(move @ segment.pose, segment.turn)
-    assert isinstance(segment, PolylineSegment)  # there is no other kind
     at = transform_points(move.as_array()[None], segment.poses[:, :2])[0]
     return PolylineSegment(np.column_stack((at, segment.poses[:, 2] + move.yaw)), segment.direction)
 
 
 def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Turn [rad] and arc length [m] of every step."""
+    """Return the turn [rad] and arc length [m] of every step."""
     step = np.diff(poses, axis=0)
     chord, turn = np.hypot(step[:, 0], step[:, 1]), step[:, 2]
     half = np.clip(0.5 * np.abs(turn), 0.0, 0.5 * np.pi)
     arc = chord / np.sinc(half / np.pi)
     turn = np.where(np.abs(turn) > SAME_YAW, turn, np.where(arc > 0.0, turn, 0.0))
     return turn, np.where(chord > SAME_POSITION, arc, 0.0)
-
-
-def _node_means(steps: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore"):
-        inner = 0.5 * (steps[:-1] + steps[1:])
-    inner = np.where(np.isnan(inner), np.inf, inner)
-    return np.concatenate((steps[:1], inner, steps[-1:]))

@@ -1,8 +1,7 @@
 """Trajectories: a path composed with a time law, `pose(t) = path(s(t))`.
 
-The motion under constant jerk has its one home here: `constant_jerk` within a phase, `border_states` over many. Apart
-from it only the oracles know the cubic, whose independence is their worth: `experiments/fuzz/oracle/timing.py` and the
-direct transcription in `experiments/benchmarks/timing_reference.py`.
+Motion under constant jerk is evaluated here only: `constant_jerk` within a phase, `border_states` over many phases.
+The reference implementations in `experiments` evaluate it independently on purpose.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ __all__ = [
 ]
 
 Number = TypeVar("Number", float, FloatArray)
-_AT_REST = 1e-6  # [m/s], [m/s^2]: as at the cusps that are proven
+_AT_REST = 1e-6  # [m/s], [m/s^2]: the tolerance of certificates at cusps
 
 
 def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
-    """Distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
+    """Return distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
 
     s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
 
@@ -56,7 +55,7 @@ def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> t
 
 
 def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, float, float]) -> FloatArray:
-    """Distance, speed and acceleration at the borders of phases of constant jerk.
+    """Return distance, speed and acceleration at the borders of phases of constant jerk.
 
     Args:
         durations: Shape (n,) [s].
@@ -80,15 +79,15 @@ def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, 
 
 
 def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
-    """Full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
+    """Return full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
 
-    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
-    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
-    the speed then is braked off at b. A deceleration beyond it is led back first.
+    The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most the deceleration, and the remaining speed
+    is braked off at b. A deceleration beyond D is reduced first.
 
     Args:
         v: Speed along the travel [m/s].
-        a: Acceleration along it [m/s^2].
+        a: Acceleration along the travel [m/s^2].
         deceleration: D, the largest [m/s^2].
         jerk: J, the largest [m/s^3].
     """
@@ -103,10 +102,10 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
 
 
 def braking_time(speed: float, deceleration: float, jerk: float) -> float:
-    """Duration of `braking_phases` from a constant speed [s].
+    """Return the duration of `braking_phases` from a constant speed [s].
 
     Args:
-        speed: Along the travel, >= 0 [m/s].
+        speed: Speed along the travel, >= 0 [m/s].
         deceleration: The largest [m/s^2].
         jerk: The largest [m/s^3].
     """
@@ -117,7 +116,7 @@ def braking_time(speed: float, deceleration: float, jerk: float) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TimeLaw(FrozenArrays):
-    """Distance travelled over time, in phases of constant jerk.
+    """Travelled distance over time, in phases of constant jerk.
 
     Args:
         durations: Shape (n,) [s], each > 0.
@@ -131,8 +130,8 @@ class TimeLaw(FrozenArrays):
         states: Distance, speed, acceleration at the borders, Shape (n + 1, 3).
 
     Raises:
-        InvalidValue: No phase, differing shapes, a duration that is not > 0, a value that is not finite, or a motion
-            that overflows.
+        InvalidValue: If there is no phase, shapes differ, a duration is not > 0, a value is not finite, or the motion
+            overflows.
     """
 
     durations: FloatArray
@@ -153,16 +152,14 @@ class TimeLaw(FrozenArrays):
         if not np.all(durations > 0.0):
             raise InvalidValue("time law.durations: must be > 0 s")
         for name in ("start_s", "start_speed", "start_acceleration"):
-            object.__setattr__(self, name, finite_number(getattr(self, name), f"time law.{name}"))
+            vars(self)[name] = finite_number(getattr(self, name), f"time law.{name}")
         start = self.start_s, self.start_speed, self.start_acceleration
-        for name, value in (("durations", durations), ("jerks", jerks)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
         with np.errstate(over="ignore", invalid="ignore"):
+            times = np.concatenate(([0.0], np.cumsum(durations)))
             states = np.ascontiguousarray(border_states(durations, jerks, start).T)
-        if not (np.all(np.isfinite(states)) and np.isfinite(self.times[-1])):
-            raise InvalidValue("time law: the motion goes beyond all numbers; durations and jerks are too large")
-        object.__setattr__(self, "states", readonly(states))
+        if not (np.all(np.isfinite(states)) and np.isfinite(times[-1])):
+            raise InvalidValue("time law: the motion overflows; durations or jerks are too large")
+        vars(self).update(durations=durations, jerks=jerks, times=readonly(times), states=readonly(states))
 
     def __repr__(self) -> str:
         return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
@@ -173,14 +170,14 @@ class TimeLaw(FrozenArrays):
         return float(self.times[-1])
 
     def at(self, t: ArrayLike) -> FloatArray:
-        """Distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
+        """Return distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
         points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
         phase = self._phases_at(points)
         (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
         return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
 
     def phase_middles(self, t: FloatArray) -> FloatArray:
-        """Distance halfway through the phase in force at each of the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
+        """Return the mean of the end distances of the phases at the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
         phase = self._phases_at(t)
         middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
         return middles
@@ -190,7 +187,7 @@ class TimeLaw(FrozenArrays):
 
 
 class TrajectoryState(NamedTuple):
-    """Where the robot is meant to be at one instant; twist and acceleration are signed, negative in reverse."""
+    """Planned state at one instant; twist and acceleration are signed, negative in reverse."""
 
     t: float
     s: float
@@ -202,7 +199,7 @@ class TrajectoryState(NamedTuple):
 
 
 class TrajectorySamples(NamedTuple):
-    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed: negative speed is reverse."""
+    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed, negative in reverse."""
 
     t: FloatArray
     s: FloatArray
@@ -217,7 +214,7 @@ class TrajectorySamples(NamedTuple):
 
 
 class TimedPoses(NamedTuple):
-    """A trajectory as arrays: `t`, Shape (n,) [s]; `poses`, Shape (n, 3): x [m], y [m], yaw [rad]; and `twists`.
+    """A trajectory as arrays: `t`, Shape (n,) [s]; `poses`, Shape (n, 3) [m, m, rad]; and `twists`.
 
     `twists` has Shape (n, 2): speed along the heading, negative in reverse [m/s], and yaw rate [rad/s].
     """
@@ -232,18 +229,17 @@ class Trajectory(FrozenArrays):
     """A timed motion: a path, and a time law over its arc length.
 
     Args:
-        path: Where.
-        time_law: When; its distance runs from 0 to the length of the path.
+        path: The path.
+        time_law: Distance over time, from 0 to the length of the path.
 
     Raises:
-        InvalidValue: Path or time law is of another class.
+        InvalidValue: If the path or the time law has another class; subclasses could override poses or distances.
     """
 
     path: Path
     time_law: TimeLaw
 
     def __post_init__(self) -> None:
-        # Subclasses too are refused: what overrides poses or distances is another motion, of which nothing is known.
         exactly(Path, self.path, "trajectory.path")
         exactly(TimeLaw, self.time_law, "trajectory.time_law")
 
@@ -252,7 +248,7 @@ class Trajectory(FrozenArrays):
 
     @property
     def frame(self) -> str:
-        """Name of the coordinate frame that its poses stand in, its path's; empty where it was not given."""
+        """Name of the coordinate frame of the path; empty if unknown."""
         return self.path.frame
 
     @property
@@ -261,13 +257,13 @@ class Trajectory(FrozenArrays):
         return self.time_law.duration
 
     def sample_at(self, t: ArrayLike) -> TrajectorySamples:
-        """Everything at times `t`, Shape (n,) [s], clipped to [0, duration]."""
+        """Evaluate the motion at times `t`, Shape (n,) [s], clipped to [0, duration]."""
         times = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
         s, v, a, j = self.time_law.at(times).T
         s = np.clip(s, 0.0, self.path.length)
         poses, gear = self.path.poses_at(s), self.path.direction_at(s).astype(np.float64)
         curvature, rate = self.path.curvature_at(s), self.path.curvature_rate_at(s)
-        if self.path.turns:  # of a turn the jerk is none, also at its first instant, which rounding puts before it
+        if self.path.turns:  # the jerk in a turn is 0, also at its first instant, which rounding may put before it
             j = np.where(self.path.direction_at(self.time_law.phase_middles(times)) == 0, 0.0, j)
         x, y, yaw = poses.T
         return TrajectorySamples(
@@ -275,10 +271,10 @@ class Trajectory(FrozenArrays):
         )
 
     def sample(self, period: float) -> TrajectorySamples:
-        """Samples at most `period` [s] apart; start, end and the arrival at every cusp are among them.
+        """Return samples at most `period` [s] apart, with start, end and the arrival at every cusp.
 
         Raises:
-            InvalidValue: The period is not a finite number > 0, or far too small.
+            InvalidValue: If the period is not a finite number > 0 or far too small.
         """
         period = sampling_step(period, self.duration, "period")
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
@@ -286,20 +282,20 @@ class Trajectory(FrozenArrays):
         return self.sample_at(np.unique(np.concatenate((grid, self.cusp_times))))
 
     def sampled(self, period: float) -> TimedPoses:
-        """Times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
+        """Return times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
 
         Raises:
-            InvalidValue: The period is not a finite number > 0, or far too small.
+            InvalidValue: If the period is not a finite number > 0 or far too small.
         """
         step = sampling_step(period, self.duration, "period")
-        whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # the end is no sample of its own after a rounding
+        whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # rounding must not duplicate the end
         samples = self.sample_at(np.append(step * np.arange(max(whole, 1)), self.duration))
         poses = np.column_stack((samples.x, samples.y, samples.yaw))
         return TimedPoses(samples.t, poses, np.column_stack((samples.speed, samples.yaw_rate)))
 
     @property
     def cusp_times(self) -> FloatArray:
-        """Times at which the robot reaches each cusp, however long it waits there; Shape (number of cusps,) [s]."""
+        """Times at which the robot reaches the cusps, before any rest there; Shape (number of cusps,) [s]."""
         cusps, law = np.asarray(self.path.cusps), self.time_law
         borders = law.states[:, 0]
         nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)
@@ -310,7 +306,7 @@ class Trajectory(FrozenArrays):
         return arrivals
 
     def at(self, t: float) -> TrajectoryState:
-        """The state at time `t` [s], clipped to [0, duration]."""
+        """Return the state at time `t` [s], clipped to [0, duration]."""
         row = self.sample_at(t)
         return TrajectoryState(
             t=float(row.t[0]),

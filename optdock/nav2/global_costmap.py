@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from optdock.geometry.pose import Pose2
-    from optdock.model.costmap import Costmap
+    from optdock.model.costmap import Costmap, OccupancyGrid
     from optdock.model.dock import Dock
-    from optdock.model.occupancy import OccupancyGrid
     from optdock.nav2.costmap_params import CostmapParams
     from optdock.nav2.params import Nav2Params
     from optdock.nav2.plugin_lists import PluginInstance

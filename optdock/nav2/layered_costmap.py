@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.costmap import OccupancyGrid
     from optdock.model.costs import CostArray
-    from optdock.model.occupancy import OccupancyGrid
     from optdock.plugins.interfaces import Bounds
 
 __all__ = ["LayeredCostmap", "LayeredCostmapParameters"]

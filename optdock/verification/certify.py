@@ -1,4 +1,4 @@
-"""`certify_path` and `certify_trajectory`: the two verdicts, each made once."""
+"""`certify_path` and `certify_trajectory`; each verdict is computed once."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from optdock.deadline import never_late
 from optdock.geometry.checked import exactly
 from optdock.geometry.obstacles import in_words
 from optdock.model.limits import MotionLimits
-from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certificate import TOLERANCE, Certificate, Memo, Subject, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
-from optdock.verification.memo import Memo
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 from optdock.verification.proximity import end_clearances
 from optdock.verification.trajectory_rules import trajectory_violations
@@ -32,45 +31,41 @@ if TYPE_CHECKING:
 
 __all__ = ["certify_motion", "certify_path", "certify_trajectory"]
 
-Subject = TypeVar("Subject")
 Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 
 
 def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
-    """Prove that `path` solves `problem`, or name what is broken and where.
+    """Prove that `path` solves `problem`, or return the violated rules with their places.
 
-    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`), and
-    where the dock asks for it that its marker is in the camera's view (`visibility`, likewise).
-    Checked exactly: start and goal pose (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature,
-    final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
-    curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused, and so are slips
-    and jumps that are small one by one but add up.
+    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`), and,
+    if the dock requires it, visibility of the marker (`visibility`). Checked exactly: start and goal pose
+    (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature, final straight. A polyline is linear
+    motion between its poses, turning the short way, with the curvature of the arcs through them; a step whose arc is
+    more than 5 mm from that motion is rejected, as are slips and jumps that are small individually but add up.
 
-    Where no clearance is required contact may overlap by a micrometre, and nothing lies deeper than two micrometres
-    inside anything, however the shapes are made of pieces (see `contact_tolerance`).
+    If no clearance is required, contact may overlap by a micrometre, and nothing is deeper than two micrometres inside
+    anything, regardless of the decomposition of the shapes into pieces (see `contact_tolerance`).
 
-    Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there. A turn in place
-    is such a segment, for robots that do so; it is swept as any other.
+    Where two segments meet, also of one gear, the curvature may jump and the robot must rest. Turns in place, for
+    robots with `turns_in_place`, are such segments.
 
-    A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
-    One that was cut short serves callers with a deadline, and only where it is certified all the same.
+    A robot that starts closer to an obstacle than required must leave it at a slope. If only this rule is violated, the
+    path is judged by the weaker rule for a robot along a wall, see `Certificate.start_relief`.
 
-    A robot that starts closer to something than required must leave it at a slope; where the path breaks only that, it
-    is judged once more by the weaker rule of a robot along a wall, and `Certificate.start_relief` says so.
-
-    It does NOT look at time: see `certify_trajectory`.
+    A complete proof is cached for the lifetime of the path. A proof that was cut short is used again only if it is
+    certified and the caller has a deadline. Time is not considered: see `certify_trajectory`.
 
     Args:
         path: The path to judge, from any source.
-        problem: What must hold.
-        is_late: For callers with a deadline, asked after every round of the proof, each below a millisecond for a path
-            of some metres among a hundred obstacles, and between the blocks of long rounds. Once it is True whatever is
-            not proven yet is refused as `unproven`, and the reported clearance is a bound that may be far from sharp.
+        problem: The problem.
+        is_late: Polled after every round of the proof, below a millisecond each for a path of some metres among a
+            hundred obstacles, and between the blocks of long rounds. Once it is True, everything not yet proven is
+            `unproven`, and the reported clearance is a bound that may be far from sharp.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    return _made_once(_PATHS, path, _Itself(problem), is_late, lambda asked: _path_verdict(path, problem, asked))
+    return _made_once(_PATHS, path, _Itself(problem), is_late, lambda checked: _path_verdict(path, problem, checked))
 
 
 def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
@@ -101,9 +96,9 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
 
 
 def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool:
-    """Whether the robot starts too close to something and the weaker rule allows every pose that broke the strict one.
+    """Whether the start is too close and the weaker rule allows every pose that violates the strict rule.
 
-    Proofs that the weaker rule is broken as well are not made twice.
+    This avoids a second proof whose result is known.
     """
     clearance, rule = end_clearances(problem).start, problem.path_clearance
     if clearance >= rule.required:
@@ -115,15 +110,15 @@ def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool
 
 
 def _clearance_violations(proof: ClearanceProof, problem: DockingProblem) -> tuple[Violation, ...]:
-    """The worst violating pose, and the worst cell given up."""
-    found = []
+    """Return the worst violating pose, or the worst unproven cell."""
     if len(proof.violations):
-        found.append(_too_close(proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()], problem))
-    elif len(proof.unproven):
+        row = proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()]
+        return (_too_close(row, problem),)
+    if len(proof.unproven):
         s, short = proof.unproven[proof.unproven[:, 1].argmin()]
         message = f"clearance near s = {s:.4f} m cannot be proven; the bound is {-short:.3g} m short"
-        found.append(Violation("unproven", message, float(s), float(-short)))
-    return tuple(found)
+        return (Violation("unproven", message, float(s), float(-short)),)
+    return ()
 
 
 def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
@@ -148,37 +143,35 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
     start_wait: float = 0.0,
     is_late: Callable[[], bool] = never_late,
 ) -> TrajectoryCertificate:
-    """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
+    """Prove that a trajectory satisfies every motion limit, or return the violations.
 
-    Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
-    Where steered wheels have to be turned, between two segments or at the start, the motion must rest for as long as
-    that takes.
+    Within a step of a polyline, whose curvature is a difference quotient, limits on turning may be exceeded by 5 %.
+    Where steered wheels must turn, between two segments or at the start, the motion must rest for the time that this
+    takes.
 
-    A proof is kept for as long as the time law lives, as those of paths are.
-
-    It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
+    A complete proof is cached for the lifetime of the time law, as by `certify_path`. Clearance and the curvature
+    limits of the path are not considered: see `certify_path`.
 
     Args:
         trajectory: The motion to judge.
-        limits: What the drive can do.
-        zone: Slow stretch at the end of the path.
-        start_speed: Speed along the travel that the motion must begin with [m/s]; None: not checked.
-        start_acceleration: Likewise [m/s^2].
-        start_wait: How long the wheels take to turn before the motion leaves its start [s].
-        is_late: For callers with a deadline, asked every few milliseconds. Once it is True whatever is not proven yet
-            is refused as `unproven`.
+        limits: Motion limits of the drive.
+        zone: Slow zone at the end of the path.
+        start_speed: Required initial speed along the travel [m/s]; None: not checked.
+        start_acceleration: Required initial acceleration along the travel [m/s^2]; None: not checked.
+        start_wait: Required rest at the start until the wheels are steered [s].
+        is_late: Polled every few milliseconds. Once it is True, everything not yet proven is `unproven`.
 
     Returns:
         The certificate; `certified` is True only if everything was proven, every finite limit included.
 
     Raises:
-        InvalidValue: `limits` is of another class than `MotionLimits`; a subclass may bound more than is known here.
+        InvalidValue: If `limits` is not exactly a `MotionLimits`; bounds added by a subclass would not be proven.
     """
     exactly(MotionLimits, limits, "limits")
     start = (start_speed, start_acceleration, start_wait)
 
-    def verdict(asked: Callable[[], bool]) -> TrajectoryCertificate:
-        violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
+    def verdict(checked: Callable[[], bool]) -> TrajectoryCertificate:
+        violations, ratios = trajectory_violations(trajectory, limits, zone, start, checked)
         return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
 
     against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start)
@@ -188,15 +181,15 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
 def certify_motion(
     trajectory: Trajectory, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late
 ) -> TrajectoryCertificate:
-    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does.
+    """Prove that a trajectory satisfies the motion limits of `problem` and begins in the state of the robot.
 
-    Steered wheels whose angle at the start is unknown (no `start_curvature`) may have to be turned from anywhere: the
-    motion must rest for that first (`DockingProblem.start_wait`), or it is refused as `rest`.
+    Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until they are
+    steered from the farthest angle (`DockingProblem.start_wait`), or it violates `rest`.
 
     Args:
         trajectory: The motion to judge.
-        problem: Its robot's limits, its dock's slow stretch and its whole start state count.
-        is_late: As of `certify_trajectory`.
+        problem: Supplies limits, slow zone and start state.
+        is_late: As for `certify_trajectory`.
 
     Returns:
         The certificate, as of `certify_trajectory`.
@@ -215,7 +208,7 @@ def certify_motion(
 
 
 class _Itself(weakref.ref[Subject]):
-    """A weak reference that equals another only where both are to the same thing, whatever that calls its equal."""
+    """A weak reference that equals another only if both reference the same object."""
 
     __slots__ = ()
     __hash__ = weakref.ref.__hash__
@@ -226,7 +219,7 @@ class _Itself(weakref.ref[Subject]):
 
 @dataclass(frozen=True)
 class _Kept(Generic[Verdict]):
-    """A verdict, what it was judged against, and whether the proof was made to its end."""
+    """A verdict, the inputs it depends on, and whether the proof was completed."""
 
     against: Hashable
     verdict: Verdict
@@ -244,29 +237,22 @@ def _made_once(
     is_late: Callable[[], bool],
     prove: Callable[[Callable[[], bool]], Verdict],
 ) -> Verdict:
-    """The verdict that is kept, or a new one.
+    """Return the cached verdict of `subject` against equal inputs, or compute it.
 
-    A proof that was cut short may be certified all the same, only not sharp: then it serves callers that have a
-    deadline themselves. One that was cut short and is not certified is forgotten.
-
-    Args:
-        memo: Where verdicts of this kind are kept.
-        subject: What is judged.
-        against: What it is judged against; equal where the verdict must be the same.
-        is_late: The caller's deadline; `never_late` without one.
-        prove: Makes the proof, asking the callable that it is given whether it is late.
+    A proof that was cut short but certified is valid, only not sharp: it is reused for callers with a deadline. One
+    that was cut short and is not certified is not cached.
     """
     known = memo.recall(subject)
     if known is not None and known.against == against and (known.is_whole or is_late is not never_late):
         return known.verdict
     was_late = False
 
-    def asked() -> bool:
+    def checked() -> bool:
         nonlocal was_late
         was_late = was_late or is_late()
         return was_late
 
-    found = prove(asked)
+    found = prove(checked)
     if found.certified or not was_late:
         memo.keep(subject, _Kept(against, found, not was_late))
     return found

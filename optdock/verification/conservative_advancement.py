@@ -1,22 +1,11 @@
-"""Conservative advancement: the proof of clearance for every point of a path.
+"""Conservative advancement [Mirtich1996] of second order: the proof of clearance for every point of a path.
 
-Where a pose keeps a distance, bounds of the motion say how far the robot may advance from it before that distance can
-be spent ([Mirtich1996]). Here the advance is of second order. Let n be the axis that attains the exact distance d of
-the footprint at u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every
-footprint vertex v moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). So at
-u0 + du the distance is at least
-
-    d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
-
-which is concave in du: over a stretch it is smallest at one of the two ends. Motion along a wall costs nothing, as
-n.v' = 0 there; first-order advancement, which knows no direction, would have to creep.
-
-The path is subdivided into cells. A cell is cleared when its first half is cleared by the advance from its first pose
-and its last half by the advance back from its last pose; a cell that is not is bisected, until it is cleared, a pose in
-it breaks the rule, or it is given up, which counts as broken. The minimum that is reported is found by branch and
-bound: cells whose lower bound is well below the smallest clearance of a pose so far are bisected further.
-
-Cells that are cleared by the tolerance only are proven a second time: there nothing may lie deep inside anything
+The axis that attains the exact distance at a pose bounds the distance along the motion around it (equation C5 of
+docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if its first half is cleared by the
+advance from its first pose and its last half by the advance back from its last pose. Other cells are bisected until
+they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation. The reported
+minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of a pose so far are
+bisected further. Cells that are cleared only within the tolerance are proven a second time against deep overlaps
 (`contact_tolerance`).
 """
 
@@ -50,26 +39,26 @@ if TYPE_CHECKING:
 
 __all__ = ["AdvanceBounds", "Advances", "Begun", "ClearanceProof", "advance_bounds", "prove_clearance"]
 
-_BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
-_MAX_STEP = 0.08  # [m], first cells
-_MOST_FIRST = 100_000  # of them; on paths beyond 8 km they are longer
+_BLOCK = 4000  # cells evaluated at once, some milliseconds; the deadline is polled in between
+_MAX_STEP = 0.08  # [m], length of first cells
+_MOST_FIRST = 100_000  # first cells; they are longer on paths beyond 8 km
 _MAX_LEVELS = 24  # of bisection
-_CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
+_CHEAP = 48  # cells: smaller rounds take hardly less time, so few open cells are divided into more parts
 _MAX_POSES = 60_000  # added by refinement
-_WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
-_CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
-_MAX_PAIRS = 200_000  # of an advance and an obstacle looked at in one go; bounds memory and time
-_MAX_CORNERS = 50_000  # of a body and an obstacle, met at all advances looked at in one go; likewise
+_WORTHWHILE = 0.7  # fraction of near obstacles above which cropping costs more than it saves
+_CROP = 1.0  # [m]: obstacles farther from the swept area are evaluated only if no other is as near
+_MAX_PAIRS = 200_000  # of an advance and an obstacle evaluated at once; bounds memory and time
+_MAX_CORNERS = 50_000  # of body and obstacle times advances evaluated at once; bounds memory and time
 
 
 class ClearanceProof(NamedTuple):
-    """What the proof found; it counts as true where it holds.
+    """Result of the proof; true if it holds.
 
-    `proven`: lower bound of the clearance, everywhere on the path; with violations the smallest clearance among them.
-    `at_s`, `required`, `row`: where that is, what is required there, which obstacle (-1: none). `margin`: lower bound
-    of clearance - required, likewise, but not sharp: cells are bisected until they are proven and no further.
-    `violations`: (s, clearance, required, row, x, y, yaw) of poses that break the rule, Shape (n, 7). `unproven`:
-    (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
+    `proven`: lower bound of the clearance on the whole path; with violations the smallest clearance among them. `at_s`,
+    `required`, `row`: place of `proven`, requirement there, obstacle (-1: none). `margin`: lower bound of clearance -
+    required, not sharp: cells are bisected only until they are proven. `violations`: (s, clearance, required, row, x,
+    y, yaw) of violating poses, Shape (n, 7). `unproven`: (s, bound - required) of cells given up, Shape (m, 2).
+    `poses`: number of evaluated poses.
     """
 
     proven: float
@@ -91,9 +80,9 @@ class ClearanceProof(NamedTuple):
 
 
 class _Round(NamedTuple):
-    """One round over a set of cells.
+    """Result of one round over a set of cells.
 
-    Per cell: lower bound, requirement, obstacle row, place. Over all: violating poses, smallest clearance of a pose.
+    Per cell: lower bound, requirement, obstacle row, place. In total: violating poses, smallest clearance of a pose.
     """
 
     bound: FloatArray
@@ -104,12 +93,12 @@ class _Round(NamedTuple):
     attained: float
 
     def settled(self, keep: BoolArray | IntArray) -> FloatArray:
-        """Bound, place, requirement and row of the cells at `keep`, Shape (n, 4)."""
+        """Return bound, place, requirement and row of the cells at `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
 
 
-def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is known
+def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
     path: Path,
     problem: DockingProblem,
     is_late: Callable[[], bool] = never_late,
@@ -119,17 +108,18 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
     begun: Begun | None = None,
     sharp: bool = True,
 ) -> ClearanceProof:
-    """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
+    """Prove the clearance rule of `problem` for every point of `path`, or find the poses that violate it.
 
     Args:
         path: The path to judge.
-        problem: What must hold.
-        is_late: Polled after every round of cells. Once it is True what is proven counts, the minimum is sharpened no
-            further, and cells that are still open are given up.
-        start_relief: Of the rule, see `ClearanceRule.required_at` [m].
-        obstacles: What must not be touched; None: all that the problem knows.
-        begun: Where a path began of which this is the rest, so that the rule is that of the whole; None: at its start.
-        sharp: Whether `proven` is to be the smallest clearance but for `SHARPNESS`, or any bound that keeps the rule.
+        problem: The problem.
+        is_late: Polled after every round of cells. Once it is True, the minimum is not sharpened further, and open
+            cells are given up.
+        start_relief: Relief of the rule, see `ClearanceRule.required_at` [m].
+        obstacles: The obstacles; None for all obstacles of the problem.
+        begun: Beginning of the drive if `path` is its remainder, so that the rule is that of the whole; None for the
+            start.
+        sharp: Whether `proven` is the smallest clearance up to `SHARPNESS`, or any bound that satisfies the rule.
     """
     footprint = problem.robot.footprint
     obstacles = problem.all_obstacles if obstacles is None else obstacles
@@ -152,8 +142,8 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
     found = near.run() if len(near.near) else None
     if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
         return found
-    # Obstacles that were left out are at least `far` away, so they cannot break the rule. The nearest one may be among
-    # them, but it is no farther than the clearance at the end of the path: obstacles beyond that are not needed.
+    # Obstacles that were left out are at least `far` away and cannot violate the rule. The nearest one may be among
+    # them, but it is no farther than the clearance at the end of the path.
     if sharp and not is_late():
         sharper = _Subdivision(motion, world, at_end, at_end, is_late).run()
         if sharper.holds or not (found is None or found.holds):
@@ -165,17 +155,17 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
 
 
 class Begun(NamedTuple):
-    """Where the robot was when it set off, and its clearance there [m]."""
+    """Pose at which the drive began, and its clearance [m]."""
 
     start: Pose2
     clearance: float
 
 
 class _World(NamedTuple):
-    """What a path is proven in: the robot's outline, what it must not touch, and the rule.
+    """Outline of the robot, obstacles, and clearance rule.
 
-    `rule`: required clearance by the distances from the goal and from the start, Shape (n,) [m] each; `most`: the
-    largest.
+    `rule`: required clearance by the distances from the goal and from the start, Shape (n,) [m] each; `most`: its
+    maximum.
     """
 
     footprint: Footprint
@@ -187,13 +177,13 @@ class _World(NamedTuple):
 
 
 class _Subdivision:
-    """Cells of one path, bisected round by round: the fixed inputs of a proof, and its counters.
+    """Cells of one path, bisected round by round.
 
     Args:
         motion: The path as cells.
-        world: What it is proven in.
-        attained: Smallest clearance of a pose on the path so far [m].
-        crop: Obstacles further from the swept area are left out [m].
+        world: Robot, obstacles and rule.
+        attained: Smallest known clearance of a pose on the path [m].
+        crop: Obstacles farther from the swept area are left out [m].
         is_late: See `prove_clearance`.
     """
 
@@ -209,24 +199,24 @@ class _Subdivision:
         self.attained, self.is_late = attained, is_late
         self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
         self.poses = 0
-        # At the goal the path often has just what is required: a last cell of full length would need a second round.
+        # At the goal the clearance is often just the required one: a last cell of full length needs a second round.
         self.cells = motion.cells(self.step).last_halved()
         self.ends = self._ends(self.cells)
         self.near, self.original = self._crop(self.ends[1], crop)
 
     def run(self) -> ClearanceProof:
-        """Rounds of cells until each is proven, violated or given up."""
+        """Process rounds of cells until each cell is proven, violated or given up."""
         budget = _MAX_POSES + self.cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
-        forgiven: list[Cells] = []
+        touched: list[Cells] = []
         given_up: list[FloatArray] = [np.zeros((0, 4))]
         waiting = deque((0, block) for block in self.cells.blocks(_BLOCK))
         while waiting:
             level, cells = waiting.popleft()
             ends, nodes = self.ends if cells is self.cells else self._ends(cells)
             if settled and level == 0 and self.is_late():
-                given_up.append(_unknown(nodes.s[ends.first]))  # of a long path this was not begun with
+                given_up.append(_unknown(nodes.s[ends.first]))  # blocks of a long path that were not started
                 continue
             result = self._round(cells, ends, nodes)
             self.attained = min(self.attained, result.attained)
@@ -236,7 +226,7 @@ class _Subdivision:
             violations.append(result.violations)
             settled.append(result.settled(proven))
             if np.any(touching := proven & (result.bound < 0.0)):
-                forgiven.append(cells.rows(np.flatnonzero(touching)))
+                touched.append(cells.rows(np.flatnonzero(touching)))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
             if open_cells.size and is_last:
                 given_up.append(result.settled(open_cells))
@@ -244,14 +234,14 @@ class _Subdivision:
                 halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
                 finer = cells.rows(open_cells).cut(2**halvings)
                 waiting.extend((level + halvings, block) for block in finer.blocks(_BLOCK))
-        if forgiven and not sum(map(len, violations)):
-            deep = self._prove_contact(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+        if touched and not sum(map(len, violations)):
+            deep = self._prove_contact(Cells(*map(np.concatenate, zip(*touched, strict=True))))
             for rows, more in zip((violations, given_up), deep, strict=True):
                 rows.append(more)
         return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
 
     def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
-        """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
+        """Return poses with deep overlaps, and unproven cells, as `run` collects them."""
         robot = self.world.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
@@ -286,7 +276,7 @@ class _Subdivision:
             cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
 
     def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
-        """The pose as `ClearanceProof.violations` has it, with the obstacle piece that is nearest by itself."""
+        """Return the pose as in `ClearanceProof.violations`, with the nearest single obstacle piece."""
         pose = nodes.poses[at]
         _, row = pose_clearances(pose[None], self.world.footprint, self.near)
         return np.array([[nodes.s[at], distance - DEPTH, 0.0, row[0], *pose]])
@@ -296,9 +286,9 @@ class _Subdivision:
         return ends, self.motion.nodes(ends.segment, ends.u)
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
-        """The obstacles near the swept area, and their rows in the problem."""
+        """Return the obstacles near the swept area, and their rows in the problem."""
         everything = self.world.obstacles
-        at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
+        at = nodes.poses[:, :2]  # the deviation of a cell from its chord is less than its length
         reach = self.world.footprint.circumscribed_radius + self.step + crop + self.world.most
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size > _WORTHWHILE * len(everything):
@@ -306,7 +296,7 @@ class _Subdivision:
         return everything.subset(rows), rows
 
     def _touches_violation(self, ends: CellEnds, nodes: Nodes, result: _Round) -> BoolArray:
-        """Cells that hold a violating pose: no refinement can prove them."""
+        """Return which cells contain a violating pose and cannot be proven by refinement."""
         if len(result.violations) == 0:
             return np.zeros(ends.first.size, dtype=bool)
         low, high = nodes.s[ends.first], nodes.s[ends.last]
@@ -318,8 +308,8 @@ class _Subdivision:
         bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
         n = cells.first.size
         self.poses += nodes.s.size
-        distances = self._distances(nodes)
-        required = self._required_in_cells(distances, ends, bounds)
+        distances = self._distances(nodes.poses)
+        required = self.rule(*(bounds.farthest(ends, distance) for distance in distances))
         exact_within = np.tile(np.maximum(required, self.attained), 2)
         advances = _from_both_ends(nodes, ends, bounds)
         bodies = bounded_footprint(self.world.footprint)
@@ -332,28 +322,17 @@ class _Subdivision:
         return _Round(found.bound[pick], required, found.row[pick], place, violations, attained)
 
     def _violations(self, nodes: Nodes, found: AdvanceBounds, required: FloatArray) -> FloatArray:
-        """Poses looked at exactly that break the rule, Shape (m, 7), see `ClearanceProof`."""
+        """Return the exactly evaluated poses that violate the rule, Shape (m, 7), see `ClearanceProof`."""
         bad = np.flatnonzero(found.distance < required[found.pose] - TOLERANCE)
         at = found.pose[bad]
         columns = (nodes.s[at], found.distance[bad], required[at], 1.0 * found.obstacle[bad])
         return np.column_stack((*columns, nodes.poses[at]))
 
-    def _required_in_cells(
-        self, distances: tuple[FloatArray, FloatArray], ends: CellEnds, bounds: CellMotion
-    ) -> FloatArray:
-        """Largest requirement within each cell: distance to a fixed point is convex along the chord."""
-        sag = bounds.bend * bounds.width**2 / 8.0
-        from_goal, from_start = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
-        return self.rule(from_goal, from_start)
-
-    def _required_at(self, pose: Pose2) -> float:
-        ends = (self.world.goal, self.world.start)
-        from_goal, from_start = (np.array([np.hypot(pose.x - end.x, pose.y - end.y)]) for end in ends)
-        return float(self.rule(from_goal, from_start)[0])
-
-    def _distances(self, nodes: Nodes) -> tuple[FloatArray, FloatArray]:
-        """Distances from the goal and from the start, Shape (n,) [m] each."""
-        return _distance(nodes, self.world.goal), _distance(nodes, self.world.start)
+    def _distances(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the distances of poses, Shape (n, 3), from the goal and from the start, Shape (n,) [m] each."""
+        goal, start = self.world.goal, self.world.start
+        x, y = poses[:, 0], poses[:, 1]
+        return np.hypot(x - goal.x, y - goal.y), np.hypot(x - start.x, y - start.y)
 
     def _summary(self, settled: FloatArray, violations: FloatArray, given_up: FloatArray) -> ClearanceProof:
         worst = violations[:, [1, 0, 2, 3]] if len(violations) else np.concatenate((settled, given_up))
@@ -361,8 +340,8 @@ class _Subdivision:
         violations = violations.copy()
         violations[:, 3] = self.original[violations[:, 3].astype(np.int64)]
         proven, s, required, row = (float(value) for value in worst[np.argmin(worst[:, 0])])
-        if len(violations) == 0:  # of a cell it is what is required most anywhere in it
-            required = self._required_at(self.motion.path.pose_at(s))
+        if len(violations) == 0:  # a cell has its largest requirement; replace it by that at the place
+            required = float(self.rule(*self._distances(self.motion.path.poses_at(s)))[0])
         margin = float(np.min(worst[:, 0] - worst[:, 2]))
         return ClearanceProof(
             proven, s, required, int(self.original[int(row)]), margin, violations, unproven, self.poses
@@ -370,17 +349,12 @@ class _Subdivision:
 
 
 def _unknown(s: FloatArray) -> FloatArray:
-    """Rows of cells of which nothing is known, as `_Round.settled` has them."""
+    """Return rows of cells without any known bound, as `_Round.settled` does."""
     return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
 
 
-def _distance(nodes: Nodes, point: Pose2) -> FloatArray:
-    distance: FloatArray = np.hypot(nodes.poses[:, 0] - point.x, nodes.poses[:, 1] - point.y)
-    return distance
-
-
 def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advances:
-    """Over the first half of every cell from its first pose, then back over the last half from its last pose."""
+    """Return advances over first halves of cells from their first poses, then last halves from last poses."""
     velocity = np.concatenate((bounds.velocity_first, -bounds.velocity_last))
     columns = (0.5 * bounds.width, bounds.speed, bounds.turn, bounds.bend, bounds.twist)
     pose = np.concatenate((ends.first, ends.last))
@@ -388,11 +362,11 @@ def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advance
 
 
 class Advances(NamedTuple):
-    """Stretches of motion that begin at known poses; n of them at k poses, as neighbours share theirs.
+    """Stretches of motion from known poses: n stretches from k poses, because neighbours share poses.
 
-    `poses`: Shape (k, 3). `pose`: where each begins, Shape (n,). `velocity`: d pose / du there, into the stretch,
-    Shape (n, 3). The others Shape (n,): `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''|
-    `bend`, |yaw''| + yaw'^2 `twist`.
+    `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du there, into the
+    stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell: `speed` of |p'|, `turn`
+    of |yaw'|, `bend` of |p''|, `twist` of |yaw''| + yaw'^2.
     """
 
     poses: FloatArray
@@ -405,13 +379,13 @@ class Advances(NamedTuple):
     twist: FloatArray
 
     def rows(self, keep: slice) -> tuple[Advances, IntArray]:
-        """The stretches at `keep`, and which of the poses they still hold."""
+        """Return the stretches at `keep`, and the rows of the poses that they use."""
         used, pose = np.unique(self.pose[keep], return_inverse=True)
         return Advances(self.poses[used], pose, *(column[keep] for column in self[2:])), used
 
 
 class AdvanceBounds(NamedTuple):
-    """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and what was looked at exactly.
+    """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and the exactly evaluated pairs.
 
     `pose`, `obstacle`, `distance`: pose index, obstacle row, signed distance [m], Shape (m,) each.
     """
@@ -423,7 +397,7 @@ class AdvanceBounds(NamedTuple):
     distance: FloatArray
 
     def merged(self, other: AdvanceBounds) -> AdvanceBounds:
-        """The smaller bound of the two, and both lists of poses."""
+        """Return the smaller of the two bounds, and both lists of pairs."""
         mine = self.bound <= other.bound
         return AdvanceBounds(
             np.where(mine, self.bound, other.bound),
@@ -441,15 +415,15 @@ def advance_bounds(
     exact_within: FloatArray,
     is_late: Callable[[], bool] = never_late,
 ) -> AdvanceBounds:
-    """Lower bounds of the clearance over stretches of motion, by (*).
+    """Compute lower bounds of the clearance over stretches of motion, by (C5).
 
     Args:
-        bodies: What moves as one, at least one.
-        advances: Where it moves.
+        bodies: Convex bodies that move as one, at least one.
+        advances: The stretches.
         obstacles: At least one.
-        exact_within: Shape (n,) [m]: what may come closer than this is left to the narrow phase; the broad phase
-            bounds the rest.
-        is_late: Asked between blocks of some milliseconds; once it is true, bounds not begun with are -inf.
+        exact_within: Shape (n,) [m]: pairs that may come closer than this are left to the narrow phase; the broad phase
+            bounds the others.
+        is_late: Polled between blocks of some milliseconds; once it is True, the remaining bounds are -inf.
     """
     n = advances.width.size
     corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
@@ -494,18 +468,18 @@ def _body_bounds(
     stray = 0.5 * (advances.bend + reach * advances.twist)[i] * width[i] ** 2
     distance = exact.distance[pair]
     bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
-    bounds[np.isnan(bounds)] = -np.inf  # what is not a number proves nothing, and must not be lost in comparisons
+    bounds[np.isnan(bounds)] = -np.inf  # NaN proves nothing and must not be lost in comparisons
     row = np.argmin(bounds, axis=1)
     return AdvanceBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
 
 
 def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Every stretch with every pair of the pose where it begins: indices of stretches and of pairs, Shape (q,) each.
+    """Combine every stretch with every pair of its initial pose: indices of stretches and of pairs, Shape (q,) each.
 
     Args:
-        pose: Where each stretch begins.
-        at: The pose of each pair, ascending.
-        count: How many poses there are.
+        pose: Initial pose of each stretch.
+        at: Pose of each pair, ascending.
+        count: Number of poses.
     """
     begin = np.searchsorted(at, np.arange(count + 1))
     size = (begin[1:] - begin[:-1])[pose]
@@ -517,7 +491,7 @@ def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
 def _directional(
     body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
 ) -> FloatArray:
-    """First-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
+    """Return the first-order part of (C5): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     across, along = axis[:, 0] * c + axis[:, 1] * s, axis[:, 1] * c - axis[:, 0] * s  # the axis in the body's frame
     x, y = body.vertices[:, :1], body.vertices[:, 1:]

@@ -1,22 +1,16 @@
-"""Contact tolerance: what it must not hide are overlaps that are shallow piece by piece, but deep as a whole.
+"""Contact tolerance: overlaps that are shallow piece by piece but deep for the union of the pieces.
 
-Where no clearance is required a pair of convex pieces may overlap by the tolerance t of a certificate, which covers
-rounding. For two convex shapes that is harmless: all that they share lies within t of the outline of either. But a
-footprint that is not convex, and obstacles that touch each other, are unions of pieces that only meet. A needle
-entering between two touching boxes goes by t into either and by any depth into both; a post below a micrometre inside a
-fan of thin pieces is in none of them by t.
+If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, which is harmless: their
+intersection lies within t of the outline of either. But a footprint that is not convex, and obstacles that touch each
+other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to any depth.
 
-So where an overlap is forgiven the wholes are looked at. The *core* of a shape is what lies at least d inside it. It is
-covered by convex pieces again, and those must not overlap at all, not even by rounding: closed convex sets with a
-separating axis share no interior, and a union of sets that share no interior with X shares none with X. Therefore
-
-    no point of an obstacle lies more than d inside the footprint (core of the footprint against the obstacles), and
-    no point of the footprint lies more than d inside the obstacles as one (footprint against their core),
-
-with d = 2 micrometres, and gaps between obstacles below 0.2 micrometres counted as obstacle. Contact is not refused: an
-overlap of t along some axis leaves d - t between the core and the other shape. A convex footprint, and an obstacle
-that touches no other, need no look: there t itself is the bound. Arcs of the outline of a core are polygons inside the
-removed rim, so a core is never too small, but for the precision of the offset curves, one hundredth of d.
+Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
+C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres count as
+obstacle. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets
+that share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so
+contact is accepted. A convex footprint, and an obstacle that touches no other, need no check: t itself is the bound.
+Rounded corners of a core are polygons inside the removed rim, so a core is never too small, up to the precision of the
+offset curves, one hundredth of d.
 """
 
 from __future__ import annotations
@@ -39,29 +33,26 @@ if TYPE_CHECKING:
 
 __all__ = ["DEPTH", "deep_pairs", "deepest"]
 
-DEPTH = CORE_DEPTH  # [m], twice the `TOLERANCE` of certificates: forgiven contact stays clear of the core by half of it
-_CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as none
-_MARGIN = 0.1  # [m] around the box of interest: its own edges must not count as outline within
+DEPTH = CORE_DEPTH  # [m], twice the `TOLERANCE` of certificates: accepted contact is half of it away from the core
+_CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as closed
+_MARGIN = 0.1  # [m] around the box of interest, so that the edges of the box are no outline within it
 _ARC = 4  # segments of a quarter circle
 
 
 def deep_pairs(
     footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray
 ) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
-    """Bodies, and what they must not overlap at all within a box, Shape (2,) [m] each; nothing where no look is needed.
+    """Return bodies and the obstacles that they must not overlap at all within a box, Shape (2,) [m] each.
 
-    The core of the footprint and the obstacles, where the footprint is not convex; the footprint and the core of the
-    obstacles, where some touch each other.
+    If the footprint is not convex, its core and the obstacles; if obstacles touch each other, the footprint and their
+    core.
     """
-    pairs = (
-        (footprint.core, obstacles),
-        (footprint.bodies, _obstacle_core(obstacles, lower, upper)),
-    )
+    pairs = (footprint.core, obstacles), (footprint.bodies, _obstacle_core(obstacles, lower, upper))
     return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
 
 
 def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
-    """Bound of the signed clearance at a pose, Shape (3,), from above: 0 unless something lies deeper than `DEPTH`."""
+    """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 unless deeper than `DEPTH`."""
     reach = footprint.circumscribed_radius
     lower, upper = pose[:2] - reach, pose[:2] + reach
     found = [
@@ -76,7 +67,7 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-    """Convex pieces of what lies at least `DEPTH` inside the obstacles that touch another, in a box and a margin."""
+    """Return convex pieces of the core of the obstacles that touch another, in a box with a margin."""
     low, high = lower - _MARGIN, upper + _MARGIN
     rows = obstacles.rows_in_box(low, high)
     rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]
@@ -84,7 +75,7 @@ def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray)
         return ObstacleSet.empty()
     import shapely
 
-    middle = 0.5 * (low + high)  # offset curves are made near the origin, where floats are finest
+    middle = 0.5 * (low + high)  # offset curves are computed near the origin, where floats are finest
     box = shapely.box(*(low - middle), *(high - middle))
     shapes = shapely.intersection(shapely.polygons(obstacles.vertices[rows] - middle), box)
     closed = shapely.union_all(shapely.buffer(shapes, _CRACK, join_style="mitre"))
@@ -93,7 +84,7 @@ def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray)
 
 
 def _touching(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Which boxes meet another, but for a crack. Shape (m,)."""
+    """Return which boxes touch another box, up to a crack. Shape (m,)."""
     order = np.argsort(lower[:, 0], kind="stable")
     touches = np.zeros(len(order), dtype=np.bool_)
     low, high = lower[order] - _CRACK, upper[order] + _CRACK

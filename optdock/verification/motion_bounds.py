@@ -1,13 +1,9 @@
-"""Motion bounds: a path as cells of smooth motion, and how fast and how bent any footprint point moves within a cell.
+"""Motion bounds: a path as cells of smooth motion, and bounds of the velocity and acceleration of footprint points.
 
-Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has the world position p(u) + R(yaw(u)) b, so
-
-    velocity      p' + yaw' R90 R b
-    acceleration  at most |p''| + |b| (|yaw''| + yaw'^2)
-
-and both bounds are exact in the limit of small cells; [Zhang2006] bounds velocities along an axis in the same way. For
-a clothoid u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u
-counts poses: p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
+Within a cell the body moves as `pose(u)`, u from u0 to u1, and equation C4 of docs/theory/certificate.md bounds the
+velocity and acceleration of its points; [Zhang2006] bounds velocities along an axis in the same way. For a clothoid u
+is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u is the pose
+number: p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
 """
 
 from __future__ import annotations
@@ -17,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.clothoid import subdivided
 from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
@@ -36,13 +33,13 @@ class Cells(NamedTuple):
     last: FloatArray
 
     def cut(self, parts: int) -> Cells:
-        """Every cell cut into equal parts."""
+        """Return the cells, each divided into equal parts."""
         edges = self.first + (self.last - self.first) * (np.arange(1, parts) / parts)[:, None]
         first, last = np.vstack((self.first, edges)), np.vstack((edges, self.last))
         return Cells(np.tile(self.segment, parts), first.ravel(), last.ravel())
 
     def last_halved(self) -> Cells:
-        """The last cell cut in two."""
+        """Return the cells with the last one halved."""
         last = self.rows(np.array([-1])).cut(2)
         return Cells(
             np.append(self.segment, last.segment[1:]),
@@ -51,7 +48,7 @@ class Cells(NamedTuple):
         )
 
     def ends(self) -> CellEnds:
-        """Every place where a cell begins or ends, once."""
+        """Return the distinct places where cells begin or end."""
         segment, u = np.tile(self.segment, 2), np.concatenate((self.first, self.last))
         order = np.lexsort((u, segment))
         new = np.ones(order.size, dtype=np.bool_)
@@ -62,7 +59,7 @@ class Cells(NamedTuple):
         return CellEnds(segment[chosen], u[chosen], place[: self.first.size], place[self.first.size :])
 
     def blocks(self, most: int) -> Iterator[Cells]:
-        """The cells in groups of `most`."""
+        """Yield the cells in groups of at most `most`."""
         if self.first.size <= most:
             yield self
             return
@@ -70,12 +67,12 @@ class Cells(NamedTuple):
             yield self.rows(slice(start, start + most))
 
     def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
-        """The cells at `keep`."""
+        """Return the cells at `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
 
 
 class CellEnds(NamedTuple):
-    """Where cells meet: segment and parameter of every place, Shape (k,); the places of first and last ends, (n,)."""
+    """Places where cells meet: segment and parameter, Shape (k,); places of first and last ends of cells, (n,)."""
 
     segment: IntArray
     u: FloatArray
@@ -84,14 +81,14 @@ class CellEnds(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Poses of motion: Shape (n, 3), and their arc length on the whole path, Shape (n,) [m]."""
+    """Poses, Shape (n, 3), and their arc lengths on the whole path, Shape (n,) [m]."""
 
     poses: FloatArray
     s: FloatArray
 
 
 class CellMotion(NamedTuple):
-    """Bounds of the motion within each cell, Shape (n,) unless said.
+    """Bounds of the motion within each cell, Shape (n,) unless noted.
 
     `velocity_first`, `velocity_last`: d(x, y, yaw)/du at the two ends, Shape (n, 3). `width`: u1 - u0. `speed`: bound
     of |p'|. `turn`: bound of |yaw'|. `bend`: bound of |p''|. `twist`: bound of |yaw''| + yaw'^2.
@@ -105,21 +102,28 @@ class CellMotion(NamedTuple):
     bend: FloatArray
     twist: FloatArray
 
+    def farthest(self, ends: CellEnds, distances: FloatArray) -> FloatArray:
+        """Return the largest distance within each cell from a fixed point, of its distances at the places of `ends`.
+
+        The distance is convex along the chord, and a cell deviates from its chord by at most bend * width^2 / 8.
+        """
+        return np.maximum(distances[ends.first], distances[ends.last]) + self.bend * self.width**2 / 8.0
+
 
 @dataclass(frozen=True, eq=False)
 class PathMotion:
-    """The motion of a whole path."""
+    """The motion along a path."""
 
     path: Path
 
     def cells(self, max_step: float) -> Cells:
-        """Cells at most `max_step` [m] long that cover the path; none contains a knot in its interior."""
+        """Return cells of at most `max_step` [m] that cover the path, without knots in their interiors."""
         parts = [_segment_breaks(segment, max_step) for segment in self.path.segments]
         owner = np.concatenate([np.full(part.size - 1, i) for i, part in enumerate(parts)])
         return Cells(owner, np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts]))
 
     def nodes(self, segment: IntArray, u: FloatArray) -> Nodes:
-        """Poses at parameters `u` of segments `segment`, Shape (n,) each."""
+        """Return the poses at parameters `u` of segments `segment`, Shape (n,) each."""
         poses, s = np.empty((u.size, 3)), np.empty(u.size)
         for i, one in enumerate(self.path.segments):
             mine = segment == i if len(self.path.segments) > 1 else np.ones(u.size, dtype=bool)
@@ -128,7 +132,7 @@ class PathMotion:
         return Nodes(poses, s)
 
     def bounds(self, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
-        """Bounds of the motion in `cells`, whose end poses are `first` and `last`, Shape (n, 3) each."""
+        """Return bounds of the motion in `cells` with the end poses `first` and `last`, Shape (n, 3) each."""
         if len(self.path.segments) == 1:
             return _segment_bounds(self.path.segments[0], cells, first, last)
         n = cells.first.size
@@ -144,16 +148,11 @@ class PathMotion:
 def _segment_breaks(segment: Segment, max_step: float) -> FloatArray:
     if isinstance(segment, PolylineSegment):
         return np.arange(segment.knots.size, dtype=np.float64)
-    knots = segment.knots
-    steps = np.diff(knots)
-    parts = np.maximum(1, np.ceil(steps / max_step)).astype(np.int64)
-    owner = np.repeat(np.arange(steps.size), parts)
-    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+    return subdivided(segment.knots, np.maximum(1, np.ceil(np.diff(segment.knots) / max_step)).astype(np.int64))
 
 
 def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses and local arc lengths."""
+    """Return poses and local arc lengths."""
     if isinstance(segment, PolylineSegment):
         index = np.arange(segment.knots.size, dtype=np.float64)
         columns = [np.interp(u, index, segment.poses[:, i]) for i in range(3)]
@@ -166,7 +165,6 @@ def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: Flo
         return _polyline_bounds(segment, cells)
     if isinstance(segment, TurnSegment):
         return _turn_bounds(segment, cells)
-    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return _clothoid_bounds(segment, cells, first, last)
 
 

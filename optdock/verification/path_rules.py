@@ -9,12 +9,12 @@ import numpy as np
 from optdock.geometry.pose import Pose2, normalize_angle, wrap_angles
 from optdock.model.dock import DockDirection
 from optdock.model.limits import LIMITS, LimitKind, finite_limits
-from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
-from optdock.model.segments import SAME_YAW
+from optdock.model.path import Direction, PolylineSegment, TurnSegment, may_be_one_frame
+from optdock.model.segments import SAME_YAW, first_pose
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.model.path import Path, Segment
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 __all__ = ["max_curvature", "max_curvature_rate", "path_violations"]
 
-EXACT_RTOL = TOLERANCE  # curvature bounds on clothoid splines
-SAMPLED_RTOL = 1e-3  # curvature bounds on polylines, whose curvature is a difference quotient
+EXACT_RTOL = TOLERANCE  # curvature limits on clothoid splines
+SAMPLED_RTOL = 1e-3  # curvature limits on polylines, whose curvature is a difference quotient
 SLIP_TOLERANCE = 0.01  # [rad] between heading and motion of a polyline step
-BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step and the arc that wheels would drive
-DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] sideways in all; yaws rounded to 1e-4 rad drift as much
-LONGEST_STEP = 0.2  # [m] of sampling for which one step of full slip is allowed on top
-ROUNDING = TOLERANCE  # [m], [rad] of sampled poses: coordinates of files
-STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
-_LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # `MotionLimits` has the angle as a curvature
+BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step and the arc that wheels drive
+DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] of lateral slip; yaws rounded to 1e-4 rad drift as much
+LONGEST_STEP = 0.2  # [m], longest step for which one step of full slip is allowed in addition
+ROUNDING = TOLERANCE  # [m], [rad] of sampled poses: coordinates in files
+STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: final straight of a polyline
+_LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # the angle is included in max_curvature
 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
-    """Every broken rule but clearance, in driving order of the rules below."""
+    """Return every violation except of clearance, in the order of the rules below."""
     return tuple(violation for rule in _RULES for violation in rule(path, problem))
 
 
-def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
-    """Finite limits that no rule here looks at; what depends on the time law is left to the trajectory certificate."""
+def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
+    """Finite limits without a rule; limits of the time law are left to the trajectory certificate."""
     for name, value in finite_limits(problem.robot.limits).items():
         of_motion = name in LIMITS and LIMITS[name].kind is not LimitKind.PATH
         if not (of_motion or name in _LIMITED):
@@ -47,7 +47,7 @@ def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  
 
 
 def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Numbers of one frame say nothing about obstacles in another; a path that names no frame is taken at its word."""
+    """Path and problem must have the same frame; a path without a frame name is assumed to have it."""
     if not may_be_one_frame(path.frame, problem.frame):
         message = f"the path stands in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
         yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})
@@ -66,30 +66,25 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
             yield Violation(kind, message, s, error, {"pose": found.as_array().tolist()})
 
 
-def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
-    """All jumps together stay within the tolerance: a thousand small ones are a large one."""
+def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
+    """The sum of all jumps is within the tolerance, because many small ones are equivalent to a large one."""
     total = 0.0
     for i, s in enumerate(path.cusps):
         before, after = path.segments[i], path.segments[i + 1]
         end = Pose2.from_sequence(before.poses_at(before.length)[0])
-        gap = end.gap_to(Pose2.from_sequence(_first_pose(after)))
+        gap = end.gap_to(first_pose(after))
         total += gap
         if not total <= TOLERANCE:
-            in_all = "" if total == gap else f", {total:.3g} in all so far"
+            in_all = "" if total == gap else f", {total:.3g} in total up to here"
             yield Violation("joint", f"the path jumps by {gap:.3g} at the cusp s = {s:.3f} m{in_all}", s, total)
             return
-
-
-def _first_pose(segment: Segment) -> FloatArray:
-    first: FloatArray = segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0]
-    return first
 
 
 def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     last, wanted = _first_moving(path.segments[::-1]).direction, problem.dock.direction
     required = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}.get(wanted, last)
-    if last is not required and last is not Direction.IN_PLACE:  # a path of turns alone enters nothing
-        message = f"the path enters the dock in {last.name.lower()} gear, the dock asks for {wanted.value}"
+    if last is not required and last is not Direction.IN_PLACE:  # a path of turns only has no gear
+        message = f"the path enters the dock in {last.name.lower()} gear, the dock requires {wanted.value}"
         yield Violation("direction", message, path.length, 1.0)
     first = _first_moving(path.segments).direction
     if problem.start_speed * first < 0.0:
@@ -98,7 +93,7 @@ def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _first_moving(segments: Sequence[Segment]) -> Segment:
-    """The first gear that leads anywhere; motions that stay within the tolerance of a pose in all have no direction."""
+    """Return the first segment that moves by more than the tolerance; shorter motions have no direction."""
     driven = 0.0
     gears = [segment for segment in segments if not isinstance(segment, TurnSegment)]
     for segment in gears:
@@ -109,25 +104,23 @@ def _first_moving(segments: Sequence[Segment]) -> Segment:
 
 
 def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Turns in place are for robots that do so, at rest; no tolerance makes one of a step of something else."""
+    """Turns in place require a robot with `turns_in_place` at rest, regardless of their size."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, TurnSegment) and not problem.robot.turns_in_place:
-            message = (
-                f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, the robot does not do that"
-            )
+            message = f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, but the robot cannot"
             yield Violation("turn", message, float(start), abs(segment.turn))
     speed, gained = problem.start_speed, problem.start_acceleration
     if isinstance(path.segments[0], TurnSegment) and (speed != 0.0 or gained != 0.0):
-        moves = f"moves at {speed:.3g} m/s" if speed != 0.0 else f"sets off with {gained:.3g} m/s^2"
+        moves = f"moves at {speed:.3g} m/s" if speed != 0.0 else f"accelerates at {gained:.3g} m/s^2"
         message = f"the robot {moves} but the path begins with a turn in place"
         yield Violation("turn", message, 0.0, max(abs(speed), abs(gained)))
 
 
 class _Steps(NamedTuple):
-    """The steps of a polyline segment, Shape (n,) each.
+    """Steps of a polyline segment, Shape (n,) each.
 
-    `s`: arc length of the path where it begins [m]; `chord`, `arc` [m]; `turn` [rad]; `motion`: direction in which it
-    moves [rad]; `slip`: from its middle heading along the travel to that, within +-pi [rad].
+    `s`: arc length of the path at the beginning [m]; `chord`, `arc` [m]; `turn` [rad]; `motion`: direction of motion
+    [rad]; `slip`: angle from the middle heading along the travel to the direction of motion, within +-pi [rad].
     """
 
     s: FloatArray
@@ -138,7 +131,7 @@ class _Steps(NamedTuple):
     slip: FloatArray
 
     def moving(self) -> _Steps:
-        """Those that lead anywhere."""
+        """Return the steps with a length."""
         return _Steps(*(column[self.arc > 0.0] for column in self))
 
 
@@ -157,7 +150,7 @@ def _polylines(path: Path) -> Iterator[tuple[PolylineSegment, _Steps]]:
             yield segment, _steps(segment, float(start))
 
 
-def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
     """A wheeled robot moves along its heading; a clothoid does so by construction."""
     for _, steps in _polylines(path):
         error = np.where(steps.arc > 0.0, np.abs(steps.slip), 0.0)
@@ -166,24 +159,22 @@ def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: 
             s = float(steps.s[k])
             message = f"the path slips sideways: motion and heading differ by {error[k]:.3g} rad at s = {s:.3f} m"
             yield Violation("slip", message, s, float(error[k]))
-        # Position moves with acceleration arc * turn along the arc, in units of the step, and with none straight on.
+        # In units of the step the acceleration is arc * turn along the arc and zero along the chord.
         bulge = steps.arc * np.abs(steps.turn) / 8.0
         k = int(np.argmax(bulge))
         if not bulge[k] <= BULGE_TOLERANCE:
             s = float(steps.s[k])
-            message = (
-                f"the step at s = {s:.3f} m is too long to tell its motion: arc and chord are {bulge[k]:.3g} m apart"
-            )
+            message = f"the step at s = {s:.3f} m is too long: its arc and its chord are {bulge[k]:.3g} m apart"
             yield Violation("slip", message, s, float(bulge[k]))
 
 
-def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
-    """What each step may slip sideways must not add up, over no stretch of the path.
+def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
+    """Lateral slip must not add up over any stretch of the path.
 
-    It is added up to the left of the body, and in the world along x and y: where the robot turns between two slips,
-    opposite sides of the body are the same side of the world. More is allowed on longer stretches only, not on longer
-    paths. A step of length h on a smooth curve moves by h^2 / 12 times its change of curvature to the side of its
-    middle heading: sampling alone does that, and it is not counted.
+    It is summed to the left of the body, and in the world along x and y: if the robot turns between two slips, opposite
+    sides of the body are the same side of the world. The allowance grows with the length of the stretch, not of the
+    path. A step of length h on a smooth curve moves laterally by h^2 / 12 times its change of curvature; this effect of
+    sampling is subtracted.
     """
     sideways = [np.zeros((1, 3))]
     driven, places = [np.zeros(1)], [np.zeros(1)]
@@ -199,20 +190,20 @@ def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
     spared = np.hstack((total, -total)) - DRIFT_PER_METRE * np.cumsum(np.concatenate(driven))[:, None]
     drift = np.max(spared - np.minimum.accumulate(spared, axis=0), axis=1)
     longest = max((float(np.max(steps.arc)) for _, steps in _polylines(path)), default=0.0)
-    one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # what a step across a kink of the curvature may slip
+    one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # slip of a step across a kink of the curvature
     allowed = DRIFT_TOLERANCE + one_step
     k = int(np.argmax(drift))
     if not drift[k] <= allowed:
         s = float(np.concatenate(places)[k])
         message = (
-            f"the path drifts sideways by {drift[k]:.3g} m in all up to s = {s:.3f} m, beside {DRIFT_PER_METRE:g} m "
-            f"per metre {allowed:.3g} m are allowed"
+            f"the path drifts sideways by {drift[k]:.3g} m up to s = {s:.3f} m; allowed are {allowed:.3g} m "
+            f"in addition to {DRIFT_PER_METRE:g} m per metre"
         )
         yield Violation("slip", message, s, float(drift[k] - allowed))
 
 
 def _curvature_changes(steps: _Steps) -> FloatArray:
-    """Change of curvature over each step of a sampled curve, from the steps beside it. Shape (n,) [1/m]."""
+    """Return the change of curvature over each step of a sampled curve, from the adjacent steps. Shape (n,) [1/m]."""
     if steps.arc.size < 2:
         return np.zeros(steps.arc.size)
     curvature = steps.turn / steps.arc
@@ -222,7 +213,7 @@ def _curvature_changes(steps: _Steps) -> FloatArray:
     return changes
 
 
-def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
     """Steps too short to have a direction, and turns too small to count, must not add up to a motion."""
     moved = turned = 0.0
     for _, steps in _polylines(path):
@@ -230,12 +221,12 @@ def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
         moved += float(np.sum(steps.chord[still]))
         turned += float(np.sum(np.abs(steps.turn[still & (np.abs(steps.turn) <= SAME_YAW)])))
     if not max(moved, turned) <= TOLERANCE:
-        message = f"steps too short to count lead {moved:.3g} m and {turned:.3g} rad away in all"
+        message = f"steps too short to have a direction add up to {moved:.3g} m and {turned:.3g} rad"
         yield Violation("slip", message, 0.0, max(moved, turned))
 
 
 def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """The direction of motion of a polyline turns no faster than its heading may, but for what rounding makes of it."""
+    """The direction of motion of a polyline turns no faster than its heading may, up to rounding."""
     limit = problem.robot.limits.max_curvature
     for _, steps in _polylines(path) if np.isfinite(limit) else ():
         moving = steps.moving()
@@ -251,17 +242,16 @@ def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
-    """Arc lengths and curvatures among which the segment's extreme curvature is."""
+    """Return arc lengths and curvatures that include the extreme curvature of the segment."""
     if isinstance(segment, PolylineSegment):
         return segment.knots[:-1], segment.step_curvature
     if isinstance(segment, TurnSegment):
         return np.zeros(0), np.zeros(0)
-    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return segment.knots, segment.spline.curvature
 
 
 def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
-    """Arc lengths and curvature rates among which the segment's extreme rate is."""
+    """Return arc lengths and curvature rates that include the extreme rate of the segment."""
     if isinstance(segment, PolylineSegment):
         arc, curvature = np.diff(segment.knots), segment.step_curvature
         between = 0.5 * (arc[:-1] + arc[1:])
@@ -270,48 +260,42 @@ def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
         return segment.knots[1:-1], np.where(np.isnan(rate), np.inf, rate)
     if isinstance(segment, TurnSegment):
         return np.zeros(0), np.zeros(0)
-    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return segment.knots[:-1], segment.spline.curvature_rates
 
 
 def max_curvature(path: Path) -> float:
-    """Largest |curvature| that is driven [1/m]; infinite where a polyline turns in place."""
+    """Return the largest driven |curvature| [1/m]; infinite if a polyline turns in place."""
     return max(float(np.max(np.abs(_curvature_samples(segment)[1]), initial=0.0)) for segment in path.segments)
 
 
 def max_curvature_rate(path: Path) -> float:
-    """Largest |d curvature / ds| within a gear [1/m^2]; a polyline's is a difference quotient."""
+    """Return the largest |d curvature / ds| within a gear [1/m^2]; a difference quotient for polylines."""
     return max(float(np.max(np.abs(_rate_samples(segment)[1]), initial=0.0)) for segment in path.segments)
 
 
-def _tolerance(segment: Segment) -> float:
-    return SAMPLED_RTOL if isinstance(segment, PolylineSegment) else EXACT_RTOL
-
-
 def _curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    limit = problem.robot.limits.max_curvature
-    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
-        s, curvature = _curvature_samples(segment)
-        if curvature.size == 0:
-            continue
-        k = int(np.argmax(np.abs(curvature)))
-        if not abs(curvature[k]) <= limit * (1.0 + _tolerance(segment)):
-            at, found = float(start + s[k]), float(curvature[k])
-            message = f"curvature {found:.4g} 1/m at s = {at:.3f} m exceeds {limit:.4g} 1/m"
-            yield Violation("curvature", message, at, abs(found) - limit)
+    return _beyond(path, "max_curvature", _curvature_samples, problem.robot.limits.max_curvature)
 
 
 def _curvature_rate(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    limit = problem.robot.limits.max_curvature_rate
+    return _beyond(path, "max_curvature_rate", _rate_samples, problem.robot.limits.max_curvature_rate)
+
+
+def _beyond(
+    path: Path, name: str, samples: Callable[[Segment], tuple[FloatArray, FloatArray]], limit: float
+) -> Iterator[Violation]:
+    """Compare the extreme sample of every segment with the limit."""
+    kind, unit = LIMITS[name].quantity, LIMITS[name].unit
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
-        s, rate = _rate_samples(segment)
-        if rate.size == 0:
+        s, values = samples(segment)
+        if values.size == 0:
             continue
-        k = int(np.argmax(np.abs(rate)))
-        if not abs(rate[k]) <= limit * (1.0 + _tolerance(segment)):
-            at, found = float(start + s[k]), float(rate[k])
-            message = f"curvature rate {found:.4g} 1/m^2 at s = {at:.3f} m exceeds {limit:.4g} 1/m^2"
-            yield Violation("curvature_rate", message, at, abs(found) - limit)
+        k = int(np.argmax(np.abs(values)))
+        tolerance = SAMPLED_RTOL if isinstance(segment, PolylineSegment) else EXACT_RTOL
+        if not abs(values[k]) <= limit * (1.0 + tolerance):
+            at, found = float(start + s[k]), float(values[k])
+            message = f"{kind.replace('_', ' ')} {found:.4g} {unit} at s = {at:.3f} m exceeds {limit:.4g} {unit}"
+            yield Violation(kind, message, at, abs(found) - limit)
 
 
 def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]:
@@ -319,7 +303,7 @@ def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]
     if wanted is None:
         return
     first = path.segments[0]
-    if isinstance(first, TurnSegment):  # at rest, and no wheels are steered
+    if isinstance(first, TurnSegment):  # at rest, without steered wheels
         return
     found = float(first.curvature_at(0.0)[0])
     allowed = TOLERANCE
@@ -341,11 +325,11 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         message = f"the last gear is {driven:.3f} m long, the final straight needs {wanted:.3f} m"
         yield Violation("final_straight", message, path.length, wanted - driven)
         return
-    # A nanometre in, so that rounding of the knot where the straight begins does not count as a curve.
+    # One nanometre further, so that rounding of the knot at the beginning does not count as curvature.
     begin = max(0.0, last.length - wanted) + 1e-9
     inside = last.knots > begin
     if isinstance(last, PolylineSegment):
-        # The poses themselves: where the robot turns in place, arc length cannot tell them apart.
+        # The poses themselves, because arc length cannot distinguish the poses of a turning step.
         poses = np.concatenate((last.poses_at(begin), last.poses[inside]))
         error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
@@ -359,7 +343,7 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _straight_error(poses: FloatArray, goal: Pose2) -> FloatArray:
-    """Larger of cross-track and heading error to the goal axis, Shape (n,) [m or rad]."""
+    """Return the larger of cross-track and heading error to the goal axis, Shape (n,) [m or rad]."""
     dx, dy = poses[:, 0] - goal.x, poses[:, 1] - goal.y
     cross = np.abs(dy * np.cos(goal.yaw) - dx * np.sin(goal.yaw))
     turn = np.abs(wrap_angles(poses[:, 2] - goal.yaw))

@@ -1,14 +1,14 @@
-"""Proven motions: path, time law, problem and the robot's pose, tied together by the proofs that were made of them.
+"""Proven motions: path, time law, problem and pose of the robot, tied together by their proofs.
 
-Certificates are plain values, which any program can write. What the rest of the library acts on are `ProvenMotion` and
-`ProvenWay`, which only the functions of this module make. Such an object holds nothing itself: what it speaks of is
-looked up in the proofs that were made here. One that was built or changed by other means speaks of nothing.
+Certificates are plain values that any program can create. The library acts on `ProvenMotion` and `ProvenWay`, which
+only the functions of this module create. Such an object holds no data: its content is looked up among the proofs made
+here, so a forged or modified object has no content.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar, final
 
 import numpy as np
 
@@ -20,17 +20,16 @@ from optdock.model.path import Path
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import TrackingTube
 from optdock.model.trajectory import Trajectory
-from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, where_broken
+from optdock.verification.certificate import TOLERANCE, Certificate, Memo, TrajectoryCertificate, where_broken
 from optdock.verification.certify import certify_motion, certify_path
 from optdock.verification.conservative_advancement import Begun, prove_clearance
-from optdock.verification.memo import Memo
 from optdock.verification.proximity import end_clearances, pose_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.geometry.fingerprint import ProblemFingerprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.problem import ProblemFingerprint
 
 __all__ = [
     "ProvenMotion",
@@ -43,7 +42,11 @@ __all__ = [
     "unchanged_way",
 ]
 
-_SPACING = 0.05  # [m] between the places of a way by which the obstacles near it are found
+_SPACING = 0.05  # [m] between the points of a path around which obstacles are selected
+
+
+Content = TypeVar("Content")
+Kind = TypeVar("Kind", bound="_Proven[Any]")
 
 
 class _Motion(NamedTuple):
@@ -59,27 +62,53 @@ class _Way(NamedTuple):
     problem: DockingProblem
 
 
-@final
-class ProvenMotion:
-    """A motion that is proven for a problem: its path, its time law, and that it begins as the robot does.
-
-    It speaks of a robot that is at `pose` when the time law begins, and from then on within the tracking tube of the
-    problem's robot around the path. Made by `prove_motion` alone. Pickles are believed, as Python believes all pickles.
-
-    Raises:
-        InvalidValue: It is constructed, or asked for a proof that was not made here.
-    """
+class _Proven(Generic[Content]):
+    """An object without data, whose content is looked up by its identity."""
 
     __slots__ = ("__weakref__",)
+    _proofs: ClassVar[Memo[Any, Any]]
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return self._keep, (self._content,)
 
     def __init__(self) -> None:
-        raise InvalidValue("ProvenMotion: cannot be constructed, only proven: prove_motion(trajectory, problem)")
+        raise InvalidValue(f"{type(self).__name__}: cannot be constructed, only proven, see `prove_motion`")
+
+    @classmethod
+    def _keep(cls: type[Kind], content: Content) -> Kind:
+        proven: Kind = object.__new__(cls)
+        cls._proofs.keep(proven, content)
+        return proven
+
+    @property
+    def _content(self) -> Content:
+        found: Content | None = self._proofs.recall(self)
+        if found is None:
+            raise InvalidValue(f"{type(self).__name__}: no proof was made of this object")
+        return found
+
+
+@final
+class ProvenMotion(_Proven[_Motion]):
+    """A motion that is proven for a problem: its path, its time law, and its initial state.
+
+    Valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's robot
+    from then on. Created by `prove_motion` only. Pickles are trusted, as Python trusts all pickles.
+
+    Raises:
+        InvalidValue: If it is constructed, or accessed without a proof.
+    """
+
+    __slots__ = ()
+    _proofs: ClassVar[Memo[ProvenMotion, _Motion]] = Memo()
 
     def __repr__(self) -> str:
         return f"<ProvenMotion {self.trajectory!r} from {self.pose.brief}>"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return _restored_motion, (*self._content,)
+    @classmethod
+    def _keep(cls, content: _Motion) -> ProvenMotion:
+        _PROVEN_FOR.keep(content.trajectory, content.problem.fingerprint)
+        return super()._keep(content)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -88,12 +117,12 @@ class ProvenMotion:
 
     @property
     def problem(self) -> DockingProblem:
-        """What they are proven for."""
+        """The problem that it is proven for."""
         return self._content.problem
 
     @property
     def pose(self) -> Pose2:
-        """Where the robot is at time 0."""
+        """Pose of the robot at time 0."""
         return self._content.trajectory.path.start
 
     @property
@@ -106,82 +135,40 @@ class ProvenMotion:
         """The certificate of the motion limits."""
         return self._content.trajectory_certificate
 
-    @property
-    def _content(self) -> _Motion:
-        found = _MOTIONS.recall(self)
-        if found is None:
-            raise InvalidValue("ProvenMotion: no proof was made of this one")
-        return found
-
 
 @final
-class ProvenWay:
-    """The way of a robot under way, from where it is now, whose clearance is proven; it says nothing about time.
+class ProvenWay(_Proven[_Way]):
+    """The remaining path of a moving robot with proven clearance; without time.
 
-    Made by `prove_way`, `proven_way` and `unchanged_way` alone.
+    Created by `prove_way`, `proven_way` and `unchanged_way` only.
 
     Raises:
-        InvalidValue: It is constructed, or asked for a proof that was not made here.
+        InvalidValue: If it is constructed, or accessed without a proof.
     """
 
-    __slots__ = ("__weakref__",)
-
-    def __init__(self) -> None:
-        raise InvalidValue("ProvenWay: cannot be constructed, only proven: prove_way(path, problem)")
+    __slots__ = ()
+    _proofs: ClassVar[Memo[ProvenWay, _Way]] = Memo()
 
     def __repr__(self) -> str:
         return f"<ProvenWay {self.path.driven:.3f} m from {self.pose.brief}>"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return _restored_way, (*self._content,)
-
     @property
     def path(self) -> Path:
-        """What is driven."""
+        """The path."""
         return self._content.path
 
     @property
     def pose(self) -> Pose2:
-        """Where the robot is: at the start of the path, or within the tube that was proven around it."""
+        """Pose of the robot: at the start of the path, or within the tube proven around it."""
         return self._content.pose
 
     @property
     def problem(self) -> DockingProblem:
-        """The world that it is proven in; its start plays no part."""
+        """The problem that it is proven in; its start is not used."""
         return self._content.problem
 
-    @property
-    def _content(self) -> _Way:
-        found = _WAYS.recall(self)
-        if found is None:
-            raise InvalidValue("ProvenWay: no proof was made of this one")
-        return found
 
-
-_MOTIONS: Memo[ProvenMotion, _Motion] = Memo()
-_WAYS: Memo[ProvenWay, _Way] = Memo()
 _PROVEN_FOR: Memo[Trajectory, ProblemFingerprint] = Memo()
-
-
-def _restored_motion(*parts: object) -> ProvenMotion:
-    return _kept_motion(_Motion(*parts))  # type: ignore[arg-type]  # the parts of a pickle
-
-
-def _restored_way(*parts: object) -> ProvenWay:
-    return _kept_way(_Way(*parts))  # type: ignore[arg-type]  # the parts of a pickle
-
-
-def _kept_motion(content: _Motion) -> ProvenMotion:
-    motion: ProvenMotion = object.__new__(ProvenMotion)
-    _MOTIONS.keep(motion, content)
-    _PROVEN_FOR.keep(content.trajectory, content.problem.fingerprint)
-    return motion
-
-
-def _kept_way(content: _Way) -> ProvenWay:
-    way: ProvenWay = object.__new__(ProvenWay)
-    _WAYS.keep(way, content)
-    return way
 
 
 def prove_motion(
@@ -189,16 +176,16 @@ def prove_motion(
 ) -> ProvenMotion:
     """Prove that a trajectory solves a problem: its path by `certify_path`, its time law by `certify_motion`.
 
-    What was proven before of the same path, time law and problem is not proven again.
+    Earlier proofs of the same path, time law and problem are reused.
 
     Args:
         trajectory: The motion to prove, from any source.
-        problem: What must hold.
-        is_late: As of `certify_path` and `certify_trajectory`.
+        problem: The problem.
+        is_late: As for `certify_path` and `certify_trajectory`.
 
     Raises:
-        CertificationFailed: A rule is broken, or its proof was cut short; the message is the first violation's.
-        InvalidValue: Trajectory or problem is of another class, or of a subclass, of which a proof would not know all.
+        CertificationFailed: If a rule is violated or a proof was cut short; the message is that of the first violation.
+        InvalidValue: If the class of trajectory or problem is another one or a subclass.
     """
     exactly(Trajectory, trajectory, "trajectory")
     exactly(DockingProblem, problem, "problem")
@@ -208,20 +195,20 @@ def prove_motion(
     motion = certify_motion(trajectory, problem, is_late=is_late)
     if not motion.certified:
         raise CertificationFailed(f"the motion is not certified: {motion.reason}", where=where_broken(motion))
-    return _kept_motion(_Motion(trajectory, problem, path, motion))
+    return ProvenMotion._keep(_Motion(trajectory, problem, path, motion))
 
 
 def proven_for(trajectory: Trajectory) -> ProblemFingerprint | None:
-    """Digests of the problem that this very trajectory was last proven for; None where no proof was made of it."""
+    """Return the digests of the problem that this trajectory object was last proven for, or None."""
     return _PROVEN_FOR.recall(trajectory)
 
 
 class WayVerdict(NamedTuple):
-    """What `prove_way` found; it counts as true where the way is proven.
+    """Result of `prove_way`; true if the way is proven.
 
     Attributes:
-        way: The way; None: it is not proven.
-        reason: Why not; empty where it is.
+        way: The way; None if it is not proven.
+        reason: Reason of the failure; empty if the way is proven.
     """
 
     way: ProvenWay | None
@@ -240,26 +227,26 @@ def prove_way(
     begun: Begun | None = None,
     start_relief: float = 0.0,
 ) -> WayVerdict:
-    """Prove the clearance of a way that is driven from now on, for the robot where it is now.
+    """Prove the clearance of a path that is driven from now on, for the current pose of the robot.
 
-    The rule is `problem.path_clearance`. It tapers at the problem's goal, and where the drive set off.
+    The rule is `problem.path_clearance`, which tapers at the goal and at the beginning of the drive.
 
-    A robot beside the path, by a displacement e of its outline, goes back to it. Within the tube around the path that
-    is what the tube is for. Beyond it every pose that is displaced by no more than e must keep `problem.clearance`, so
-    the path is proven to keep e more. The station alone is spared that where the robot would count as docked as far
-    off: it ends in contact with it.
+    A robot next to the path, with its outline displaced by e, returns to the path. Within the tube around the path this
+    is covered by the tube. Beyond it, every pose displaced by at most e must keep `problem.clearance`, so the path is
+    proven to keep e more. Only the station is exempt if the robot would count as docked at this displacement, because
+    it ends in contact with the station.
 
     Args:
-        path: What is driven, from its start on.
-        problem: The robot, the obstacles and the rule of clearance; its start plays no part.
-        pose: Where the robot is; None: at the start of the path.
-        at: The place of the path that `pose` belongs to, in its first gear [m].
-        begun: Where the drive set off of which this is the rest; None: here, so that a robot that is too close to
-            something has to leave it only.
-        start_relief: Of the rule where `begun` is given, see `ClearanceRule.required_at` [m].
+        path: The path from its start on.
+        problem: Robot, obstacles and rule of clearance; its start is not used.
+        pose: Pose of the robot; None for the start of the path.
+        at: Arc length on the path that corresponds to `pose`, in the first gear [m].
+        begun: Beginning of the drive if `path` is its remainder; None for the start of the path, so that a robot that
+            is too close to an obstacle only has to leave it.
+        start_relief: Relief of the rule if `begun` is given, see `ClearanceRule.required_at` [m].
 
     Raises:
-        InvalidValue: Path or problem is of another class, or of a subclass.
+        InvalidValue: If the class of path or problem is another one or a subclass.
     """
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")
@@ -278,11 +265,11 @@ def prove_way(
     else:
         is_docked = problem.dock.tolerances.accept(pose, place)
         blocked = _not_clear_by(off, path, problem, begun, start_relief, spares_station=is_docked)
-    return WayVerdict(None, blocked) if blocked else WayVerdict(_kept_way(_Way(path, pose, problem)))
+    return WayVerdict(None, blocked) if blocked else WayVerdict(ProvenWay._keep(_Way(path, pose, problem)))
 
 
 def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float) -> str:
-    """What of the clearance of a path is not proven; empty: all is."""
+    """Return the unproven part of the clearance of a path as a message; empty if everything is proven."""
     rule = problem.path_clearance
     count = max(2, int(np.ceil(path.length / _SPACING)) + 1)
     places = path.poses_at(np.linspace(0.0, path.length, count))[:, :2]
@@ -300,7 +287,7 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
 def _not_clear_by(
     more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
 ) -> str:
-    """Likewise of `more` than `problem.clearance` [m]; of a station that is spared, what the path must keep."""
+    """As `_not_clear` for `more` than `problem.clearance` [m]; an exempt station is checked without the increase."""
     dock, robot = problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,
@@ -317,11 +304,11 @@ def _not_clear_by(
 
 
 def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | None:
-    """The way of a robot that is about to drive a proven motion; None where the tube around it does not cover the pose.
+    """Return the way of a robot at the beginning of a proven motion; None if the tube does not contain the pose.
 
     Args:
-        motion: What is driven, from its start on.
-        pose: Where the robot is; None: at the start.
+        motion: The motion from its start on.
+        pose: Pose of the robot; None for the start.
     """
     problem, start, path = motion.problem, motion.pose, motion.trajectory.path
     if pose is not None:
@@ -329,20 +316,20 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
         width = float(problem.tube_widths(start.as_array()[None], start, clearance, relief)[0])
         if not problem.robot.footprint.displacement(pose, start) <= width + TOLERANCE:
             return None
-    return _kept_way(_Way(path, pose or start, problem))
+    return ProvenWay._keep(_Way(path, pose or start, problem))
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """A stretch of a proven path, where its proof holds in another problem too; None where that is not obvious.
+    """Return a stretch of a proven path if its proof obviously holds in another problem, else None.
 
-    It does where nothing but the dock differs and the old dock and the new one are so far from the stretch that neither
-    the taper of the clearance nor the station reaches it.
+    The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
+    clearance nor the station reaches it.
 
     Args:
-        motion: What is being driven.
-        begin: Where on its path the stretch begins [m].
-        end: Where it ends [m].
-        problem: The problem now.
+        motion: The current motion.
+        begin: Beginning of the stretch on its path [m].
+        end: End of the stretch [m].
+        problem: The current problem.
     """
     before, path = motion.problem, motion.trajectory.path
     same = before.obstacles is problem.obstacles and before.costmap is problem.costmap
@@ -356,4 +343,4 @@ def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: Docki
         if path.pose_at(begin).distance_to(dock.pose) <= far:
             return None
     stretch = path.piece(begin, end)
-    return _kept_way(_Way(stretch, stretch.start, problem))
+    return ProvenWay._keep(_Way(stretch, stretch.start, problem))

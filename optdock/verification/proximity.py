@@ -1,9 +1,9 @@
-"""Proximity queries, the clearance of a pose: a broad phase leaves most obstacles out, a narrow phase is exact.
+"""Proximity queries: the clearance of a pose, by a broad phase and an exact narrow phase.
 
 Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
 of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
-(`geometry.separation`), for the pairs that the broad phase cannot decide. Where a shallow overlap of pieces may hide a
-deep one of the wholes, that is looked for as well (`contact_tolerance`).
+(`geometry.separation`), for the pairs that the broad phase cannot decide. If a shallow overlap of pieces may hide a
+deep one of their unions, the unions are checked as well (`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from optdock.geometry.arrays import frozen
 from optdock.geometry.obstacles import box_distance
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
+from optdock.verification.certificate import Memo
 from optdock.verification.contact_tolerance import DEPTH, deepest
-from optdock.verification.memo import Memo
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -39,13 +39,13 @@ __all__ = [
     "pose_clearances",
 ]
 
-_MAX_CIRCLES = 3  # that bound a body; more of them cost more than the narrow phase that they save
-_NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
-_NEAREST = 8  # obstacles of a pose that the narrow phase takes first; the others only if they may be nearer
+_MAX_CIRCLES = 3  # per body; more circles cost more than the narrow phase that they save
+_NEARBY = 1.0  # [m]: obstacles farther than this are evaluated only if no other is as near
+_NEAREST = 8  # obstacles per pose that the narrow phase evaluates first; the others only if they may be nearer
 
 
 class EndClearances(NamedTuple):
-    """Signed clearances of the two end poses of a problem [m], and the rows of the obstacles nearest to them."""
+    """Signed clearances of the start and the goal of a problem [m], and the rows of the obstacles nearest to them."""
 
     start: float
     nearest_to_start: int
@@ -54,7 +54,7 @@ class EndClearances(NamedTuple):
 
 
 def end_clearances(problem: DockingProblem) -> EndClearances:
-    """The clearances of start and goal, found once for as long as the problem lives; inf and -1 without obstacles."""
+    """Return the clearances of start and goal, cached for the lifetime of the problem; inf and -1 without obstacles."""
     known = _ENDS.recall(problem)
     if known is None:
         ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
@@ -68,7 +68,7 @@ _ENDS: Memo[DockingProblem, EndClearances] = Memo()
 
 
 def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
-    """Signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
+    """Return the signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
     distance, row = pose_clearances(pose.as_array()[None], footprint, obstacles)
     return float(distance[0]), int(row[0])
 
@@ -76,19 +76,19 @@ def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) ->
 def pose_clearances(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
-    """Signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
+    """Return the signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
 
     Args:
         poses: Shape (n, 3).
         footprint: The outline.
         obstacles: May be empty.
-        within: Where no obstacle is closer than this [m] the answer is (within, -1).
+        within: If no obstacle is closer than this [m], the result is (within, -1).
     """
     reach = footprint.circumscribed_radius + min(within, _NEARBY)
     rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
     if rows.size < 0.5 * len(obstacles):
         best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
-        # What was left out is at least that far away.
+        # The omitted obstacles are at least `_NEARBY` away.
         if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
             return best, np.where(found >= 0, rows[found], -1) if rows.size else found
     return _nearest(poses, footprint, obstacles, within)
@@ -97,7 +97,7 @@ def pose_clearances(
 def _nearest(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
-    """The nearest few by the broad phase first, then whatever else may be nearer than they are."""
+    """Evaluate the nearest few by the broad phase first, then the others that may be nearer."""
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
@@ -130,21 +130,21 @@ class BoundedBody(NamedTuple):
 
 
 def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
-    """Bodies with what the broad phase needs."""
+    """Return bodies with their bounding circles."""
     reach = (float(np.max(np.hypot(*body.vertices.T))) for body in bodies)
     return tuple(BoundedBody(body, *_bounding_circles(body), far) for body, far in zip(bodies, reach, strict=True))
 
 
 @functools.lru_cache(maxsize=64)
 def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
-    """The convex pieces of a footprint, once per footprint."""
+    """Return the convex pieces of a footprint with their bounding circles, cached."""
     return frozen(bounded(footprint.bodies))
 
 
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
-    """Lower bound of the distance of a body at every pose, Shape (n, 3), to every obstacle. Shape (n, m) [m].
+    """Return lower bounds of the distances of a body at every pose, Shape (n, 3), to every obstacle. Shape (n, m) [m].
 
-    Where it is not positive the body may overlap the obstacle by more.
+    If a bound is not positive, the body may overlap the obstacle by more.
     """
     at = transform_points(poses, body.centres)  # (n, circles, 2)
     gaps = box_distance(obstacles, at[:, 0])
@@ -155,7 +155,7 @@ def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) ->
 
 
 def _bounding_circles(body: ConvexBody) -> tuple[FloatArray, float]:
-    """Centres (k, 2) [m] and common radius [m] of circles that cover the body: one per square of its bounding box."""
+    """Return centres (k, 2) [m] and radius [m] of covering circles, one per square of the bounding box."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     size = high - low
     longer = int(np.argmax(size))

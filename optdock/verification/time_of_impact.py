@@ -1,11 +1,11 @@
-"""Time of impact: how long a footprint can move at a constant body velocity before it comes too close to an obstacle.
+"""Time of impact: duration for which a footprint can move at a constant body velocity before it is too close.
 
-Between two looks at the scene the same bound holds as in `conservative_advancement`: along the axis n that attains the
+Between two evaluations of the scene the bound of `conservative_advancement` holds: along the axis n that attains the
 distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
-M = |yaw rate| * |v'|, constant in time, so the longest safe step has a closed form. A straight motion needs one step.
+M = |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs one step.
 
-Where pieces may touch, their wholes are looked at as well, as in `contact_tolerance`: a needle must not slip between
-two obstacles that touch each other, nor a post into a fan of thin pieces, deeper than 3 micrometres.
+Where pieces may touch, their unions are checked as in `contact_tolerance`: a needle must not enter between two adjacent
+obstacles, nor a post a fan of thin pieces, deeper than 3 micrometres.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Sweep", "free_motion"]
 
-_APART = 2.0 * TOLERANCE  # [m]: pieces that keep this distance share nothing, neither alone nor as wholes
-_SHALLOW = 0.01  # [m]: overlap of a robot at rest in its dock; a motion may lead out of it, not deeper
-_SHORTEST_STEP = 1e-4  # [s]: when no longer step can be proven, the motion counts as blocked
+_APART = 2.0 * TOLERANCE  # [m]: pieces at this distance do not overlap, neither individually nor as unions
+_SHALLOW = 0.01  # [m]: overlap of a robot at rest in its dock; a motion may reduce it but not increase it
+_SHORTEST_STEP = 1e-4  # [s]: if no longer step can be proven, the motion counts as blocked
 _MOST_STEPS = 2000
 
 
 class Sweep(NamedTuple):
-    """`free`: how long the motion is proven free [s]; `row`: the obstacle in the way, -1 when there is none."""
+    """`free`: proven collision-free duration [s]; `row`: the obstacle in the way, -1 without one."""
 
     free: float
     row: int
 
 
-def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and how near it may be
+def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
     footprint: Footprint,
     obstacles: ObstacleSet,
     pose: Pose2,
@@ -54,19 +54,19 @@ def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and h
     clearance: float = 0.0,
     overlap: float = _SHALLOW,
 ) -> Sweep:
-    """How long the footprint keeps its clearance from every obstacle, everywhere along the continuous motion.
+    """Return the duration for which the footprint keeps its clearance from every obstacle along the continuous motion.
 
-    An obstacle that is closer than `clearance` at the start, or overlaps by up to `overlap`, must not come any
-    closer instead: a robot in its dock may leave. With a deeper overlap nothing is free.
+    An obstacle that is closer than `clearance` at the start, or overlaps by up to `overlap`, must not come closer
+    instead, so that a robot can leave its dock. With a deeper overlap the duration is 0.
 
     Args:
-        footprint: The robot's outline.
-        obstacles: What it must not touch.
-        pose: Where it starts.
-        twist: Its body velocity, constant.
-        duration: How long to look [s].
+        footprint: Outline of the robot.
+        obstacles: The obstacles.
+        pose: Initial pose.
+        twist: Constant body velocity.
+        duration: Horizon [s].
         clearance: Distance to keep [m].
-        overlap: How deep it may be in something at the start [m].
+        overlap: Accepted overlap at the start [m].
     """
     reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE
     centre = np.array([pose.x, pose.y])
@@ -85,7 +85,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and h
             return Sweep(duration, -1)
         may_touch = True
     deep = deep_pairs(footprint, scene, centre - reach, centre + reach) if may_touch else ()
-    # These must not overlap at all, or not more than they do at the start.
+    # The unions must not overlap, or not more than at the start.
     groups = (
         pieces,
         *(_Group(bodies, rocks, np.minimum(0.0, _distances(bodies, rocks, pose))) for bodies, rocks in deep),
@@ -98,7 +98,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and h
 
 
 class _Group(NamedTuple):
-    """Bodies that move as one, what they move among, and the distance to keep from each of it, Shape (m,) [m]."""
+    """Bodies that move as one, their obstacles, and the distance to keep from each obstacle, Shape (m,) [m]."""
 
     bodies: tuple[ConvexBody, ...]
     scene: ObstacleSet
@@ -106,7 +106,7 @@ class _Group(NamedTuple):
 
 
 def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
-    """How long every group keeps its distances, `duration` at most [s], and the pose where the march ended."""
+    """Return the duration for which every group keeps its distances, at most `duration` [s], and the final pose."""
     time = 0.0
     for _ in range(_MOST_STEPS):
         step = min(
@@ -123,7 +123,7 @@ def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float
 
 
 def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) -> FloatArray:
-    """Signed distance of the nearest of the bodies to every obstacle, Shape (m,) [m]."""
+    """Return the signed distance of the nearest body to every obstacle, Shape (m,) [m]."""
     poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
     pieces = scene.pieces(np.arange(len(scene)))
     nearest: FloatArray = np.min([separation(body, poses, pieces).distance for body in bodies], axis=0)
@@ -131,7 +131,7 @@ def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) 
 
 
 def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2, required: FloatArray) -> FloatArray:
-    """For every obstacle the longest step that provably keeps its required distance, Shape (m,) [s]."""
+    """Return for every obstacle the longest step that provably keeps the required distance, Shape (m,) [s]."""
     poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
     found = separation(body, poses, scene.pieces(np.arange(len(scene))))
     points = transform_points(poses[:1], body.vertices)[0]  # (k, 2)
@@ -147,13 +147,13 @@ def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2
 
 
 def _time_until_spent(spare: FloatArray, rise: FloatArray, bend: float) -> FloatArray:
-    """The positive root of `spare + rise t - bend t^2 / 2`; infinite where there is none."""
+    """Return the positive root of `spare + rise t - bend t^2 / 2`; infinite if there is none."""
     falling = rise < 0.0
     with np.errstate(divide="ignore"):
         if bend <= 0.0:
             straight: FloatArray = np.where(falling, spare / np.maximum(-rise, 1e-300), np.inf)
             return straight
         root = np.sqrt(rise * rise + 2.0 * bend * spare)
-        # Each branch is the form of the root that does not cancel for its sign of the rise.
+        # Each branch is the form of the root without cancellation for its sign of the rise.
         bent: FloatArray = np.where(falling, 2.0 * spare / (root - rise), (rise + root) / bend)
     return bent

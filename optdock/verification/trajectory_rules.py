@@ -1,16 +1,17 @@
-"""The rules of a trajectory: that its time law covers the path, rests where it must, and keeps every motion limit.
+"""The rules of a trajectory: coverage of the path, rests, and motion limits.
 
 Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
 exact. The limits that depend on curvature are proven by `turning_rules`.
 
-Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that; so
-must the rest at the start, where they may stand at any angle.
+Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough; the same
+applies to a start with unknown steering angle.
 
-A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are the time law's own: exact
-extremes, against limits of their own (`MotionLimits.turning`). The phases between the rests at its ends are the turn's.
+A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are those of the time law:
+exact extremes, with their own limits (`MotionLimits.turning`). The phases of a turn are those between the rests at its
+ends.
 
-A finite limit that has no rule here, and none of the path certificate either, is a violation: whatever field
-`MotionLimits` gets, a motion is certified only where it has been proven.
+A finite limit without a rule here or in the path certificate is a violation, so that a new field of `MotionLimits`
+cannot be ignored.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.model.limits import LIMITS, LimitKind, finite_limits
+from optdock.model.limits import LIMITS, QUANTITY_UNITS, LimitKind, finite_limits
 from optdock.model.path import (
     Direction,
     PolylineSegment,
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 __all__ = ["trajectory_violations"]
 
 REST_TOLERANCE = TOLERANCE  # [m], [m/s], [m/s^2] at cusps and at the ends
-REST_YAW_TOLERANCE = 1e-5  # [rad] at the ends: what a curvature of 10 1/m turns within `REST_TOLERANCE`
+REST_YAW_TOLERANCE = 1e-5  # [rad] at the ends: the turn of a curvature of 10 1/m within `REST_TOLERANCE`
 
 
 def trajectory_violations(
@@ -63,7 +64,7 @@ def trajectory_violations(
     start: tuple[float | None, float | None, float],
     is_late: Callable[[], bool],
 ) -> tuple[tuple[Violation, ...], dict[str, float]]:
-    """Every broken rule, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
+    """Return every violation, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
     path, law = trajectory.path, trajectory.time_law
     extremes = _speed_extremes(law)
     waits = _waits(trajectory, limits, start[2])
@@ -76,21 +77,21 @@ def trajectory_violations(
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
         pieces = path_pieces(path) if judge.rules else None
-        asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
-        reached = crossings(law, asked)  # one bisection for all places that are asked for
+        places = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
+        reached = crossings(law, places)  # one bisection for all places
         if pieces is not None:
             knots = reached.rows(slice(borders.size, None))
             subdivide(initial_cells(law, pieces, knots, has_turns=path.turns), judge, is_late)
-    peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
     driven, turns = _phases_apart(trajectory)
-    plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, driven, limits))}
-    ratios = {**_plain_ratios(driven, limits, peaks), **judge.ratios}
-    turning = tuple(peak for turn in turns for peak in _turn_peaks(law, turn, extremes, limits))
-    more = [(peak.kind, peak.ratio) for peak in turning] + [("steering_rate", wait.ratio) for wait in waits]
-    for kind, ratio in more:
+    peaks = [*_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes), *_rates(law, driven, limits)]
+    turning = [peak for turn in turns for peak in _turn_peaks(law, turn, extremes, limits)]
+    ratios = {**dict.fromkeys(("speed", "acceleration", "deceleration", "jerk"), 0.0), **judge.ratios}
+    more = [("steering_rate", wait.ratio) for wait in waits]
+    for kind, ratio in (*((peak.kind, peak.ratio) for peak in (*peaks, *turning)), *more):
         ratios[kind] = max(ratios.get(kind, 0.0), ratio)
+    linear = {violation.kind: violation for violation in _exceeded(peaks, "")}
     unruled = _without_rule(finite, rules)
-    return (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning), *unruled), ratios
+    return (*structure, *linear.values(), *judge.violations(), *_exceeded(turning, " of a turn"), *unruled), ratios
 
 
 def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation]:
@@ -106,44 +107,36 @@ def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation
         yield Violation("coverage", f"the motion runs backwards at {-slowest:.3g} m/s, t = {at:.3f} s", 0.0, -slowest)
     back = _distance_back(law, extremes)
     if not back <= REST_TOLERANCE:
-        yield Violation("coverage", f"the motion runs backwards by up to {back:.3g} m in all", 0.0, back)
+        yield Violation("coverage", f"the motion runs backwards by up to {back:.3g} m in total", 0.0, back)
     yield from _turns_in_place(trajectory.path)
 
 
 def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
-    """What a motion leaves out at either end within the tolerance must not hold a turn."""
+    """The parts that a motion omits at its ends within the tolerance must not contain a turn."""
     law, path = trajectory.time_law, trajectory.path
     ends = ("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)
     yaws = path.poses_at([s for _, found, wanted in ends for s in (found, wanted)])[:, 2]
     for (name, found, wanted), there, here in zip(ends, yaws[::2], yaws[1::2], strict=True):
         missed = abs(float(here - there))
         if abs(found - wanted) <= REST_TOLERANCE and not missed <= REST_YAW_TOLERANCE:
-            message = f"the motion {name} {missed:.3g} rad from where the path does"
+            message = f"the motion {name} {missed:.3g} rad away from the path"
             yield Violation("coverage", message, wanted, missed)
 
 
 def _turns_in_place(path: Path) -> Iterator[Violation]:
-    """A law over distance has no time for a turn that covers no distance."""
+    """A time law over distance has no time for a turning step without distance."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, PolylineSegment):
             still = np.flatnonzero(~np.isfinite(segment.step_curvature))
             if still.size:
                 s = float(start + segment.knots[still[0]])
                 turn = float(np.sum(np.abs(np.diff(segment.poses[:, 2])[still])))
-                message = f"the path turns in place at s = {s:.3f} m, where the motion takes no time to turn"
+                message = f"the path turns in place at s = {s:.3f} m, but the motion has no time for the turn"
                 yield Violation("coverage", message, s, turn)
 
 
-def _turning_points(law: TimeLaw) -> Instants:
-    """Where the speed of each phase is stationary, or the end of the phase nearest to that."""
-    a = law.states[:-1, 2]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
-    return Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
-
-
 class _Extremes(NamedTuple):
-    """Moments among which every phase's extreme speeds are: time [s], distance [m], speed [m/s], Shape (n,) each."""
+    """Instants that include every phase's extreme speeds: time [s], distance [m], speed [m/s], Shape (n,) each."""
 
     t: FloatArray
     s: FloatArray
@@ -151,8 +144,10 @@ class _Extremes(NamedTuple):
 
 
 def _speed_extremes(law: TimeLaw) -> _Extremes:
-    """First the borders of the phases, then the stationary points inside."""
-    inside = _turning_points(law)
+    """Return first the borders of the phases, then their stationary points, clipped to the phase."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        dt = np.where(law.jerks != 0.0, -law.states[:-1, 2] / law.jerks, 0.0)
+    inside = Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
     s, v, _ = inside.motion(law).T
     borders = law.states
     return _Extremes(
@@ -163,7 +158,7 @@ def _speed_extremes(law: TimeLaw) -> _Extremes:
 
 
 def _distance_back(law: TimeLaw, extremes: _Extremes) -> float:
-    """Upper bound of the distance that the motion runs backwards [m]."""
+    """Return an upper bound of the distance of backward motion [m]."""
     borders, inside = extremes.v[: law.times.size], extremes.v[law.times.size :]
     slowest = np.minimum(np.minimum(borders[:-1], borders[1:]), inside)
     return float(np.sum(law.durations * np.maximum(-slowest, 0.0)))
@@ -176,14 +171,13 @@ def _rest(trajectory: Trajectory) -> Iterator[Violation]:
         miss = float(np.max(np.abs(law.states[k] - [s, 0.0, 0.0])))
         if not miss <= REST_TOLERANCE:
             at, v, a = law.states[k]
-            message = (
-                f"no rest at the {name} s = {s:.4f} m: nearest phase border s = {at:.4f} m, v = {v:.3g}, a = {a:.3g}"
-            )
+            nearest = f"nearest phase border s = {at:.4f} m, v = {v:.3g}, a = {a:.3g}"
+            message = f"no rest at the {name} s = {s:.4f} m: {nearest}"
             yield Violation("rest", message, s, miss)
 
 
 def _border_at(law: TimeLaw, s: float) -> int:
-    """The phase border at `s` that is nearest to rest; where none is at `s`, the nearest."""
+    """Return the phase border at `s` that is nearest to rest; if there is none at `s`, the nearest border."""
     off = np.abs(law.states[:, 0] - s)
     moving = np.max(np.abs(law.states[:, 1:]), axis=1)
     at = off <= REST_TOLERANCE
@@ -191,15 +185,30 @@ def _border_at(law: TimeLaw, s: float) -> int:
 
 
 def _rest_at(law: TimeLaw, s: float) -> int:
-    """The phase border at rest that is nearest to `s`: a turn smaller than the tolerance has ends of its own."""
+    """Return the phase border at rest nearest to `s`; a turn smaller than the tolerance has its own ends."""
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
     off = np.where(still, np.abs(law.states[:, 0] - s), np.inf)
     k = int(np.argmin(off))
     return k if off[k] <= REST_TOLERANCE else _border_at(law, s)
 
 
+class _Peak(NamedTuple):
+    """The largest value of a quantity, its limit, its time [s] and place [m]."""
+
+    kind: str
+    limit: float
+    value: float
+    t: float
+    s: float
+
+    @property
+    def ratio(self) -> float:
+        """Value over limit."""
+        return self.value / self.limit
+
+
 class _Wait(NamedTuple):
-    """A rest at one place: where [m], the time that the wheels need there and that they have [s]."""
+    """A rest: place [m], required and actual duration [s]."""
 
     s: float
     needed: float
@@ -207,15 +216,15 @@ class _Wait(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Steering rate over its limit, if the wheels turn evenly."""
+        """Steering rate over its limit for uniform steering."""
         return self.needed / self.given if self.given > 0.0 else np.inf
 
 
 def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> list[_Wait]:
-    """Where the wheels are turned at rest, by more than the tolerance: at the start and at cusps.
+    """Return the rests for steering by more than the tolerance, at the start and at cusps.
 
-    A phase at rest lies between two borders at rest: its acceleration, linear, is none within it, nor is its speed.
-    Cusps that one border may stand for share the phases there, so what they need is added up.
+    A phase between two borders at rest is at rest: its acceleration is linear and zero, and so is its speed. Cusps that
+    share a border share the phases there, so their required durations are added.
     """
     law, path = trajectory.time_law, trajectory.path
     cusps = path.cusps if limits.max_steering_rate < np.inf else ()
@@ -239,7 +248,7 @@ def _too_short(waits: Sequence[_Wait]) -> Iterator[Violation]:
     for s, needed, given in waits:
         if not given >= needed * (1.0 - TOLERANCE):
             where = f"at the cusp s = {s:.4f} m" if s > 0.0 else "at the start"
-            message = f"the wheels take {needed:.4g} s to turn {where}, the motion rests {given:.4g} s"
+            message = f"the wheels take {needed:.4g} s to turn {where}, but the motion rests {given:.4g} s"
             yield Violation("rest", message, s, needed - given)
 
 
@@ -254,7 +263,7 @@ def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Ite
 
 
 def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
-    """Stretches with one speed limit, turns left out: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
+    """Return stretches with a constant speed limit, without turns: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
     top = {Direction.FORWARD: limits.max_speed, Direction.REVERSE: limits.max_reverse_speed}
     rows = [
         (a, b, top[segment.direction])
@@ -267,35 +276,19 @@ def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatA
     return np.array(rows).reshape(-1, 3)
 
 
-class _Peak(NamedTuple):
-    """Largest speed within a stretch of one limit [m/s], when [s] and where [m]."""
-
-    limit: float
-    speed: float
-    t: float
-    s: float
-
-
 def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found: _Extremes) -> Iterator[_Peak]:
-    """The peak within every stretch, whose begins and ends the motion reaches at `entries`, in turn."""
+    """Return the largest speed within every stretch; the motion reaches its begin and end at `entries`, alternating."""
     entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
     for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
         t = np.concatenate((found.t[inside], when))
         s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], states)).T
         k = int(np.argmax(v))
-        yield _Peak(float(limit), float(v[k]), float(t[k]), float(s[k]))
-
-
-def _speed(peaks: Sequence[_Peak]) -> Iterator[Violation]:
-    for limit, speed, t, s in peaks:
-        if not speed <= limit * (1.0 + TOLERANCE):
-            message = f"speed {speed:.4g} m/s at t = {t:.3f} s, s = {s:.3f} m exceeds {limit:.4g} m/s"
-            yield Violation("speed", message, s, speed - limit)
+        yield _Peak("speed", float(limit), float(v[k]), float(t[k]), float(s[k]))
 
 
 class _Phases(NamedTuple):
-    """Some phases of a time law, and the borders that belong to them: which they are, and their columns."""
+    """Some phases of a time law and their borders: indices, jerks of the phases, accelerations at the borders."""
 
     inside: IntArray
     borders: IntArray
@@ -304,13 +297,13 @@ class _Phases(NamedTuple):
 
     @classmethod
     def of(cls, law: TimeLaw, inside: IntArray) -> _Phases:
-        """The phases `inside`, with the borders at both their ends."""
+        """Return the phases `inside`, with the borders at both their ends."""
         borders = np.union1d(inside, inside + 1)
         return cls(inside, borders, law.jerks[inside], law.states[borders, 2])
 
 
 def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
-    """The phases that drive, and those of every turn in place: between the rests at its ends, as `_rest` finds them."""
+    """Return the driven phases, and the phases of every turn in place, between the rests at its ends."""
     law, path = trajectory.time_law, trajectory.path
     if not path.turns:
         return _Phases(np.arange(law.durations.size), np.arange(law.times.size), law.jerks, law.states[:, 2]), []
@@ -321,23 +314,8 @@ def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
     return _Phases.of(law, driven), [_Phases.of(law, phases) for phases in itertools.compress(owned, turns)]
 
 
-class _TurnPeak(NamedTuple):
-    """The largest yaw rate, acceleration or jerk of a turn, its limit, when [s] and where [m]."""
-
-    kind: str
-    limit: float
-    value: float
-    t: float
-    s: float
-
-    @property
-    def ratio(self) -> float:
-        """Over its limit."""
-        return self.value / self.limit
-
-
-def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLimits) -> Iterator[_TurnPeak]:
-    """Of one turn; exact."""
+def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLimits) -> Iterator[_Peak]:
+    """Return the exact extremes of one turn."""
     if turn.inside.size == 0:
         return
     rows = np.concatenate((turn.borders, law.times.size + turn.inside))  # borders of phases, then speeds inside them
@@ -348,18 +326,18 @@ def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLim
         ("yaw_jerk", turning.jerk, np.abs(turn.jerks), law.times[inside], law.states[inside, 0]),
     ):
         k = int(np.argmax(value))
-        yield _TurnPeak(kind, limit, float(value[k]) / TURN_RADIUS, float(t[k]), float(s[k]))
+        yield _Peak(kind, limit, float(value[k]) / TURN_RADIUS, float(t[k]), float(s[k]))
 
 
-def _turned_too_fast(peaks: Sequence[_TurnPeak]) -> Iterator[Violation]:
+def _exceeded(peaks: Sequence[_Peak], what: str) -> Iterator[Violation]:
     for kind, limit, value, t, s in peaks:
         if not value <= limit * (1.0 + TOLERANCE):
-            name = kind.replace("_", " ")
-            message = f"{name} {value:.5g} at t = {t:.3f} s, in the turn at s = {s:.3f} m, exceeds {limit:.5g}"
+            name, unit = f"{kind.replace('_', ' ')}{what}", QUANTITY_UNITS[kind]
+            message = f"{name} {value:.5g} {unit} at t = {t:.3f} s, s = {s:.3f} m exceeds {limit:.5g} {unit}"
             yield Violation(kind, message, s, value - limit)
 
 
-def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[Violation]:
+def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[_Peak]:
     for kind, value, limit, rows in (
         ("acceleration", driven.a, limits.max_acceleration, driven.borders),
         ("deceleration", -driven.a, limits.max_deceleration, driven.borders),
@@ -368,26 +346,15 @@ def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[Viol
         if value.size == 0:
             continue
         i = int(np.argmax(value))
-        if not value[i] <= limit * (1.0 + TOLERANCE):
-            k, s = rows[i], law.states[rows[i], 0]
-            message = f"{kind} {value[i]:.4g} at t = {law.times[k]:.3f} s, s = {s:.3f} m exceeds {limit:.4g}"
-            yield Violation(kind, message, float(s), float(value[i] - limit))
-
-
-def _plain_ratios(driven: _Phases, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
-    return {
-        "speed": max((peak.speed / peak.limit for peak in peaks), default=0.0),
-        "acceleration": float(np.max(driven.a, initial=0.0)) / limits.max_acceleration,
-        "deceleration": float(np.max(-driven.a, initial=0.0)) / limits.max_deceleration,
-        "jerk": float(np.max(np.abs(driven.jerks), initial=0.0)) / limits.max_jerk,
-    }
+        k = rows[i]
+        yield _Peak(kind, limit, float(value[i]), float(law.times[k]), float(law.states[k, 0]))
 
 
 _EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}  # exact: `_rates`
 
 
 def _without_rule(finite: Mapping[str, float], rules: Mapping[str, TurningRule]) -> Iterator[Violation]:
-    """Finite limits that nothing here proves; those of `LimitKind.PATH` are left to the path certificate."""
+    """Finite limits without a rule; those of `LimitKind.PATH` are left to the path certificate."""
     for name, value in finite.items():
         if not (name in _EXTREMES or name in rules or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
             yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)

@@ -1,32 +1,17 @@
-"""The limits that depend on curvature, proven over the whole of a motion by subdivision.
+"""The limits that depend on curvature, proven over the whole motion by subdivision.
 
 Within a cell (no phase border, no knot of the path inside) jerk and curvature rate are constant, so every limited
-quantity f(t) is smooth and `max |f| <= max(|f(t0)|, |f(t1)|) + width^2 / 8 * max |f''|`. With v the speed, a its rate,
-j the jerk, k the curvature and r its rate per metre:
-
-    yaw rate v k          f'' = j k + 3 a v r
-    lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
-    yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
-    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
-     2 v a k + v^3 r
-    wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
-
-and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
-
-    f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
-    |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
-
+quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
 Cells that the bound does not clear are bisected.
 
 Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
-wait nor a long path costs digits. The cells of a phase run from event to event (its start, knots of the path, a grid),
-each in the phase and the piece of the path that are in force then; an event later in the list is in force later, also
-where two fall on the same instant. So every piece of the path has a cell, however short: where its width in time is
-none, what it asks of the drive is still looked at, and a jump of curvature within less than the resolution of time
-counts with the rate at which it jumps.
+wait nor a long path costs precision. The cells of a phase run from event to event (its start, knots of the path, a
+grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is decisive.
+Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature within
+less than the resolution of time counts with its rate.
 
-A polyline is judged three times: with the curvature that it claims between its poses, with that of its steps, and with
-the rate at which that swings from step to step, where the means at the poses hide it.
+A polyline is judged three times: with the interpolated curvature between its poses, with that of its steps, and with
+the rate of its oscillation from step to step, which the means at the poses hide.
 """
 
 from __future__ import annotations
@@ -36,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.model.limits import LIMITS
+from optdock.model.limits import LIMITS, QUANTITY_UNITS
 from optdock.model.path import PolylineSegment, TurnSegment
 from optdock.model.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
@@ -63,38 +48,38 @@ __all__ = [
 ]
 
 STEP_RTOL = 0.05  # accepted excess over a limit, relative, of a polyline's step: its curvature is a difference quotient
-_MAX_WIDTH = 0.05  # [s], first cells
-_MAX_GRID = 20_000  # first cells of a long motion are wider
+_MAX_WIDTH = 0.05  # [s], width of first cells
+_MAX_GRID = 20_000  # first cells; they are wider in a long motion
 _MAX_LEVELS = 22  # of bisection
 _MAX_CELLS = 1_000_000  # added by refinement; some seconds
-_BLOCK = 8_000  # cells judged in one go, some milliseconds; a deadline is looked at in between
-_BISECTIONS = 60  # leave 1e-18 of a phase
-_STEEPEST = 1e300  # [1/m^2]: a curvature rate beyond counts as this one, which no limit allows either
+_BLOCK = 8_000  # cells judged at once, some milliseconds; the deadline is polled in between
+_BISECTIONS = 60  # to 1e-18 of a phase
+_STEEPEST = 1e300  # [1/m^2]: larger curvature rates are clipped to this one, which no limit allows
 
 
 class Instants(NamedTuple):
-    """Moments of a motion, Shape (n,) each: the phase, and the time since its start [s]."""
+    """Instants of a motion, Shape (n,) each: the phase, and the time since its start [s]."""
 
     phase: IntArray
     since: FloatArray
 
     def motion(self, law: TimeLaw) -> FloatArray:
-        """Distance, speed and acceleration, Shape (n, 3)."""
+        """Return distance, speed and acceleration, Shape (n, 3)."""
         s, v, a = law.states[self.phase].T
         return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
 
     def rows(self, keep: slice) -> Instants:
-        """The moments at `keep`."""
+        """Return the instants at `keep`."""
         return Instants(self.phase[keep], self.since[keep])
 
     def times(self, law: TimeLaw) -> FloatArray:
-        """The moments as times since the start of the motion, for messages. Shape (n,) [s]."""
+        """Return the times since the start of the motion, for messages. Shape (n,) [s]."""
         times: FloatArray = law.times[self.phase] + self.since
         return times
 
 
 def crossings(law: TimeLaw, s: FloatArray) -> Instants:
-    """First moments at which the distance reaches `s`, Shape (n,) [m], by bisection, as s(t) never decreases."""
+    """Return the first instants at which the distance reaches `s`, Shape (n,) [m]; s(t) never decreases."""
     reached = np.maximum.accumulate(law.states[:, 0])
     phase = np.clip(np.searchsorted(reached, s, side="left") - 1, 0, law.durations.size - 1)
     base, v, a = law.states[phase].T
@@ -111,9 +96,9 @@ def crossings(law: TimeLaw, s: FloatArray) -> Instants:
 class Pieces(NamedTuple):
     """Stretches of a path with a constant curvature rate, Shape (n,) each.
 
-    `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
-    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself; `swing`: how fast the
-    curvature of a polyline swings over the step, 0 on others.
+    `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: curvature of a
+    polyline's step, NaN on a clothoid, infinite on a turn in place, which is judged separately; `swing`: oscillation
+    rate of the curvature of a polyline, otherwise 0.
     """
 
     begin: FloatArray
@@ -125,7 +110,7 @@ class Pieces(NamedTuple):
 
 
 def path_pieces(path: Path) -> Pieces:
-    """The pieces of a path, in order."""
+    """Return the pieces of a path, in order."""
     parts = [
         _segment_pieces(segment, float(start))
         for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
@@ -139,7 +124,7 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
     if isinstance(segment, TurnSegment):
         step[:] = np.inf
     elif isinstance(segment, PolylineSegment):
-        # Repeated poses have no length: the curvature between the poses beside them is what counts.
+        # Repeated poses have no length: the curvature between the adjacent poses counts.
         kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
         step, swing = (
             column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)
@@ -151,9 +136,10 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
 
 
 class Cells(NamedTuple):
-    """Motion at the first instant of each cell, Shape (n,) each; r, j, the bounds of k and width do not change in it.
+    """Motion at the first instant of each cell, Shape (n,) each; r, j, and the bounds of k are constant.
 
-    `t`: since the start of the motion, for messages [s]; `low`, `high`: curvature of the whole piece of the path.
+    `t`: since the start of the motion, for messages [s]; `low`, `high`: range of the curvature of the piece of the
+    path.
     """
 
     t: FloatArray
@@ -168,32 +154,32 @@ class Cells(NamedTuple):
     high: FloatArray
 
     def advanced(self, dt: FloatArray) -> Cells:
-        """The motion `dt` later, by the cell's own polynomials."""
+        """Return the motion `dt` later, by the polynomials of the cell."""
         gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
         k = np.clip(self.k + self.r * gain, self.low, self.high)
         return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
 
     def rows(self, keep: IntArray | slice) -> Cells:
-        """The cells at `keep`."""
+        """Return the cells at `keep`."""
         return Cells(*(column[keep] for column in self))
 
     def and_also(self, more: Cells) -> Cells:
-        """These cells, then more."""
+        """Return the concatenation of these cells and `more`."""
         return Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
 
     def halves(self) -> Cells:
-        """Every cell cut in two."""
+        """Return both halves of every cell."""
         half = 0.5 * self.width
         return self._replace(width=half).and_also(self.advanced(half))
 
     def blocks(self) -> Iterator[Cells]:
-        """The cells in groups that are judged in one go."""
+        """Yield the cells in groups that are judged at once."""
         for start in range(0, self.t.size, _BLOCK):
             yield self.rows(slice(start, start + _BLOCK))
 
 
 def initial_cells(law: TimeLaw, pieces: Pieces, knots: Instants, *, has_turns: bool) -> Cells:
-    """Cells from event to event: starts of phases, knots of the path, and a grid of `_MAX_WIDTH` within each phase."""
+    """Return cells between events: starts of phases, knots of the path, and a grid of `_MAX_WIDTH`."""
     phases = np.arange(law.durations.size)
     most = max(1, _MAX_GRID // phases.size)
     parts = np.clip(np.ceil(law.durations / _MAX_WIDTH), 1.0, most).astype(np.int64)
@@ -206,7 +192,7 @@ def initial_cells(law: TimeLaw, pieces: Pieces, knots: Instants, *, has_turns: b
     phase, since, kind = phase[order], since[order], kind[order]
     piece = np.cumsum(kind > 0)
     at_knot = kind > 0
-    # Rounding may swap knots of one instant; the order along the path is the one that holds.
+    # Rounding may swap simultaneous knots; the order along the path is decisive.
     begins = pieces.begin[piece]
     end = np.append(since[1:], 0.0)
     is_last = np.append(phase[1:] != phase[:-1], True)
@@ -220,7 +206,7 @@ def initial_cells(law: TimeLaw, pieces: Pieces, knots: Instants, *, has_turns: b
     if has_turns:
         driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
         cells, piece = cells.rows(driven), piece[driven]
-    # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
+    # A polyline a second time, with the constant curvature of its steps, and a third time with its oscillation.
     step = pieces.step[piece]
     turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
     swinging = cells._replace(r=np.copysign(pieces.swing[piece], cells.r))
@@ -239,8 +225,8 @@ class Sizes(NamedTuple):
 
     @classmethod
     def over(cls, first: Cells, last: Cells) -> Sizes:
-        """Over the cells from their first to their last instants."""
-        # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
+        """Return the bounds over the cells, given their first and last instants."""
+        # Speed is a parabola with second derivative j: its deviation from the chord is at most |j| width^2 / 8.
         v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
         a, k = np.maximum(np.abs(first.a), np.abs(last.a)), np.maximum(np.abs(first.k), np.abs(last.k))
         return cls(v, a, np.abs(first.j), k, np.abs(first.r))
@@ -270,7 +256,7 @@ _BENDS: dict[str, Callable[[Sizes, MotionLimits], FloatArray]] = {
 
 
 class TurningRule(NamedTuple):
-    """How a finite limit is proven: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
+    """A finite limit: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
 
     limit: float
     size: Callable[[Cells, MotionLimits], FloatArray]
@@ -278,16 +264,16 @@ class TurningRule(NamedTuple):
 
 
 def turning_rules(finite: Mapping[str, float]) -> dict[str, TurningRule]:
-    """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
+    """Return the rules of all finite limits that depend on curvature, by their names in `LIMITS`."""
     found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
     return {name: TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
 
 
 def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
-    """Judge cells, and bisect those that are neither cleared nor broken.
+    """Judge cells, and bisect those that are neither cleared nor violated.
 
-    Cells that are not cleared when `is_late()` turns true, or when there have been too many, are `unproven`; the
-    ratios are infinite then.
+    Cells that are not cleared once `is_late()` is True, or after too many bisections, are `unproven` with infinite
+    ratios.
     """
     waiting = deque((0, block) for block in first.blocks())
     added = 0
@@ -309,7 +295,7 @@ def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
 
 
 class Judge:
-    """Looks at cells and keeps the worst of each quantity."""
+    """Judges cells and records the worst value of each quantity."""
 
     def __init__(self, rules: Mapping[str, TurningRule], drive: MotionLimits) -> None:
         self.drive = drive
@@ -318,13 +304,13 @@ class Judge:
         self.found: dict[str, Violation] = {}
 
     def look_at(self, cells: Cells) -> IntArray:
-        """Judge cells; the rows of those that are neither cleared nor broken."""
+        """Judge cells; return the rows of those that are neither cleared nor violated."""
         last = cells.advanced(cells.width)
         most = Sizes.over(cells, last)
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
         for kind, (limit, size, bend) in self.rules.items():
             at_ends = size(cells, self.drive), size(last, self.drive)
-            # What is not a number proves nothing: it counts as infinite where it arises.
+            # NaN proves nothing and counts as infinite.
             seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
             stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
             proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
@@ -339,7 +325,7 @@ class Judge:
         return np.flatnonzero(open_cells)
 
     def give_up(self, cells: Cells) -> None:
-        """Nothing is known of these cells."""
+        """Record that nothing is proven of these cells."""
         for kind in self.rules:
             self._raise_ratio(kind, np.inf)
         k = int(np.argmin(cells.t))
@@ -347,7 +333,7 @@ class Judge:
         self._note("unproven", Violation("unproven", message, float(cells.s[k]), np.inf))
 
     def violations(self) -> Iterator[Violation]:
-        """The worst of each quantity that breaks its limit, and of what is not proven."""
+        """Return the worst violation of each quantity, and the first unproven cell."""
         return (self.found[kind] for kind in (*self.rules, "unproven") if kind in self.found)
 
     def _raise_ratio(self, kind: str, value: float) -> None:
@@ -359,6 +345,10 @@ class Judge:
 
 
 def _exceeded(kind: str, limit: float, cells: Cells, value: FloatArray, k: int) -> Violation:
-    name, found = kind.replace("_", " "), float(np.nan_to_num(value[k], nan=np.inf, posinf=np.inf))
-    message = f"{name} {found:.5g} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g}"
+    name, unit, found = (
+        kind.replace("_", " "),
+        QUANTITY_UNITS[kind],
+        float(np.nan_to_num(value[k], nan=np.inf, posinf=np.inf)),
+    )
+    message = f"{name} {found:.5g} {unit} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g} {unit}"
     return Violation(kind, message, float(cells.s[k]), max(found - limit, 0.0))

@@ -1,23 +1,11 @@
-"""Visibility: the proof that the marker of the dock stays in the camera's view, at every point of a stretch of a path.
+"""Visibility: the proof that the marker of the dock is in the camera's view on every point of a stretch of a path.
 
-In the robot's frame the marker is at q = R(-yaw) (m - p). With v = R(-yaw) p' and J the rotation by a quarter turn,
-
-    q'  = -yaw' J q - v
-    q'' = -yaw'' J q - yaw'^2 q + 2 yaw' J v - R(-yaw) p''
-
-so |q''| <= M = |q| (|yaw''| + yaw'^2) + 2 |yaw'| |p'| + |p''|. The mount of the camera is a fixed rigid transform and
-changes none of the norms. How far q lies inside the view is bounded from below along the stretch that begins at u0, as
-in `conservative_advancement`, by what is exact at u0 and of second order beyond it:
-
-    edge of the cone   g(u0) + n.q' du - M du^2 / 2           n: normal of the edge, pointing inwards
-    nearest distance   |q(u0)| + n.q' du - M du^2 / 2 - min_range,   n = q(u0) / |q(u0)|
-    farthest distance  max_range - |q(u0) + q' du| - M du^2 / 2
-
-All three are concave in du, so they are smallest at one of the two ends of the stretch. A cone of at most half a turn
-is where two half-planes meet, and both bounds count. A wider one is a union of half-planes whose normals lie between
-those of its two edges: the one that attains the signed distance at u0 is a valid lower bound everywhere.
-
-The robot may pass the marker at any distance, 0 included: no angle is divided by it.
+The position q of the marker in the robot frame and the bound M of |q''| are those of equation C20 in
+docs/theory/certificate.md; the mount of the camera is a rigid transform and preserves the norms. Over a stretch from a
+known pose the margins to the edges of the cone and to the range limits are bounded by (C21); the bounds are concave and
+smallest at one of the two ends. A cone of at most half a turn is the intersection of two half-planes, and both bounds
+count. A wider one is a union of half-planes whose normals lie between those of its two edges: the half-plane that
+attains the signed distance at the known pose is a valid lower bound everywhere.
 """
 
 from __future__ import annotations
@@ -42,21 +30,21 @@ if TYPE_CHECKING:
 
 __all__ = ["ViewProof", "prove_view"]
 
-_MAX_STEP = 0.1  # [m], first cells: some twenty on the last two metres
-_MOST_FIRST = 100_000  # of them; on longer stretches they are longer
-_ROUNDING = 1e-9  # [m] of arc lengths that are added up in another order
+_MAX_STEP = 0.1  # [m], length of first cells: some twenty on the last two metres
+_MOST_FIRST = 100_000  # first cells; they are longer on longer stretches
+_ROUNDING = 1e-9  # [m] of arc lengths that are summed in another order
 _MAX_LEVELS = 24  # of bisection: cells of 6 nanometres
 _MAX_POSES = 60_000  # added by bisection
 
 
 class ViewProof(NamedTuple):
-    """What the proof of visibility found; it counts as true where it holds.
+    """Result of the proof; true if it holds.
 
     Attributes:
-        margin: Proven lower bound of how far the marker is inside the view, anywhere on the stretch [m]; not sharp, as
-            cells are bisected until they are proven and no further. Where poses break the rule, the smallest margin
-            among those found. inf where nothing must be seen.
-        violations: The worst pose that breaks the rule, or the worst cell given up; empty where it holds.
+        margin: Proven lower bound of the margin of the marker in the view on the stretch [m]; not sharp, because cells
+            are bisected only until they are proven. If poses violate the rule, the smallest margin found. inf if no
+            view is required.
+        violations: The worst violating pose, or the worst cell given up; empty if the proof holds.
     """
 
     margin: float
@@ -67,13 +55,13 @@ class ViewProof(NamedTuple):
 
 
 def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late) -> ViewProof:
-    """Prove that the marker stays in view where the dock of `problem` asks for it, or find the pose that loses it.
+    """Prove that the marker is in view where the dock of `problem` requires it, or find the pose that violates it.
 
     Args:
         path: The path to judge.
-        problem: What must hold; see `DockingProblem.required_view`.
-        is_late: Asked after every round of cells, each well below a millisecond; once it is True cells that are still
-            open are given up.
+        problem: The problem, see `DockingProblem.required_view`.
+        is_late: Polled after every round of cells, each well below a millisecond; once it is True, open cells are given
+            up.
     """
     view = problem.required_view
     stretch = view.stretch(path) if view is not None else None
@@ -90,8 +78,9 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
             return broken
         bounds = motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
         lowest = _lowest_margins(view, nodes, ends, bounds)
-        required = _required_in_cells(view, problem, nodes, ends, bounds)
-        proven = lowest >= required - TOLERANCE  # what is not a number is not proven
+        distances = (bounds.farthest(ends, one) for one in _distances(problem, view, nodes.poses))
+        required = problem.required_view_margin(*distances)
+        proven = lowest >= required - TOLERANCE  # NaN is not proven
         margin = min(margin, float(np.min(lowest[proven], initial=np.inf)))
         left = np.flatnonzero(~proven)
         budget -= nodes.s.size
@@ -104,14 +93,14 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
 
 
 def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
-    """Cells of the motion that cover a stretch of the path and nothing else."""
+    """Return cells of the motion that cover exactly a stretch of the path."""
     path, (begin, end) = motion.path, stretch
     cells = motion.cells(max(_MAX_STEP, path.length / _MOST_FIRST))
     first, last = cells.first.copy(), cells.last.copy()
     for i, (segment, start) in enumerate(zip(path.segments, path.segment_starts[:-1].tolist(), strict=True)):
-        # Steps that only turn stand at one arc length; what rounding loses of it must not lose them.
+        # Steps that only turn have one arc length; rounding must not exclude them.
         low, high = begin - start - _ROUNDING, end - start + _ROUNDING
-        if isinstance(segment, PolylineSegment):  # counted in poses; steps that only turn belong to the stretch
+        if isinstance(segment, PolylineSegment):  # by pose number, so that turning steps are included
             low, high = _pose_number(segment, low, "left"), _pose_number(segment, high, "right")
         own = cells.segment == i
         first[own], last[own] = np.clip(first[own], low, high), np.clip(last[own], low, high)
@@ -120,7 +109,7 @@ def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
 
 
 def _pose_number(segment: PolylineSegment, s: float, side: Literal["left", "right"]) -> float:
-    """The first (`left`) or the last (`right`) parameter of a polyline at an arc length [m], clipped to it."""
+    """Return the first (`left`) or the last (`right`) parameter of a polyline at an arc length [m], clipped to it."""
     knots = segment.knots
     i = int(np.searchsorted(knots, s, side=side))
     if i in (0, knots.size):
@@ -130,7 +119,7 @@ def _pose_number(segment: PolylineSegment, s: float, side: Literal["left", "righ
 
 
 def _broken(view: RequiredView, problem: DockingProblem, nodes: Nodes) -> ViewProof | None:
-    """The pose that breaks the rule most, where one does."""
+    """Return the pose that violates the rule most, if any."""
     found = view.margins(nodes.poses)
     required = problem.required_view_margin(*_distances(problem, view, nodes.poses))
     short = required - found.smallest
@@ -154,32 +143,20 @@ def _broken(view: RequiredView, problem: DockingProblem, nodes: Nodes) -> ViewPr
 
 
 def _unproven(s: float, short: float, margin: float) -> ViewProof:
-    message = (
-        f"that the dock is in the camera's view near s = {s:.4f} m cannot be proven; the bound is {short:.3g} m short"
-    )
+    message = f"the camera's view of the dock near s = {s:.4f} m cannot be proven; the bound is {short:.3g} m short"
     return ViewProof(margin, (Violation("unproven", message, s, short),))
 
 
 def _distances(problem: DockingProblem, view: RequiredView, poses: FloatArray) -> tuple[FloatArray, ...]:
-    """From the goal, from the start and from the marker, Shape (n,) [m] each."""
+    """Return the distances from the goal, the start and the marker, Shape (n,) [m] each."""
     points = (problem.goal.as_array()[:2], problem.start.as_array()[:2], view.marker)
     return tuple(np.hypot(*(poses[:, :2] - point).T) for point in points)
 
 
-def _required_in_cells(
-    view: RequiredView, problem: DockingProblem, nodes: Nodes, ends: CellEnds, bounds: CellMotion
-) -> FloatArray:
-    """Largest requirement within each cell: distance to a fixed point is convex along the chord. Shape (n,) [m]."""
-    sag = bounds.bend * bounds.width**2 / 8.0
-    distances = _distances(problem, view, nodes.poses)
-    from_goal, from_start, to_marker = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
-    return problem.required_view_margin(from_goal, from_start, to_marker)
-
-
 class _Advance(NamedTuple):
-    """Stretches of motion, each from a known pose on: where the marker is seen, and how that moves.
+    """Stretches of motion from known poses: position and motion of the marker in the camera frame.
 
-    `point`, `velocity`: q and q' in the camera's frame, Shape (n, 2); `width` in u, and `bend`, the bound M of |q''|,
+    `point`, `velocity`: q and q' in the camera frame, Shape (n, 2); `width` in u, and `bend`, the bound M of |q''|,
     Shape (n,).
     """
 
@@ -189,7 +166,7 @@ class _Advance(NamedTuple):
     bend: FloatArray
 
     def linear(self, normal: FloatArray) -> FloatArray:
-        """Smallest n.q over the stretches, for normals of Shape (n, 2) or (2,). Shape (n,) [m]."""
+        """Return the smallest n.q over the stretches, for normals of Shape (n, 2) or (2,). Shape (n,) [m]."""
         here = np.sum(normal * self.point, axis=1)
         gained = self.width * np.sum(normal * self.velocity, axis=1) - self.stray
         smallest: FloatArray = here + np.minimum(0.0, gained)
@@ -197,13 +174,13 @@ class _Advance(NamedTuple):
 
     @property
     def stray(self) -> FloatArray:
-        """How far q may be from where its velocity leads it, at most. Shape (n,) [m]."""
+        """Largest deviation of q from linear motion. Shape (n,) [m]."""
         stray: FloatArray = 0.5 * self.bend * self.width**2
         return stray
 
 
 def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> FloatArray:
-    """Lower bounds of the margin over cells: the first half from the first pose, the last half from the last one."""
+    """Return lower bounds of the margin over cells: first halves from first poses, last halves from last poses."""
     halves = (
         _advance(view, nodes.poses[ends.first], bounds.velocity_first, bounds),
         _advance(view, nodes.poses[ends.last], -bounds.velocity_last, bounds),
@@ -213,27 +190,24 @@ def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: Ce
 
 
 def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds: CellMotion) -> _Advance:
-    """The marker as it is seen over half of each cell, from its poses on with d pose / du = `velocity`."""
+    """Return the marker over half of each cell, from its poses on with d pose / du = `velocity`."""
     width = 0.5 * bounds.width
     yaw, turning = poses[:, 2], velocity[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = view.marker[0] - poses[:, 0], view.marker[1] - poses[:, 1]
     x, y = c * dx + s * dy, c * dy - s * dx  # q in the robot's frame
-    moved = np.column_stack(
-        (
-            turning * y - c * velocity[:, 0] - s * velocity[:, 1],
-            -turning * x - c * velocity[:, 1] + s * velocity[:, 0],
-        )
-    )
+    moved_x = turning * y - c * velocity[:, 0] - s * velocity[:, 1]
+    moved_y = -turning * x - c * velocity[:, 1] + s * velocity[:, 0]
     mount = view.camera.mount
     to_camera = np.array([[np.cos(mount.yaw), -np.sin(mount.yaw)], [np.sin(mount.yaw), np.cos(mount.yaw)]])
     farthest = np.hypot(x, y) + bounds.speed * width
     bend = farthest * bounds.twist + 2.0 * bounds.turn * bounds.speed + bounds.bend
-    return _Advance(view.camera.points_seen(poses, view.marker), moved @ to_camera, width, bend)
+    velocity_seen = np.column_stack((moved_x, moved_y)) @ to_camera
+    return _Advance(view.camera.points_seen(poses, view.marker), velocity_seen, width, bend)
 
 
 def _lowest(camera: Camera, advance: _Advance) -> FloatArray:
-    """The three bounds of the chapter's head, the smallest of them. Shape (n,) [m]."""
+    """Return the smallest of the bounds (C21). Shape (n,) [m]."""
     point, moved = advance.point, advance.width[:, None] * advance.velocity
     distance = np.hypot(point[:, 0], point[:, 1])
     farthest = np.maximum(distance, np.hypot(*(point + moved).T) + advance.stray)
@@ -245,7 +219,7 @@ def _lowest(camera: Camera, advance: _Advance) -> FloatArray:
 
 
 def _lowest_in_cone(camera: Camera, advance: _Advance) -> FloatArray:
-    """Smallest distance to the edges of the cone. Shape (n,) [m]."""
+    """Return the smallest distance to the edges of the cone. Shape (n,) [m]."""
     if camera.sees_all_around:
         return np.full(advance.width.size, np.inf)
     half = 0.5 * camera.field_of_view

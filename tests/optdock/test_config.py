@@ -253,7 +253,7 @@ WRONG_OUTLINES = [
     ("footprint: [[0, 0], [1, 0], [a, 1]]", ".footprint: must be numbers, got "),
     ("footprint: '[[0, 0], [1, 0]'", ".footprint: must look like [[x, y], [x, y], [x, y], ...], got "),
     ("footprint: 3", ".footprint: must be a list of points [x, y], a text like it, or {radius: r}, got 3"),
-    ("radius: -0.3", ".radius: must be > 0 m, got -0.3"),
+    ("radius: -0.3", ".radius: must be finite and > 0 m, got -0.3"),
     ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius, got both"),
     ("drive: differential", ": needs either footprint or radius, got neither"),
 ]

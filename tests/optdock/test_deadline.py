@@ -1,4 +1,4 @@
-"""The deadline, and what must not happen before it."""
+"""The deadline, and collection of garbage within it."""
 
 import gc
 import math
@@ -38,7 +38,7 @@ def test_time_is_counted_from_the_beginning():
 
 
 def test_budgets_of_these_tests_count_cpu_time():
-    """A machine that does something else meanwhile takes nothing from them."""
+    """Other load on the machine does not affect these tests."""
     deadline, context = Deadline(0.05), PluginContext()
     began = context.clock()
     time.sleep(0.1)
@@ -105,7 +105,7 @@ def test_a_planner_is_asked_to_stop_at_the_deadline():
     assert len(calls) == 2
 
 
-def test_a_deadline_asks_whether_to_stop_until_it_hears_yes():
+def test_the_stop_predicate_is_not_evaluated_after_it_was_true():
     answers = iter([False, False, True])
     deadline = Deadline(stop=lambda: next(answers))  # asked a fourth time it would raise
     shorter = deadline.shortened(at_most=10.0)
@@ -120,7 +120,7 @@ def test_a_deadline_asks_whether_to_stop_until_it_hears_yes():
         shorter.look()
 
 
-def test_the_clock_alone_is_no_request_to_stop():
+def test_a_passed_deadline_is_not_stopped():
     deadline = Deadline(0.0)
     assert deadline.passed()
     assert not deadline.stopped

@@ -1,4 +1,4 @@
-"""Paths and what comes of them name the frame that their poses stand in, and two known frames are never mixed."""
+"""Paths and motions have the frame of their poses, and two known frames are never mixed."""
 
 import dataclasses
 
@@ -27,7 +27,7 @@ def smoother(name, context=None):
     return plugin
 
 
-def test_a_path_learns_its_frame_once():
+def test_a_frame_is_set_once():
     path = raw_path()
     assert path.frame == ""
     named = path.with_frame("depot")
@@ -44,7 +44,7 @@ def test_a_path_learns_its_frame_once():
 @pytest.mark.parametrize(
     ("first", "second", "same"), [("a", "a", True), ("a", "", True), ("", "a", True), ("", "", True), ("a", "b", False)]
 )
-def test_an_unknown_frame_may_be_any(first, second, same):
+def test_an_unknown_frame_matches_every_frame(first, second, same):
     assert may_be_one_frame(first, second) is same
 
 
@@ -99,7 +99,7 @@ def test_no_certificate_holds_across_frames():
     assert "stands in frame 'odom', the problem in 'depot'" in violation.message
 
 
-def test_whatever_leaves_the_pipeline_names_the_frame(tmp_path):
+def test_results_of_the_pipeline_have_the_frame(tmp_path):
     plan = plan_dock(DEPOT, time_budget=5.0)
     assert {plan.frame, plan.raw_path.frame, plan.path.frame, plan.trajectory.frame} == {"depot"}
     plan.save(tmp_path / "plan.json", period=0.05)

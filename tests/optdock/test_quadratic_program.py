@@ -1,4 +1,4 @@
-"""Dense quadratic programs: closed forms, other solvers, and what has no solution."""
+"""Dense quadratic programs: closed forms, other solvers, and infeasible programs."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def not_a_number(program):
 
 
 @pytest.mark.parametrize("spoil", [contradicting, crossed, rows_crossed, not_a_number])
-def test_what_has_no_solution_has_none(spoil):
+def test_infeasible_programs_have_no_solution(spoil):
     program, _ = filled(2)
     assert program.solve() is not None
     spoil(program)
@@ -88,7 +88,7 @@ def test_what_has_no_solution_has_none(spoil):
     assert program.solve_slowly() is None
 
 
-def test_what_takes_too_many_iterations_has_none():
+def test_too_many_iterations_give_no_solution():
     def at_two_bounds(most_iterations):
         program = DenseProgram(2, 1, most_iterations)
         program.h[:], program.g[:], program.a[:] = np.eye(2), -5.0, 1.0

@@ -1,4 +1,4 @@
-"""Turning in place: a segment of its own, from the path to the proof, the time law, the file and the drive."""
+"""Turns in place: segment, proof, time law, plan file and tracking."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ STILL = Path((TurnSegment(Pose2(0.2, -0.1, 0.3), 2.0),))
 
 
 def gears(*parts, start=ORIGIN):
-    """A path of drives (length, curvature, sign) and turns (turn,), one after the other."""
+    """Return a path of consecutive drives (length, curvature, sign) and turns (turn,)."""
     pose, segments = start, []
     for part in parts:
         if len(part) == 1:
@@ -101,7 +101,7 @@ def test_a_turn_is_a_stretch_of_the_path_coordinate():
 
 
 @pytest.mark.parametrize("turn", [0.0, math.nan, math.inf, 2e6, "1", True])
-def test_a_turn_that_is_none_is_refused(turn):
+def test_invalid_turns_are_rejected(turn):
     with pytest.raises(InvalidValue, match="path: a turn"):
         TurnSegment(ORIGIN, turn)
 
@@ -111,7 +111,7 @@ def test_poses_are_not_driven_in_place():
         PolylineSegment([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], Direction.IN_PLACE)
 
 
-def test_a_path_knows_what_it_drives():
+def test_driven_distances_exclude_turns():
     assert ROUTE.length == pytest.approx(3.0 + 3.5)
     assert ROUTE.driven == pytest.approx(3.0)
     assert ROUTE.turns
@@ -128,7 +128,7 @@ def test_a_path_knows_what_it_drives():
 # The robot.
 
 
-def test_only_a_drive_that_can_turns_in_place():
+def test_turning_in_place_needs_a_differential_drive_and_limits():
     with pytest.raises(InvalidValue, match="drive: ackermann cannot"):
         Robot(BOX, LIMITS, Drive.ACKERMANN, turns_in_place=True)
     with pytest.raises(InvalidValue, match="turns_in_place: must be a bool"):
@@ -142,11 +142,12 @@ def test_only_a_drive_that_can_turns_in_place():
     assert Robot(BOX, wheels, turns_in_place=True).limits.turning == pytest.approx((2.0, 2.0, 20.0 / 3.0))
 
 
-def test_a_robot_that_does_not_turn_in_place_has_the_digest_that_it_had():
+def test_digests_without_turns_in_place_are_unchanged():
     assert Robot(BOX, LIMITS).fingerprint == Robot(BOX, LIMITS, turns_in_place=False).fingerprint
     assert Robot(BOX, LIMITS).fingerprint.limits != Robot(BOX, LIMITS, turns_in_place=True).fingerprint.limits
 
 
+@settings(max_examples=40)
 @given(
     st.floats(0.1, 2.0),
     st.floats(0.1, 2.0),
@@ -204,11 +205,6 @@ def test_a_robot_in_motion_does_not_begin_with_a_turn():
     assert certify_path(path, problem_of(path, start_curvature=0.7)).certified  # nothing is steered at rest
 
 
-def test_a_robot_that_sets_off_with_an_acceleration_does_not_begin_with_a_turn():
-    path = gears((0.5,), (1.0, 0.0, 1))
-    assert kinds(certify_path(path, problem_of(path, start_acceleration=0.2))) == ["turn"]
-
-
 def test_a_turn_must_begin_where_the_gear_before_it_ends():
     first = gears((1.0, 0.0, 1)).segments[0]
     for pose in (Pose2(1.0, 2e-6, 0.0), Pose2(1.0, 0.0, 2e-6)):
@@ -219,7 +215,7 @@ def test_a_turn_must_begin_where_the_gear_before_it_ends():
 @pytest.mark.parametrize("turn", [2.0 * math.pi, -4.0, 0.7, -0.05])
 @pytest.mark.parametrize("thin", [1e-3, 1e-6])
 def test_a_thin_obstacle_in_the_swept_turn_is_found(turn, thin):
-    """A needle that only the corner sweeps over, at the middle of the turn: neither end touches it."""
+    """Only the corner sweeps over the needle, at the middle of the turn."""
     path = Path((TurnSegment(ORIGIN, turn),))
     corner = math.atan2(0.2, 0.5) * (1.0 if turn > 0.0 else -1.0)
     at = 0.5 * turn + corner
@@ -232,10 +228,9 @@ def test_a_thin_obstacle_in_the_swept_turn_is_found(turn, thin):
 
 
 @pytest.mark.parametrize("turn", [1.2, -1.2, 2.0 * math.pi])
-@pytest.mark.parametrize("share", [0.1, 0.37, 0.5, 0.93])
+@pytest.mark.parametrize("share", [0.1, 0.37, 0.93])
 def test_an_arm_that_swings_around_a_needle_is_found(turn, share):
-    """The tip of an arm that points at the origin goes round it on a circle, so it bends towards what stands inside:
-    its tangent misses the needle, and neither end of any short stretch of the turn touches it."""
+    """The tip of the arm moves on a circle towards the needle inside it, which its tangent misses."""
     arm = Footprint([(1.0, 0.0), (1.5, 0.3), (1.5, -0.3)])
     path = Path((TurnSegment(ORIGIN, turn),))
     along = np.array([math.cos(share * turn), math.sin(share * turn)])
@@ -248,21 +243,21 @@ def test_an_arm_that_swings_around_a_needle_is_found(turn, share):
         assert certify_path(path, problem).certified is certified
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     st.floats(-7.0, 7.0).filter(lambda x: abs(x) > 1e-3), st.floats(0.0, 6.28), st.floats(0.2, 0.9), st.floats(0.0, 0.1)
 )
 def test_a_proven_clearance_is_that_of_the_swept_turn(turn, bearing, radius, size):
-    """Against many turned outlines, by shapely: never more than the truth, less by no more than is promised."""
+    """Compared with many rotated outlines by shapely: below the true clearance by at most the sharpness."""
     place = radius * np.array([math.cos(bearing), math.sin(bearing)])
     rock = place + (size + 1e-3) * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
     path = Path((TurnSegment(ORIGIN, turn),))
     certificate = certify_path(path, problem_of(path, obstacles=[rock], clearance=0.0))
-    yaws = np.linspace(0.0, turn, 1500)
+    yaws = np.linspace(0.0, turn, 700)
     c, s = np.cos(yaws), np.sin(yaws)
     outlines = np.einsum("nij,kj->nki", np.array([[c, -s], [s, c]]).transpose(2, 0, 1), BOX.vertices)
     truth = float(shapely.distance(shapely.polygons(outlines), shapely.Polygon(rock)).min())
-    reach = CORNER * abs(turn) / 1500  # of any point between two of them
+    reach = CORNER * abs(turn) / 700  # of any point between two of them
     if certificate.certified:
         assert certificate.min_clearance <= truth + 1e-9
         assert certificate.min_clearance >= truth - reach - 2e-3
@@ -271,7 +266,7 @@ def test_a_proven_clearance_is_that_of_the_swept_turn(turn, bearing, radius, siz
         assert truth <= reach + 1e-5
 
 
-def test_a_dense_check_agrees_and_refuses_turns_nobody_makes():
+def test_a_dense_check_agrees_and_rejects_turns_of_other_robots():
     wall = [[[2.6, -1.0], [2.8, -1.0], [2.8, 1.0], [2.6, 1.0]]]
     problem = problem_of(ROUTE, obstacles=wall)
     certificate, report = certify_path(ROUTE, problem), dense_check(ROUTE, problem)
@@ -294,7 +289,7 @@ def test_many_tiny_turns_are_turns():
 
 
 def jerk_limited(turn, rate, acceleration, jerk):
-    """Least time of a turn from rest to rest, in closed form."""
+    """Return the least duration of a turn from rest to rest, in closed form."""
     ramp = min(acceleration, math.sqrt(rate * jerk))
     if turn >= rate * rate / ramp + rate * ramp / jerk:
         return turn / rate + rate / ramp + ramp / jerk
@@ -305,16 +300,16 @@ def jerk_limited(turn, rate, acceleration, jerk):
 
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
-@pytest.mark.parametrize("turn", [1e-6, 1e-3, 0.05, -0.6, 2.0, -math.pi, 4.0 * math.pi])
+@pytest.mark.parametrize("turn", [1e-6, 0.05, -0.6, 4.0 * math.pi])
 def test_a_turn_takes_the_least_time(turn, method):
     motion = timed(Path((TurnSegment(ORIGIN, turn),)), method=method)
     assert motion.duration == pytest.approx(jerk_limited(abs(turn), *LIMITS.turning), rel=1e-9)
 
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_limit_is_kept_at_every_millisecond(seed, method):
-    """By the samples: yaw acceleration and its jerk by finite differences of the yaw rate, speeds as they are."""
+    """Yaw acceleration and jerk by finite differences of the sampled yaw rate."""
     rng = np.random.default_rng(seed)
     limits = MotionLimits(
         *rng.uniform(0.3, 0.8, 4), rng.uniform(1.0, 4.0), rng.uniform(0.4, 1.5), rng.uniform(0.5, 2.0), track_width=0.4
@@ -370,7 +365,7 @@ def test_a_robot_rests_before_and_behind_a_turn():
 
 
 def test_limits_of_driving_do_not_bind_a_turn_nor_those_of_turning_a_drive():
-    """Coordinate speeds of a turn are yaw rates: beyond every speed limit here, and a crawl of it is no speed zone."""
+    """Path speeds in a turn are yaw rates: above every speed limit here, and unaffected by the speed zone."""
     limits = MotionLimits(0.2, 0.2, 0.1, 0.1, 1.0, max_yaw_rate=3.0, max_yaw_acceleration=5.0, max_wheel_speed=0.3)
     motion = timed(ROUTE, limits, SpeedZone(0.05, 10.0))
     proof = certify_trajectory(motion, limits, SpeedZone(0.05, 10.0))
@@ -379,7 +374,7 @@ def test_limits_of_driving_do_not_bind_a_turn_nor_those_of_turning_a_drive():
     assert np.abs(motion.sample(0.01).speed).max() == pytest.approx(0.05, rel=0.02)
 
 
-def test_nothing_limits_a_turn():
+def test_turns_without_limits_cannot_be_timed():
     for limits in (MotionLimits(), MotionLimits(max_yaw_rate=1.0)):
         result = NearOptimal().parameterize(ROUTE, limits, SpeedZone())
         assert result.status is TimingStatus.FAIL
@@ -410,7 +405,7 @@ def test_a_plan_file_holds_turns_exactly(tmp_path):
     assert gears((1.0, 0.4, 1), (-2.4,)).digest != gears((1.0, 0.4, 1), (-2.5,)).digest
 
 
-def test_samples_off_their_turn_are_refused(tmp_path):
+def test_samples_that_differ_from_their_turn_are_rejected(tmp_path):
     save_plan(tmp_path / "plan.json", PlanFile(path=ROUTE, raw_path=ROUTE))
     document = json.loads((tmp_path / "plan.json").read_text())
     at = document["path"]["direction"].index(0) + 20
@@ -475,7 +470,7 @@ LIES = {
 
 @pytest.mark.parametrize("name", sorted(LIES))
 @pytest.mark.parametrize("path", [ROUTE, STILL], ids=["route", "still"])
-def test_a_lie_about_a_turn_is_refuted(name, path):
+def test_wrong_samples_of_a_turn_are_refuted(name, path):
     honest = TrajectoryColumns.from_trajectory(timed(path), 0.02)
     turning = np.abs(honest.yaw_rate) > 2.0 * np.abs(honest.speed) + 1e-3
     assert not check_sampled_motion(honest, path, problem_of(path)).refuted
@@ -504,8 +499,8 @@ def test_the_tracking_controller_drives_turns(path):
     assert run.times[-1] < plan.trajectory.duration + 0.5
 
 
-def test_a_blocked_turn_finds_its_reference_waiting():
-    """A robot that turns at half the rate: the reference slows down instead of leaving it behind."""
+def test_the_reference_waits_for_a_slow_turn():
+    """For a robot that turns at half the rate the reference slows down."""
     path = gears((3.0,))
     plan = plan_of(path)
     slow = Robot(BOX, dataclasses.replace(LIMITS, max_yaw_rate=0.4), turns_in_place=True)

@@ -105,7 +105,7 @@ def test_rows_are_the_derivatives_of_the_margins(driven):
 
 def test_the_result_keeps_the_view_that_without_the_bound_it_loses(cases):
     task = seen_problem(cases, Pose2(2.5, 1.0, 0.0))
-    free = dataclasses.replace(task, dock=task.dock.without_view)
+    free = dataclasses.replace(task, dock=dataclasses.replace(task.dock, visible_distance=0.0, blind_distance=0.0))
     guess = cases.kinked((0.0, 0.0), (1.0, 0.0), (1.5, 1.0), (2.5, 1.0))
     alone = CasadiSmoother().smooth(guess, 2.0, problem=free).path
     assert not prove_view(alone, task)
@@ -118,7 +118,7 @@ def test_the_result_keeps_the_view_that_without_the_bound_it_loses(cases):
 
 def test_where_the_view_costs_nothing_the_result_is_the_same(cases):
     wide = seen_problem(cases, Pose2(2.5, 0.3, 0.0), Camera(Pose2(0.4, 0.0, 0.0), math.radians(170.0)))
-    free = dataclasses.replace(wide, dock=wide.dock.without_view)
+    free = dataclasses.replace(wide, dock=dataclasses.replace(wide.dock, visible_distance=0.0, blind_distance=0.0))
     guess = cases.kinked((0.0, 0.0), (1.2, 0.0), (1.8, 0.3), (2.5, 0.3))
     with_view, without = (CasadiSmoother().smooth(guess, 2.0, problem=task).path for task in (wide, free))
     assert with_view.length == pytest.approx(without.length, abs=1e-9)

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from optdock.errors import InvalidValue
+from optdock.model.costmap import OccupancyGrid
 from optdock.model.costs import FREE_SPACE, OccupancyRule
-from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
 from optdock.nav2.layers.window import NOWHERE, CellWindow, checked_window, grown_by_points, joined

@@ -1,4 +1,4 @@
-"""Starts in contact: along a wall that it touches a robot goes straight, just so, until it is clear of it."""
+"""Starts in contact: a robot along a wall drives straight until it is clear of the wall."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The contact zone: cells are free where the docked robot touches, and nowhere else."""
+"""The contact zone: cells are free only where the docked robot touches the station."""
 
 import numpy as np
 import pytest

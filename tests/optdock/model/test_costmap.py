@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -23,6 +23,7 @@ def test_a_cell_owns_its_lower_and_left_sides():
     assert costmap.cell_of([[0.0, 0.0], [0.5, 0.499], [0.499, 0.5]]).tolist() == [[0, 0], [1, 0], [0, 1]]
 
 
+@settings(max_examples=40)
 @given(
     st.integers(-50, 50),
     st.integers(-50, 50),
@@ -88,6 +89,6 @@ def test_with_data_keeps_the_place_and_refuses_another_shape():
         ({"data": np.full((2, 2), -1)}, r"0\.\.255, got -1"),
     ],
 )
-def test_bad_values_are_named(changes, message):
+def test_invalid_values_are_named(changes, message):
     with pytest.raises(InvalidValue, match=message):
         grid(**changes)

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from optdock.errors import InvalidValue
-from optdock.model.costmap import Costmap
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.model.costs import INSCRIBED, LETHAL, OccupancyRule, costs_from_occupancy, occupancy_from_costs
-from optdock.model.occupancy import OccupancyGrid
 
 
 def test_published_occupancies_follow_nav2s_integers():

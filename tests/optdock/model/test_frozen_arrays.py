@@ -1,4 +1,4 @@
-"""What a plug-in is handed it cannot change: no array of a frozen value can be made writable, nor one of its copies."""
+"""Plugins cannot modify frozen values: no array of a frozen value or of its copies can be made writable."""
 
 import copy
 import dataclasses
@@ -24,10 +24,9 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import connectivity_graph, footprint_discs, prove_impossible
 from optdock.model.cell_obstacles import mapped_obstacles
-from optdock.model.costmap import Costmap
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.occupancy import OccupancyGrid
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
@@ -71,7 +70,7 @@ def two_segments():
 
 
 def frozen_values():
-    """One of every kind that holds arrays, each made of a list of arrays that the caller keeps."""
+    """Return one value of every class that holds arrays, with the arrays of the caller that it was made from."""
     square, poses = np.array(SQUARE), np.array(POSES)
     knots, curvature = np.array([0.0, 1.0]), np.array([0.0, 0.5])
     vertices, group = np.array([SQUARE, SQUARE]), np.array([0, 0])
@@ -121,7 +120,7 @@ def made(which):
 
 
 def arrays_of(value, seen=None):
-    """Every array that can be reached from a value by attributes and items, what is computed at first use included."""
+    """Return every array that is reachable from a value by attributes and items, cached properties included."""
     seen = {} if seen is None else seen
     if id(value) in seen or isinstance(value, Enum | type | ModuleType):
         return []
@@ -144,7 +143,7 @@ def arrays_of(value, seen=None):
 
 
 def thawed(array):
-    """The ways in which this array, or a view of it, could be written to."""
+    """Return the ways in which this array, or a view of it, could be written to."""
     views = {
         "itself": lambda: array,
         "its base": lambda: array.base,
@@ -214,7 +213,7 @@ OF_ONE_CALL = {
 }
 
 
-def test_every_frozen_value_with_arrays_is_among_these():
+def test_every_frozen_class_with_arrays_is_listed():
     kinds = {
         kind
         for module in modules()
@@ -228,7 +227,7 @@ def test_every_frozen_value_with_arrays_is_among_these():
     assert (holding | frozen) - {type(made(which)[0]) for which in VALUES} == set()
 
 
-def test_a_frozen_value_that_checks_nothing_has_immutable_arrays():
+def test_a_frozen_value_without_post_init_has_read_only_arrays():
     @dataclasses.dataclass(frozen=True)
     class Pair(FrozenArrays):
         one: np.ndarray
@@ -250,8 +249,8 @@ def test_readonly_copies_into_memory_that_cannot_be_written_to(array):
     assert not np.shares_memory(found, array)
 
 
-def test_what_numpy_restores_over_the_bytes_of_a_pickle_is_copied_too():
-    """Its memory is a `bytes` object, and numpy writes into it all the same."""
+def test_readonly_copies_arrays_restored_from_a_pickle():
+    """The memory of a restored array is a `bytes` object, but NumPy can write to it."""
     restored = pickle.loads(pickle.dumps(np.zeros(1000)))
     frozen = readonly(restored)
     restored[:] = 1.0
@@ -268,7 +267,7 @@ def test_a_grid_that_is_only_flagged_read_only_is_copied_into_a_problem(again):
     assert not held.costmap.data.any()
 
 
-def test_a_grid_to_write_into_stays_one_when_it_is_copied():
+def test_copies_of_a_writable_grid_are_writable():
     grid = Costmap.writable((3, 3), 0.5, (-3.0, -3.0))
     for again in (copy.deepcopy(grid), pickle.loads(pickle.dumps(grid))):
         again.data[:] = 254
@@ -288,7 +287,7 @@ SHARED = {
 HOLD_NO_ARRAYS = {"_warm_once", "_found", "_store", "_store_of", "_lapack", "_ruckig"}
 
 
-def test_every_result_that_is_kept_for_all_is_among_these():
+def test_every_cached_result_is_listed():
     kept = {
         name
         for module in modules()
@@ -299,7 +298,7 @@ def test_every_result_that_is_kept_for_all_is_among_these():
 
 
 @pytest.mark.parametrize("name", SHARED)
-def test_no_result_that_is_kept_for_all_can_be_made_writable(name):
+def test_no_cached_result_can_be_made_writable(name):
     arrays = arrays_of(SHARED[name]())
     assert arrays
     assert [thawed(array) for array in arrays] == [[]] * len(arrays)
@@ -318,7 +317,7 @@ def test_no_constant_can_be_made_writable():
     assert [(module, name) for module, name, array in constants if thawed(array)] == []
 
 
-def test_the_tube_hands_out_nothing_that_is_its_own():
+def test_the_arrays_of_a_tube_are_read_only():
     at = problem()
     tube = Tube(Path.from_poses([at.start, at.goal]), at)
     held = [value for value in vars(tube).values() if isinstance(value, np.ndarray)]

@@ -1,4 +1,4 @@
-"""The table of limits: every field of `MotionLimits` is in it, and whatever reads it knows every row."""
+"""The table of limits contains every field of `MotionLimits`, and every user of the table supports every row."""
 
 import dataclasses
 import math
@@ -24,7 +24,7 @@ BOUNDS = sorted(FIELDS.keys() - DIMENSIONS.keys())
 STEERED = {"wheelbase": 0.5, "track_width": 0.4}
 
 
-def test_every_field_is_described_and_nothing_else_is():
+def test_every_field_is_described():
     assert FIELDS.keys() == LIMITS.keys() | DIMENSIONS.keys()
     assert isinstance(LIMITS, MappingProxyType)  # what certificates ask nobody can write into
     for name, limit in LIMITS.items():
@@ -44,7 +44,7 @@ def test_every_limit_is_a_key_of_scenario_files_with_its_unit(name):
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_every_finite_limit_has_its_ratio_or_is_the_path_certificates(name):
+def test_every_finite_limit_has_a_ratio_or_belongs_to_the_path_certificate(name):
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0, 2.0], [0.0, 0.5, 0.0])
     ramps = TimeLaw([1.0, 1.0, 3.0, 1.0, 1.0], [0.4, -0.4, 0.0, -0.4, 0.4])
     motion = Trajectory(Path((ClothoidSegment(spline),)), ramps)
@@ -68,8 +68,8 @@ def test_every_field_counts_in_the_digest_of_a_robot(name):
     assert found[0] != found[1]
 
 
-def test_a_limit_that_is_not_set_leaves_digests_as_they_were():
-    """Of limits that came after the first fifteen fields; these digests are older than the lateral jerk."""
+def test_unset_limits_do_not_change_digests():
+    """These digests are older than the lateral jerk limit."""
     robots = (
         Robot(Footprint.from_radius(0.3), MotionLimits()),
         Robot(Footprint.from_radius(0.3), MotionLimits(wheelbase=2.8, max_steering_rate=0.4), Drive.ACKERMANN),
@@ -77,19 +77,19 @@ def test_a_limit_that_is_not_set_leaves_digests_as_they_were():
     assert [robot.fingerprint.limits for robot in robots] == ["cf75a4fdb0d88c6a", "0ea433716e378367"]
 
 
-def test_finite_limits_are_those_that_bound_something():
+def test_finite_limits_are_the_finite_bounds():
     assert finite_limits(MotionLimits(track_width=0.5)).keys() == {name for name in BOUNDS if LIMITS[name].finite}
     assert finite_limits(MotionLimits(max_curvature=2.0))["max_curvature"] == 2.0
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_the_independent_oracle_and_the_contract_of_timing_know_every_limit(name):
+def test_the_oracle_and_the_timing_contract_cover_every_limit(name):
     assert LIMITS[name].kind is LimitKind.PATH or LIMITS[name].quantity in LIMITED
     _plain, every = TimeParameterizerContract.limits(None)
     assert LIMITS[name].kind is LimitKind.PATH or math.isfinite(getattr(every, name))
 
 
-def test_the_quantities_that_depend_on_curvature_are_derivatives_of_what_they_say():
+def test_quantities_of_curvature_agree_with_finite_differences():
     """Along s(t) = 0.3 t + 0.1 t^2 on a curve of curvature 0.4 + 0.7 s, by differences of a microsecond."""
     drive, h, t = MotionLimits(track_width=0.4, wheelbase=0.5), 1e-6, np.linspace(0.1, 2.0, 20)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidPath
@@ -71,7 +71,7 @@ def test_sampling_keeps_every_pose_of_a_turn_in_place():
     "poses",
     [np.zeros((0, 3)), np.zeros((1, 3)), np.zeros((5, 3)), np.array([[0, 0, np.nan], [1, 0, 0]]), np.zeros((4, 2))],
 )
-def test_what_is_not_a_path_is_refused(poses):
+def test_invalid_paths_are_rejected(poses):
     with pytest.raises(InvalidPath):
         Path.from_poses(poses)
 
@@ -108,12 +108,14 @@ def test_samples_hold_ends_and_both_gears_at_a_cusp():
     assert np.max(np.diff(samples.s)) <= 0.1 + 1e-12
 
 
+@settings(max_examples=20)
 @given(st.floats(0.001, 3.0))
 def test_sample_spacing_is_never_exceeded(spacing):
     samples = two_gears().sample(spacing)
     assert np.max(np.diff(samples.s)) <= spacing * (1.0 + 1e-9)
 
 
+@settings(max_examples=40)
 @given(st.floats(-1.0, 3.0))
 def test_poses_are_clipped_to_the_path(s):
     path = two_gears()
@@ -121,6 +123,7 @@ def test_poses_are_clipped_to_the_path(s):
     assert np.allclose(path.poses_at(s), inside)
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 500))
 def test_a_fine_polyline_converges_to_its_clothoid(seed):
     rng = np.random.default_rng(seed)

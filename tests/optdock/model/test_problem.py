@@ -1,4 +1,4 @@
-"""The docking problem takes plain values: polygons, one number, a grid; and says which of them is wrong."""
+"""The docking problem accepts plain values (polygons, one number, a grid) and names invalid ones."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
-from optdock.geometry.fingerprint import digest
+from optdock.geometry.arrays import digest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
@@ -38,8 +38,8 @@ def test_plain_polygons_are_obstacles(polygons):
     assert made.obstacles.name_of(0) == "obstacles[0]"
 
 
-def test_a_station_that_no_docked_robot_can_reach_is_refused():
-    """The robot is 0.72 m long; a station may stand 1 m off, whichever way it is seen, and however long it is."""
+def test_distant_stations_are_rejected():
+    """The robot is 0.72 m long; a station within 1 m is accepted."""
     corners = np.array([[0.0, -0.2], [0.2, -0.2], [0.2, 0.2], [0.0, 0.2]])
     for gap, accepted in ((0.0, True), (0.99, True), (1.01, False), (50.0, False)):
         for side, shift in ((1.0, [0.3 + gap, 0.0]), (-1.0, [0.3 + gap, 0.0]), (1.0, [-0.1, 0.4 + gap])):
@@ -60,13 +60,13 @@ def test_a_long_wall_beside_the_docked_robot_is_a_station():
         problem(dock=dataclasses.replace(DOCK, footprint=around))
 
 
-def test_no_station_is_meant_where_seen_from_the_robot_it_would_be_as_far():
+def test_no_alternative_is_suggested_for_a_station_far_in_both_frames():
     far = Footprint(np.array([[90.0, 0.0], [91.0, 0.0], [91.0, 1.0]]))
-    with pytest.raises(InvalidValue, match="not on the map$"):
+    with pytest.raises(InvalidValue, match="not of the map$"):
         problem(dock=dataclasses.replace(DOCK, footprint=far))
 
 
-def test_no_obstacles_are_none():
+def test_obstacles_default_to_none():
     for nothing in ([], (), ObstacleSet.empty()):
         assert len(problem(obstacles=nothing).all_obstacles) == 0
     assert problem().fingerprint == problem(obstacles=[]).fingerprint
@@ -87,7 +87,7 @@ def test_no_obstacles_are_none():
         (Footprint(np.array(BOX)), "^obstacles: must be an ObstacleSet or a list of polygons, got Footprint"),
     ],
 )
-def test_a_polygon_that_is_none_is_named(obstacles, message):
+def test_invalid_polygons_are_named(obstacles, message):
     with pytest.raises(InvalidValue, match=message):
         problem(obstacles=obstacles)
 
@@ -117,7 +117,7 @@ def test_another_start_changes_nothing_else():
     assert (driving.start_speed, driving.start_curvature) == (-0.1, 0.3)
 
 
-def test_a_start_may_accelerate_and_one_that_does_not_has_the_digest_that_it_had():
+def test_a_start_acceleration_is_in_the_digest_only_if_set():
     case = problem(start_speed=0.2, start_curvature=0.0)
     pressed = case.starting_at(case.start, 0.2, 0.0, -0.3)
     assert pressed.start_acceleration == -0.3
@@ -142,8 +142,8 @@ def test_the_start_along_the_travel(given, gear, along):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_rounding_leaves_of_rest_is_rest(sign):
-    """Sampled trajectories end with accelerations such as -1e-12, from which no robot that stands could set off."""
+def test_rounding_errors_of_rest_count_as_rest(sign):
+    """Sampled trajectories end with accelerations such as -1e-12, from which a robot at rest cannot start."""
     still = problem(start_speed=sign * 1e-14, start_acceleration=-1e-12)
     assert (still.start_speed, still.start_acceleration) == (0.0, 0.0)
     jerk = still.robot.limits.max_jerk
@@ -165,7 +165,7 @@ def from_grid(grid, **more):
 
 
 def boxes(case):
-    """Lower and upper corners of all pieces that stand on the map."""
+    """Return the lower and upper corners of all pieces on the map."""
     inside = [i for i in range(len(case.all_obstacles)) if case.all_obstacles.name_of(i) == "map"]
     corners = np.column_stack((case.all_obstacles.lower, case.all_obstacles.upper))[inside]
     return sorted(tuple(row) for row in np.round(corners, 9).tolist())
@@ -175,14 +175,14 @@ def test_row_0_of_a_grid_is_the_lowest_y_and_column_0_the_lowest_x():
     assert boxes(from_grid(GRID)) == [(-0.2, 0.1, -0.15, 0.15), (0.8, 1.6, 2.8, 1.7)]
 
 
-def test_upside_down_or_transposed_it_is_another_world():
-    """The grid has no symmetry: whoever mixes up rows and columns, or up and down, does not see the same obstacles."""
+def test_flipped_or_transposed_grids_give_other_obstacles():
+    """The grid has no symmetry, so exchanged rows and columns or a flipped axis give other obstacles."""
     seen = [boxes(from_grid(grid)) for grid in (GRID, GRID[::-1], GRID[:, ::-1], GRID.T)]
     assert all(seen[i] != seen[j] for i in range(4) for j in range(i))
 
 
-def test_the_picture_of_a_grid_shows_it_where_the_obstacles_are(tmp_path):
-    """The wall lies at a larger y than the way, so in the picture it is above it."""
+def test_the_plot_of_a_grid_matches_its_obstacles(tmp_path):
+    """The wall has a larger y than the path, so it is above the path in the picture."""
     from PIL import Image
 
     plan_dock(from_grid(GRID), time_budget=20.0).plot(tmp_path / "plan.png")
@@ -205,7 +205,7 @@ def test_booleans_are_occupied_or_free():
     assert len(boxes(from_grid(np.zeros_like(GRID, dtype=bool)))) == 0
 
 
-def test_what_is_probably_occupied_is_an_obstacle():
+def test_cells_above_the_threshold_are_obstacles():
     for occupancy in (0, *range(2, 101)):
         grid = np.zeros((4, 4), dtype=np.int8)
         grid[1, 2] = occupancy
@@ -213,11 +213,11 @@ def test_what_is_probably_occupied_is_an_obstacle():
         assert (len(boxes(from_grid(grid, occupied_from=20))) == 1) is (occupancy >= 20)
 
 
-def test_ones_are_occupied_where_one_percent_is():
+def test_ones_are_occupied_with_threshold_one():
     assert boxes(from_grid((GRID > 0).astype(int), occupied_from=1)) == boxes(from_grid(GRID))
 
 
-def test_unknown_cells_are_obstacles_unless_told_otherwise():
+def test_unknown_cells_are_obstacles_by_default():
     grid = GRID.copy()
     grid[15:20, 5:20] = -1  # under the robot at the start
     assert "unknown" in from_grid(grid).all_obstacles.names
@@ -226,7 +226,7 @@ def test_unknown_cells_are_obstacles_unless_told_otherwise():
     assert plan_dock(from_grid(grid, unknown_is_obstacle=False), time_budget=20.0).certificate.certified
 
 
-def test_the_grid_and_the_obstacles_beside_it_both_count():
+def test_grid_and_obstacles_are_combined():
     across = [[(1.5, 0.2), (1.6, 0.2), (1.6, 1.9), (1.5, 1.9)]]
     assert plan_dock(from_grid(GRID), time_budget=20.0).certificate.certified
     with pytest.raises(NoMotionExists):
@@ -256,6 +256,6 @@ def test_a_grid_is_a_costmap():
         (GRID, {"occupied_from": 0.65}, "occupied_from: must be an integer in 1..100"),
     ],
 )
-def test_a_grid_that_is_none_is_refused(grid, more, message):
+def test_invalid_grids_are_rejected(grid, more, message):
     with pytest.raises(InvalidValue, match=message):
         from_grid(grid, **more)

@@ -1,9 +1,9 @@
-"""Which commands a drive can follow."""
+"""Commands within the limits of a drive."""
 
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.pose import Twist2
@@ -22,6 +22,7 @@ LIMITS = MotionLimits(
 commands = st.builds(Twist2, st.floats(-2.0, 2.0), st.floats(-4.0, 4.0))
 
 
+@settings(max_examples=40)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_keeps_every_limit(command, drive):
     found = admissible(command, LIMITS, drive)
@@ -34,6 +35,7 @@ def test_an_admissible_command_keeps_every_limit(command, drive):
         assert abs(w) <= 2.0 * abs(v) + 1e-12
 
 
+@settings(max_examples=40)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_stays_as_it_is(command, drive):
     once = admissible(command, LIMITS, drive)
@@ -41,6 +43,7 @@ def test_an_admissible_command_stays_as_it_is(command, drive):
     assert (twice.linear, twice.angular) == pytest.approx((once.linear, once.angular), rel=1e-12, abs=1e-15)
 
 
+@settings(max_examples=40)
 @given(commands)
 def test_a_differential_drive_keeps_the_curvature(command):
     found = admissible(command, LIMITS)
@@ -48,7 +51,7 @@ def test_a_differential_drive_keeps_the_curvature(command):
     assert found.linear * command.linear >= 0.0
 
 
-def test_without_limits_in_the_way_nothing_changes():
+def test_commands_within_the_limits_are_unchanged():
     assert admissible(Twist2(0.4, -7.0), MotionLimits()) == Twist2(0.4, -7.0)
     assert admissible(Twist2(0.4, 0.1, 0.2), MotionLimits()) == Twist2(0.4, 0.1)
     assert math.isfinite(admissible(Twist2(0.0, 3.0), LIMITS, Drive.ACKERMANN).angular)

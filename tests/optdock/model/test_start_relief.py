@@ -1,11 +1,11 @@
-"""Start relief: a robot along a wall may keep what it has over twice its length, and the certificate says so."""
+"""Start relief: a robot along a wall may keep its start clearance over twice its length, as its certificate states."""
 
 import dataclasses
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.dense_check import dense_check
@@ -27,7 +27,7 @@ WALL = [[-5.0, 0.3], [9.0, 0.3], [9.0, 0.5], [-5.0, 0.5]]
 
 
 def along_the_wall(length, gap, *others, turned=0.0, required=REQUIRED):
-    """A robot at `gap` [m] from a wall on its left, and its drive of `length` [m] straight ahead."""
+    """Return a robot at `gap` [m] from a wall on its left, and a straight path of `length` [m]."""
     start = Pose2(0.0, -gap, 0.0)
     goal = Pose2(length, -gap + turned, 0.0)
     problem = DockingProblem(
@@ -38,12 +38,13 @@ def along_the_wall(length, gap, *others, turned=0.0, required=REQUIRED):
 
 
 def least(gap):
-    """What the weaker rule asks for near a start with this clearance [m]."""
+    """Return the requirement of the weaker rule near a start with this clearance [m]."""
     return max(gap - 0.005, 0.5 * gap)
 
 
+@settings(max_examples=40)
 @given(st.floats(0.2, 4.0), st.floats(0.0, 0.1))
-def test_along_a_wall_the_robot_may_keep_what_it_has_over_twice_its_length_and_no_further(length, gap):
+def test_the_start_clearance_suffices_over_twice_the_length_only(length, gap):
     path, problem = along_the_wall(length, gap)
     certificate, run = certify_path(path, problem), problem.start_run
     assert run == pytest.approx(RUN)
@@ -64,8 +65,8 @@ def test_along_a_wall_the_robot_may_keep_what_it_has_over_twice_its_length_and_n
 
 @pytest.mark.parametrize("ahead", [0.45, 0.85, 0.05])
 @pytest.mark.parametrize("beyond", [-1e-4, 1e-4])
-def test_the_run_is_twice_the_length_of_the_robot_to_the_last_tenth_of_a_millimetre(ahead, beyond):
-    """Wherever its origin is; the last tenth beyond it asks for twice what the certificate forgives, and more."""
+def test_the_run_is_twice_the_length_of_the_robot_to_0_1_mm(ahead, beyond):
+    """For any origin of the robot; 0.1 mm beyond the run the requirement exceeds twice the tolerance."""
     robot = Robot(Footprint.rectangle(ahead, 0.9 - ahead, 0.6), ROBOT.limits)
     path, problem = along_the_wall(RUN + 0.01 + beyond, 0.01)  # 5 mm less than it has, and a slope of 1/2
     wider = DockingProblem(problem.start, problem.dock, robot, problem.obstacles, ClearanceRule(REQUIRED, 0.01, 0.0))
@@ -82,7 +83,7 @@ def test_a_plan_file_says_which_rule_holds():
 
 
 @pytest.mark.parametrize(("gap", "deep"), [(0.01, 0.002), (0.0, 0.001), (0.045, 0.02)])
-def test_nothing_may_come_much_closer_than_the_start_does(gap, deep):
+def test_no_obstacle_may_come_much_closer_than_at_the_start(gap, deep):
     path, problem = along_the_wall(0.8, gap)
     assert certify_path(path, problem).certified
     # A thin post beside the other side of the robot, closer than what is enough at its start.
@@ -116,7 +117,7 @@ def test_beyond_the_run_it_must_leave_at_the_slope_of_the_strict_rule():
 
 @pytest.mark.parametrize("gap", [0.004, 0.02])
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
-def test_the_smoother_leaves_a_wall_that_the_strict_rule_would_not_let_it_leave(gap, mirror):
+def test_the_smoother_leaves_a_wall_by_the_weaker_rule(gap, mirror):
     # Its nose points a little away from the wall, its tail is beside it: straight ahead it gains a tenth of its way.
     wall = np.array(WALL) * [1.0, mirror]
     start = Pose2(0.0, (0.3 - gap - 0.45 * math.sin(0.1) - 0.3 * math.cos(0.1)) * mirror, -0.1 * mirror)
@@ -145,8 +146,9 @@ RULES = st.builds(
 )
 
 
+@settings(max_examples=40)
 @given(RULES, st.floats(0.0, 0.2), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.1, 2.0))
-def test_the_weaker_rule_asks_for_no_more_than_the_strict_one_and_never_falls(rule, kept, at, beyond, relief):
+def test_the_weaker_rule_is_monotonic_and_never_above_the_strict_one(rule, kept, at, beyond, relief):
     strict, weak = (float(rule.near_start(np.array([at]), kept, run)[0]) for run in (0.0, relief))
     assert weak <= strict
     assert weak <= float(rule.near_start(np.array([at + beyond]), kept, relief)[0])
@@ -155,16 +157,17 @@ def test_the_weaker_rule_asks_for_no_more_than_the_strict_one_and_never_falls(ru
 
 
 def reversed_plan(path, problem):
-    """The same way the other way round: out of the dock, to where it began."""
+    """Return the path in the opposite direction: from the dock to the former start."""
     poses = path.sample(0.005).poses[::-1]
     rule = dataclasses.replace(problem.clearance, at_start=problem.clearance.at_dock)
     back = DockingProblem(problem.goal, Dock(problem.start), problem.robot, problem.obstacles, rule)
     return Path.from_poses(poses), back
 
 
+@settings(max_examples=20)
 @given(st.floats(0.0, 0.06), st.floats(0.0, 0.05), st.floats(0.1, 1.0), st.sampled_from([0.0, 0.4]))
-def test_what_can_be_docked_can_be_left(gap, at_dock, taper, run):
-    """Along a wall that ends so far before the dock that the taper is kept, or a little later."""
+def test_a_reversed_docking_path_is_certified(gap, at_dock, taper, run):
+    """Along a wall that ends at the distance from the dock at which the taper is satisfied, or slightly later."""
     rule = ClearanceRule(REQUIRED, at_dock, taper, run)
     for beyond in (-0.01, 0.01):
         reach = run + taper * (gap - at_dock) / (REQUIRED - at_dock) if at_dock < REQUIRED else 0.0
@@ -182,8 +185,8 @@ def test_what_can_be_docked_can_be_left(gap, at_dock, taper, run):
 
 @pytest.mark.parametrize("gap", [0.0, 0.002, 0.03])
 @pytest.mark.parametrize(("run", "holds"), [(0.0, False), (1.4, False), (1.5, True)])
-def test_a_dock_beside_a_wall_is_entered_where_the_rule_says_over_which_run(gap, run, holds):
-    """The nose comes to the wall 1.45 m before the dock."""
+def test_a_dock_along_a_wall_needs_a_dock_run(gap, run, holds):
+    """The nose reaches the wall 1.45 m before the dock."""
     wall = [[-1.0, 0.3 + gap], [1.0, 0.3 + gap], [1.0, 0.5 + gap], [-1.0, 0.5 + gap]]
     path = Path.from_poses(np.column_stack((np.linspace(-3.0, 0.0, 301), np.zeros(301), np.zeros(301))))
     problem = DockingProblem(path.start, Dock(path.end), ROBOT, [wall], ClearanceRule(REQUIRED, 0.0, 0.0, run))
@@ -193,7 +196,7 @@ def test_a_dock_beside_a_wall_is_entered_where_the_rule_says_over_which_run(gap,
 
 @pytest.mark.parametrize(("gap", "enough"), [(0.004, 0.002), (0.02, 0.015)])
 @pytest.mark.parametrize("beyond", [-1e-4, 1e-4])
-def test_five_millimetres_less_than_the_start_has_are_enough_and_half_of_less_than_ten(gap, enough, beyond):
+def test_the_slack_is_five_millimetres_or_half_of_the_start_clearance(gap, enough, beyond):
     """A post that the robot passes within its own length, on the side without a wall."""
     y = -gap - 0.3 - (enough + beyond)
     path, problem = along_the_wall(0.8, gap, [[0.9, y - 0.1], [0.902, y - 0.1], [0.902, y], [0.9, y]])
@@ -201,8 +204,9 @@ def test_five_millimetres_less_than_the_start_has_are_enough_and_half_of_less_th
     assert dense_check(path, problem, 0.002).ok is (beyond > 0.0)
 
 
+@settings(max_examples=40)
 @given(RULES, st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
-def test_a_raised_rule_asks_for_as_much_more_everywhere(rule, kept, more, from_goal, from_start):
+def test_a_raised_rule_requires_the_increase_everywhere(rule, kept, more, from_goal, from_start):
     at = np.array([from_goal]), np.array([from_start])
     for relief in (0.0, RUN):
         start = rule.raised_start(more, kept, relief)

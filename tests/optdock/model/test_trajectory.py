@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -17,6 +17,7 @@ from optdock.model.trajectory import TimeLaw, Trajectory, border_states, constan
 phases = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-2.0, 2.0)), min_size=1, max_size=8)
 
 
+@settings(max_examples=40)
 @given(phases, st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 def test_speed_and_acceleration_are_the_derivatives_of_distance(pieces, speed, acceleration):
     durations, jerks = map(list, zip(*pieces, strict=True))
@@ -34,6 +35,7 @@ def test_speed_and_acceleration_are_the_derivatives_of_distance(pieces, speed, a
     assert np.allclose(slope[:, 2], middle[:, 3], atol=1e-5 * scale)
 
 
+@settings(max_examples=40)
 @given(phases, st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))))
 def test_border_states_are_the_motion_under_constant_jerk_phase_by_phase(pieces, start):
     durations, jerks = np.array(pieces).T
@@ -65,11 +67,11 @@ def test_times_are_clipped():
         (([0.0], [1.0]), "must be > 0 s"),
         (([np.nan], [1.0]), "must be finite"),
         (([1.0], [1.0], np.inf), "time law.start_s: must be finite"),
-        (([1e200], [1e200]), "beyond all numbers"),
-        (([1e150, 1.0], [1e10, -1.0]), "beyond all numbers"),
+        (([1e200], [1e200]), "overflows"),
+        (([1e150, 1.0], [1e10, -1.0]), "overflows"),
     ],
 )
-def test_what_is_not_a_time_law_is_refused(arguments, message):
+def test_invalid_time_laws_are_rejected(arguments, message):
     with pytest.raises(InvalidValue, match=message):
         TimeLaw(*arguments)
 
@@ -142,7 +144,7 @@ def test_a_sampling_period_is_a_positive_number(period):
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "1", None, True, 1e-12])
-def test_a_step_between_samples_that_is_none_is_refused(bad):
+def test_invalid_sampling_steps_are_rejected(bad):
     path = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
     trajectory = Trajectory(path, TimeLaw([2.0, 2.0], [0.0, 0.0], start_speed=0.25))
     for sample, name in ((path.sample, "spacing"), (trajectory.sample, "period"), (trajectory.sampled, "period")):

@@ -1,4 +1,4 @@
-"""The small frozen values: limits, dock, clearance rule, problem, obstacles."""
+"""Frozen values: limits, dock, clearance rule, problem, obstacles."""
 
 import copy
 import math
@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidPath, InvalidValue
@@ -44,7 +44,7 @@ def test_limits_name_the_bound_and_its_rule(name, value, rule):
 
 
 @pytest.mark.parametrize(("name", "unit"), [("max_steering_angle", "rad"), ("max_steering_rate", "rad/s")])
-def test_a_steering_without_its_wheelbase_means_nothing(name, unit):
+def test_steering_limits_need_a_wheelbase(name, unit):
     with pytest.raises(InvalidValue, match=f"limits.{name}: 0.5 {unit} means nothing without wheelbase > 0 m"):
         MotionLimits(**{name: 0.5})
     limits = MotionLimits(wheelbase=2.8, **{name: 0.5})
@@ -61,8 +61,8 @@ def test_the_steering_angle_bounds_the_curvature():
     assert MotionLimits(**steered).steering_angle(np.array(tightest)) == pytest.approx(0.75)
 
 
-def test_a_robot_without_steering_has_the_digest_that_it_had_before_there_was_one():
-    """Plan files outlive the limits that are added: these digests are older than the steering."""
+def test_digests_without_steering_limits_are_unchanged():
+    """These digests are older than the steering limits, and plan files must stay valid."""
     box = Footprint.rectangle(0.4, 0.4, 0.6)
     assert Robot(box, MotionLimits(max_curvature=2.0)).fingerprint.limits == "a715eb726bf84520"
     turning = MotionLimits(max_yaw_rate=1.0, track_width=0.3)
@@ -113,6 +113,7 @@ def test_the_clearance_rule_of_the_format():
     assert ClearanceRule(0.05, 0.0, 0.0).required_at(np.array([0.0, 1e-9]), np.ones(2), 1.0) == pytest.approx([0, 0.05])
 
 
+@settings(max_examples=40)
 @given(st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 def test_the_requirement_never_falls_with_either_distance(a, b, c, d):
     rule = ClearanceRule(0.05, 0.0, 0.5)
@@ -145,6 +146,7 @@ def test_obstacle_sets_join_keep_names_and_crop():
         ObstacleSet.from_rectangles(np.array([[5.0, 5.0]]), np.array([[5.0, 7.0]]), "map")
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 1000))
 def test_box_distance_agrees_with_shapely(seed):
     rng = np.random.default_rng(seed)
@@ -220,7 +222,7 @@ def test_a_copied_problem_keeps_its_fingerprint():
         (lambda: Costmap(np.zeros((2, 2), dtype=int), 0.1, ("0", "0")), "costmap.origin: must be a number"),
     ],
 )
-def test_what_only_looks_like_the_thing_is_refused(made, message):
+def test_arguments_of_other_types_are_rejected(made, message):
     with pytest.raises(InvalidValue, match=message):
         made()
 
@@ -232,33 +234,33 @@ def test_exact_words_become_members():
 
 
 class Elsewhere(Pose2):
-    """Claims another pose than the one that it was made of."""
+    """Overrides the attributes of a pose."""
 
     def __getattribute__(self, name):
         return 5.0 if name == "y" else super().__getattribute__(name)
 
 
 class Hop(ClothoidSpline):
-    """Claims other poses than those of its curvature."""
+    """Overrides the poses of a clothoid spline."""
 
     def poses_at(self, s):
         return super().poses_at(s) + 1.0
 
 
 class Detour(PolylineSegment):
-    """Claims other poses than those that it was made of."""
+    """Overrides the poses of a polyline."""
 
     def poses_at(self, s):
         return super().poses_at(s) + 1.0
 
 
 @pytest.mark.parametrize("segment", [object(), ClothoidSpline(POSE, [0.0, 1.0], [0.0, 0.0]), Detour(POSES)])
-def test_a_path_is_made_of_segments_that_can_be_judged(segment):
+def test_a_path_rejects_other_segment_classes(segment):
     with pytest.raises(InvalidPath, match="path: segment 1 must be a ClothoidSegment, a PolylineSegment or a"):
         Path((PolylineSegment(POSES), segment))
 
 
-def test_a_path_takes_the_plain_word_of_what_only_looks_like_a_name():
+def test_a_frame_name_is_reduced_to_a_plain_string():
     class Any(str):
         def __eq__(self, other):
             return True
@@ -274,7 +276,7 @@ def test_poses_out_of_range_make_no_path(poses):
         Path.from_poses(np.array(poses))
 
 
-def test_a_trajectory_is_made_of_nothing_that_overrides_its_motion():
+def test_a_trajectory_rejects_subclasses_of_path_and_time_law():
     class Elsewhere(Path):
         def poses_at(self, s):
             return super().poses_at(s) + 1.0

@@ -7,8 +7,8 @@ from typer.testing import CliRunner
 from optdock.cli import app
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
+from optdock.model.costmap import OccupancyGrid
 from optdock.model.dock import Dock
-from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import load_nav2_params
 

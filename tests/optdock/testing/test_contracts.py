@@ -13,7 +13,7 @@ import pytest
 
 from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
-from optdock.model.occupancy import OccupancyGrid
+from optdock.model.costmap import OccupancyGrid
 from optdock.plugins.registry import INTERFACES, available_plugins
 from optdock.testing.contracts import CONTRACTS, installed_suites
 from optdock.testing.contracts.contract_scene import scene_context, scene_problem

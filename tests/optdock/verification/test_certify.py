@@ -1,4 +1,4 @@
-"""Whole proofs are kept, parts of proofs never, and no proof serves another problem."""
+"""Complete proofs are cached, incomplete ones are not, and no proof is used for another problem."""
 
 import dataclasses
 import gc
@@ -19,7 +19,7 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify, certify_path, certify_trajectory
-from optdock.verification.memo import Memo
+from optdock.verification.certificate import Memo
 
 BESIDE = ObstacleSet.from_polygons([[[1.0, 0.3001], [2.0, 0.3001], [2.0, 1.0], [1.0, 1.0]]])
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
@@ -41,14 +41,14 @@ def proofs(monkeypatch):
     return made
 
 
-def test_a_whole_proof_is_made_once(proofs):
+def test_complete_proofs_are_cached(proofs):
     path = straight()
     task = problem(path)
     assert certify_path(path, task) is certify_path(path, task)
     assert len(proofs) == 1
 
 
-def test_another_problem_is_proven_anew(proofs):
+def test_another_problem_gets_a_new_proof(proofs):
     path = straight()
     assert certify_path(path, problem(path)).certified
     assert not certify_path(path, problem(path, 0.01)).certified
@@ -56,7 +56,7 @@ def test_another_problem_is_proven_anew(proofs):
     assert len(proofs) == 3
 
 
-def test_a_proof_that_was_cut_short_is_not_kept(proofs):
+def test_incomplete_proofs_are_not_cached(proofs):
     curve = ClothoidSpline(Pose2(0.0, -0.8, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
     path = Path((ClothoidSegment(curve),))
     nearest = certify_path(path, problem(path)).min_clearance
@@ -68,7 +68,7 @@ def test_a_proof_that_was_cut_short_is_not_kept(proofs):
     assert len(proofs) == 3
 
 
-def test_what_is_kept_keeps_nothing_alive():
+def test_cached_proofs_keep_no_path_alive():
     path = straight()
     task = problem(path)
     certify_path(path, task)
@@ -78,7 +78,7 @@ def test_what_is_kept_keeps_nothing_alive():
     assert [one() for one in gone] == [None, None]
 
 
-def test_a_certified_proof_that_was_cut_short_serves_who_is_in_a_hurry(proofs):
+def test_an_incomplete_certified_proof_is_reused_with_a_deadline(proofs):
     curve = ClothoidSpline(Pose2(0.0, -1.2, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
     path = Path((ClothoidSegment(curve),))
     task = problem(path)
@@ -126,7 +126,7 @@ def test_no_motion_is_kept_alive():
 
 
 class Alike(DockingProblem):
-    """A problem that calls every problem of the same goal its equal."""
+    """A problem that is equal to every problem with the same goal."""
 
     def __eq__(self, other):
         return self.goal == other.goal
@@ -134,7 +134,7 @@ class Alike(DockingProblem):
     __hash__ = DockingProblem.__hash__
 
 
-def test_a_problem_that_calls_itself_equal_is_another_one():
+def test_equality_of_problems_is_identity():
     path = straight()
     free, beside = (Alike(path.start, Dock(path.end), ROBOT, some, ClearanceRule(0.01, 0.01)) for some in ((), BESIDE))
     assert certify_path(path, free).certified
@@ -142,7 +142,7 @@ def test_a_problem_that_calls_itself_equal_is_another_one():
 
 
 class Lax(MotionLimits):
-    """Limits that call all limits their equal."""
+    """Limits that are equal to all limits."""
 
     def __eq__(self, other):
         return True
@@ -150,8 +150,8 @@ class Lax(MotionLimits):
     __hash__ = None
 
 
-def test_limits_of_a_subclass_are_refused_by_robots_and_by_certificates():
-    """What they bound beside the known limits, or say of themselves, nobody could prove."""
+def test_subclasses_of_limits_are_rejected():
+    """Bounds that a subclass adds or overrides cannot be proven."""
     wider = dataclasses.make_dataclass("Wider", [("max_foo", float, 1.0)], bases=(MotionLimits,), frozen=True)
     motion = Trajectory(straight(), from_rest_to_rest())
     for limits in (Lax(), wider()):
@@ -161,7 +161,7 @@ def test_limits_of_a_subclass_are_refused_by_robots_and_by_certificates():
             Robot(ROBOT.footprint, limits)
 
 
-def test_limits_count_by_their_values_when_the_proof_is_asked_for():
+def test_cached_proofs_depend_on_the_current_values_of_limits():
     motion = Trajectory(straight(), from_rest_to_rest())
     written = MotionLimits()
     assert certify_trajectory(motion, written, SpeedZone()).certified
@@ -170,7 +170,7 @@ def test_limits_count_by_their_values_when_the_proof_is_asked_for():
     assert not certify_trajectory(motion, written, SpeedZone()).certified
 
 
-def test_a_proof_that_was_cut_short_is_no_answer_to_whoever_is_less_in_a_hurry():
+def test_an_incomplete_proof_is_not_reused_without_a_deadline():
     curve = ClothoidSpline(Pose2(0.0, -0.8, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
     path = Path((ClothoidSegment(curve),))
     task = problem(path, certify_path(path, problem(path)).min_clearance - 1e-4)
@@ -178,7 +178,7 @@ def test_a_proof_that_was_cut_short_is_no_answer_to_whoever_is_less_in_a_hurry()
     assert certify_path(path, task, is_late=lambda: False).certified
 
 
-def test_a_memo_knows_its_subject_and_no_other_of_the_same_address():
+def test_a_memo_distinguishes_objects_at_the_same_address():
     kept, known, stranger = Memo(), straight(), straight()
     kept.keep(known, "proven")
     kept._kept[id(stranger)] = kept._kept[id(known)]  # as if an address had been given out twice

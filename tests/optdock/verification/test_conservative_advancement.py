@@ -1,4 +1,4 @@
-"""The proof of clearance, attacked: thin posts, corners, cusps, in-place turns, long steps, tangency."""
+"""The proof of clearance: thin posts, corners, cusps, turns in place, long steps, contact."""
 
 import functools
 import itertools
@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.deadline import never_late
@@ -44,7 +44,7 @@ def square(x, y, half=0.001):
 
 
 def dense_clearance(path, obstacles, footprint, step=0.001):
-    """Smallest clearance at poses `step` apart, by another library."""
+    """Return the smallest clearance at poses `step` apart, by shapely."""
     world = shapely.union_all(shapely.polygons(obstacles.vertices))
     s = np.linspace(0.0, path.length, int(path.length / step) + 2)
     outlines = shapely.polygons(transform_points(path.poses_at(s), footprint.vertices))
@@ -55,7 +55,7 @@ def kinds(certificate):
     return {violation.kind for violation in certificate.violations}
 
 
-@pytest.mark.parametrize("x", np.linspace(0.2, 2.8, 14))
+@pytest.mark.parametrize("x", np.linspace(0.2, 2.8, 7))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_outside(x, side):
     path = clothoid([0.0, 3.0], [0.0, 0.0])
@@ -68,7 +68,7 @@ def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.01, 0.03])
-def test_what_is_required_is_told_for_the_place_that_is_told(gap):
+def test_the_reported_requirement_is_that_of_the_reported_place(gap):
     path, rule = clothoid([0.0, 3.0], [0.0, 0.0]), ClearanceRule(0.05, 0.0, 0.5)
     ahead = ObstacleSet.from_polygons([square(3.45 + gap + 0.001, 0.0)])
     certificate = certify_path(path, problem_for(path, ahead, clearance=rule))
@@ -80,22 +80,32 @@ def curved_path():
     return clothoid([0.0, 1.0, 2.5, 4.0], [0.0, 1.2, -1.4, 0.3])
 
 
-def beside(path, s, gap, side, footprint=ROBOT.footprint):
-    """A post whose distance to the swept area, near s on one side, is `gap`: found by bisection on a dense sweep."""
+@functools.cache
+def swept_area(digest):
+    path = SWEPT[digest]
+    s = np.linspace(0.0, path.length, int(path.length / 0.002) + 2)
+    return shapely.union_all(shapely.polygons(transform_points(path.poses_at(s), ROBOT.footprint.vertices)))
+
+
+SWEPT = {}
+
+
+def beside(path, s, gap, side):
+    """Return a post at the distance `gap` from the swept area, near s on one side, by bisection."""
+    area = swept_area(SWEPT.setdefault(path.digest, path).digest)
     x, y, yaw = path.poses_at([s])[0]
     normal = side * np.array([-np.sin(yaw), np.cos(yaw)])
     low, high = 0.0, 1.2
     for _ in range(25):
         middle = 0.5 * (low + high)
-        post = ObstacleSet.from_polygons([square(*(np.array([x, y]) + middle * normal))])
-        if dense_clearance(path, post, footprint, 0.002) < gap:
+        if area.distance(shapely.Polygon(square(*(np.array([x, y]) + middle * normal)))) < gap:
             low = middle
         else:
             high = middle
     return ObstacleSet.from_polygons([square(*(np.array([x, y]) + high * normal))])
 
 
-@pytest.mark.parametrize(("s", "side"), list(itertools.product([0.8, 1.7, 2.6, 3.3], [1, -1])))
+@pytest.mark.parametrize(("s", "side"), list(itertools.product([0.8, 1.7, 3.3], [1, -1])))
 def test_a_thin_post_beside_a_curve_is_found_2_mm_inside_and_passed_2_mm_outside(s, side):
     path = curved_path()
     near = certify_path(path, problem_for(path, beside(path, s, REQUIRED - 0.002, side)))
@@ -126,7 +136,7 @@ def test_the_violating_pose_of_a_turn_in_place_shows_it():
     assert clearance == pytest.approx(violation.where["clearance"], abs=1e-12)
 
 
-def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
+def test_unproven_cells_still_bound_the_clearance(monkeypatch):
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
     monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_LEVELS", 0)
@@ -137,7 +147,7 @@ def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
     assert certificate.nearest == "obstacles[0]"
 
 
-def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatch):
+def test_a_proof_without_poses_left_for_sharpness_is_valid(monkeypatch):
     monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 0)
     path = curved_path()
     certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
@@ -146,12 +156,12 @@ def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatc
 
 
 def late_after(rounds):
-    """True from the look after so many on."""
+    """Return a deadline that passes after this number of polls."""
     looks = itertools.count(1)
     return lambda: next(looks) > rounds
 
 
-def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
+def test_a_late_certificate_is_certified_only_if_everything_is_proven():
     path = curved_path()
     tight = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
     late = certify_path(path, tight, is_late=late_after(0))
@@ -175,13 +185,14 @@ def test_more_time_proves_more():
 
 
 @pytest.mark.parametrize("rounds", range(4))
-def test_a_violation_is_never_overlooked_in_a_hurry(rounds):
+def test_a_deadline_never_hides_a_violation(rounds):
     path = curved_path()
     for amount in (1e-5, 1e-3, 0.03):
         problem = problem_for(path, beside(path, 1.7, REQUIRED - amount, 1))
         assert not certify_path(path, problem, is_late=late_after(rounds)).certified
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 10_000))
 def test_proven_clearance_never_exceeds_the_dense_truth(seed):
     rng = np.random.default_rng(seed)
@@ -299,13 +310,13 @@ def test_a_path_of_any_length_fits_into_memory():
 
 
 def test_many_samples_beside_many_obstacles_fit_into_memory():
-    s = np.linspace(0.0, 1000.0, 150_000)
+    s = np.linspace(0.0, 400.0, 60_000)
     path = Path((PolylineSegment(np.column_stack((s, 0.0 * s, 0.0 * s))),))
-    posts = ObstacleSet.from_polygons([square(x, 0.7, 0.1) for x in np.linspace(1.0, 999.0, 100)])
+    posts = ObstacleSet.from_polygons([square(x, 0.7, 0.1) for x in np.linspace(1.0, 399.0, 100)])
     certificate, memory = peak_memory(lambda: certify_path(path, problem_for(path, posts)))
     assert certificate.certified
     assert certificate.min_clearance == pytest.approx(0.3, abs=1e-3)
-    assert memory < 400e6
+    assert memory < 160e6
 
 
 def test_many_samples_in_collision_fit_into_memory():
@@ -381,6 +392,7 @@ def test_a_post_of_a_micrometre_does_not_slip_through_the_seam_of_two_pieces():
     assert certify_path(path, problem_for(path, beside, robot, touching_allowed)).certified
 
 
+@settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_pieces_cover_exactly_the_footprint(seed):
     rng = np.random.default_rng(seed)
@@ -410,9 +422,10 @@ def test_far_obstacles_are_reported_with_their_true_distance():
     assert certificate.min_clearance == pytest.approx(30.0 - 0.5 - 1.0 - 0.45, abs=1e-9)
 
 
+@settings(max_examples=10)
 @given(st.integers(0, 10_000))
-def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed):
-    """The proof is that of the same path among those alone, and what bounds it is the dense truth."""
+def test_only_obstacles_that_can_be_the_nearest_are_evaluated(seed):
+    """The proof equals that among the near obstacles alone, and agrees with dense sampling."""
     rng = np.random.default_rng(seed)
     path = clothoid(np.linspace(0.0, 4.0, 5), rng.uniform(-1.0, 1.0, 5))
     angles, apart = rng.uniform(0.0, 2.0 * np.pi, 30), rng.uniform(8.0, 12.0, 30)
@@ -426,8 +439,8 @@ def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed
 
 
 @pytest.mark.parametrize("start", [Pose2(0.0, 60.0, 0.0), Pose2(12.0, 0.0, 0.0), Pose2(-40.0, -40.0, 2.0)])
-def test_a_path_that_begins_elsewhere_is_refused_for_that_and_its_clearance_is_its_own(start):
-    """What the start of the problem attains says nothing about the path."""
+def test_a_path_with_another_start_is_rejected_with_its_own_clearance(start):
+    """The clearance at the start of the problem is no clearance of the path."""
     path, obstacles = clothoid([0.0, 1.0], [0.0, 0.0]), ObstacleSet.from_polygons([square(12.0, 0.0, 0.5)])
     problem = DockingProblem(start, Dock(path.end), ROBOT, obstacles, ClearanceRule(0.0))
     certificate = certify_path(path, problem)
@@ -439,7 +452,7 @@ def test_a_path_that_begins_elsewhere_is_refused_for_that_and_its_clearance_is_i
 @pytest.mark.parametrize("sharp", [True, False])
 def test_more_time_never_proves_less_among_far_obstacles(sharp):
     path = clothoid([0.0, 3.0], [0.0, 0.0])
-    problem = problem_for(path, ObstacleSet.from_polygons([square(x, 2.0) for x in np.linspace(-0.3, 3.3, 3000)]))
+    problem = problem_for(path, ObstacleSet.from_polygons([square(x, 2.0) for x in np.linspace(-0.3, 3.3, 1000)]))
     begun = conservative_advancement.Begun(path.start, 1.0)
     found = []
     for rounds in range(6):
@@ -455,7 +468,7 @@ def test_more_time_never_proves_less_among_far_obstacles(sharp):
     assert found == sorted(found)
 
 
-def test_what_is_far_away_costs_nothing(monkeypatch):
+def test_distant_obstacles_are_not_evaluated(monkeypatch):
     path, pieces = clothoid([0.0, 1.0], [0.0, 0.0]), []
     monkeypatch.setattr(
         conservative_advancement,
@@ -469,6 +482,7 @@ def test_what_is_far_away_costs_nothing(monkeypatch):
     assert set(pieces) == {1}
 
 
+@settings(max_examples=25)
 @given(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0), st.sampled_from([-0.002, 0.002]))
 def test_the_verdict_does_not_depend_on_the_frame(x, y, yaw, shift):
     frame = Pose2(x, y, yaw)
@@ -497,6 +511,7 @@ def test_a_polyline_and_the_clothoid_it_samples_agree():
     assert sampled == pytest.approx(exact, abs=1.5e-3)
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 3000))
 def test_the_reported_minimum_is_true_however_far_the_obstacles_are(seed):
     rng = np.random.default_rng(seed)
@@ -510,7 +525,7 @@ def test_the_reported_minimum_is_true_however_far_the_obstacles_are(seed):
 
 
 def among_far_boxes(path, obstacle):
-    """The obstacle after five boxes that no proof looks at."""
+    """Return a problem with the obstacle and five distant boxes."""
     far = ObstacleSet.from_polygons([square(50.0 + k, 50.0, 0.3) for k in range(5)])
     return problem_for(path, far + ObstacleSet.from_polygons([obstacle], "near"))
 
@@ -524,8 +539,8 @@ def test_obstacles_keep_their_names_when_far_ones_are_left_out():
     assert kept.nearest == "near[0]"
 
 
-@pytest.mark.parametrize("s", [0.4, 1.3, 2.2])
-def test_the_smallest_clearance_is_where_it_is_said_to_be(s):
+@pytest.mark.parametrize("s", [0.4, 2.2])
+def test_the_smallest_clearance_is_at_the_reported_place(s):
     path = curved_path()
     problem = problem_for(path, beside(path, s, REQUIRED + 0.02, 1))
     certificate = certify_path(path, problem)
@@ -533,6 +548,7 @@ def test_the_smallest_clearance_is_where_it_is_said_to_be(s):
     assert clearance == pytest.approx(certificate.min_clearance, abs=0.006)
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     rng = np.random.default_rng(seed)
@@ -548,14 +564,14 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)
     bounds = prover.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
-    required = prover._required_in_cells(prover._distances(nodes), ends, bounds)
+    required = prover.rule(*(bounds.farthest(ends, one) for one in prover._distances(nodes.poses)))
     for first, last, most in zip(cells.first, cells.last, required, strict=True):
         at = path.poses_at(np.linspace(first, last, 40))[:, :2]
         away = [np.hypot(*(at - np.array([end.x, end.y])).T) for end in (problem.goal, problem.start)]
         assert rule.required_at(*away, start_clearance, relief).max() <= most + 1e-12
 
 
-def test_a_curvature_beyond_all_numbers_is_never_certified():
+def test_an_overflowing_curvature_is_never_certified():
     blade = Footprint(np.array([[2.0, -0.005], [2.0, 0.005], [-0.1, 0.005], [-0.1, -0.005]]))
     ell = Footprint(np.array([[2.0, -0.1], [2.0, 0.1], [0.1, 0.1], [0.1, 2.0], [-0.1, 2.0], [-0.1, -0.1]]))
     path = clothoid([0.0, 1e-170], [1e170, 1e170])
@@ -569,7 +585,7 @@ def test_a_curvature_beyond_all_numbers_is_never_certified():
 
 @pytest.mark.parametrize("late", [False, True])
 def test_far_from_everything_the_clearance_is_a_bound(late):
-    """What is looked at first lies in a corner of the path's box; what is left out there is closer."""
+    """An obstacle in a corner of the bounding box of the path is farther than one outside the crop."""
     path = clothoid([0.0, 6.0], [0.0, 0.0], Pose2(0.0, 0.0, np.pi / 4))
     problem = problem_for(path, ObstacleSet.from_polygons([square(0.0, 4.2, 0.01), square(6.05, 4.2, 0.01)]))
     certificate = certify_path(path, problem, is_late=late_after(0 if late else 99))
@@ -580,7 +596,7 @@ def test_far_from_everything_the_clearance_is_a_bound(late):
 
 
 @pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
-def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
+def test_one_subdivision_is_enough_if_no_obstacle_was_cropped(monkeypatch, far, runs):
     path, made, run = curved_path(), [], _Subdivision.run
     monkeypatch.setattr(_Subdivision, "run", lambda self: made.append(1) or run(self))
     boxes = [square(1.0, 3.0, 0.3), *(square(50.0 + k, 50.0, 0.3) for k in range(far))]
@@ -589,7 +605,7 @@ def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
     assert len(made) == runs
 
 
-def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+def test_the_deadline_is_polled_between_blocks_of_a_long_path(monkeypatch):
     path = clothoid([0.0, 20.0], [0.0, 0.0])
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
     whole = certify_path(path, problem)
@@ -602,7 +618,7 @@ def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monk
     assert late.poses_checked < 100
 
 
-def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+def test_the_deadline_is_polled_between_blocks_of_obstacles(monkeypatch):
     rng = np.random.default_rng(4)
     path = clothoid([0.0, 3.0], [0.0, 0.0])
     posts = [square(x, y, 0.02) for x, y in zip(rng.uniform(0, 3, 80), rng.choice([-1, 1], 80) * 0.6, strict=True)]
@@ -614,7 +630,7 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
 
 
 class Named(Path):
-    """Paths that count as equal by their frame."""
+    """Paths that are equal if their frames are."""
 
     def __eq__(self, other):
         return isinstance(other, Path) and self.frame == other.frame
@@ -623,7 +639,7 @@ class Named(Path):
         return hash(self.frame)
 
 
-def test_the_kept_verdict_is_that_of_the_path_itself_not_of_an_equal_one():
+def test_verdicts_are_cached_by_identity_of_the_path():
     straight, detour = (Named(clothoid([0.0, 3.0], [0.0, bend]).segments, "map") for bend in (0.0, 1.0))
     assert straight == detour
     problem = problem_for(straight, ObstacleSet.from_polygons([square(1.5, 1.0)]))
@@ -639,7 +655,7 @@ DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
 
 
 def stretch_of(spline, width):
-    """The first half of the cell from 0 to 2 `width` on a spline with one piece."""
+    """Return the first half of the cell from 0 to 2 `width` on a spline with one piece."""
     at, last = spline.poses_at(0.0), 2.0 * width
     kappa = np.abs(spline.curvature_at([0.0, last])).max()
     velocity = np.array([[np.cos(at[0, 2]), np.sin(at[0, 2]), spline.curvature_at(0.0)[0]]])
@@ -653,6 +669,7 @@ def dense_distance(spline, width, footprint, rocks):
     return float(shapely.distance(outlines[:, None], shapely.polygons(rocks)).min())
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 100_000))
 def test_the_bound_holds_along_sharply_curved_stretches(seed):
     rng = np.random.default_rng(seed)
@@ -667,7 +684,7 @@ def test_the_bound_holds_along_sharply_curved_stretches(seed):
     assert found.bound[0] <= dense_distance(spline, width, footprint, free) + 1e-9
 
 
-def test_a_body_that_swings_towards_a_post_is_seen_coming():
+def test_a_body_that_swings_towards_a_post_is_detected():
     # A quarter of a metre on a circle of 0.4 m: the front swings 8 cm further to the left than its tangent says.
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.5], [2.5, 2.5])
     post = np.array([0.9, 0.7]) + 0.001 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -700,7 +717,7 @@ def test_blocks_change_nothing(monkeypatch, most):
 
 
 def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
-    """A body of a millimetre on a circle, a post inside it: the whole second-order term is needed."""
+    """A body of a millimetre on a circle with a post inside needs the whole second-order term."""
     speck, width = Footprint.rectangle(0.0005, 0.0005, 0.001), 0.1
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 2.0 * width], [2.5, 2.5])
     wall = np.array([[-1.0, 0.05], [1.0, 0.05], [1.0, 0.06], [-1.0, 0.06]])
@@ -711,7 +728,7 @@ def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
     assert truth - 5e-4 < found.bound[0] <= truth
 
 
-def test_what_is_not_a_number_proves_nothing():
+def test_nan_proves_nothing():
     one = stretch_of(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.1], [0.0, 0.0]), 0.05)
     endless = one._replace(twist=np.array([np.inf]), width=np.array([0.0]))  # inf * 0
     post = ObstacleSet.from_polygons([np.array([[1.2, 0.3], [1.3, 0.3], [1.3, 0.4]])])

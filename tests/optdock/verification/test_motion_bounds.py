@@ -88,7 +88,7 @@ def turns():
 
 @pytest.mark.parametrize("make", [two_gears, turning_polyline, turns])
 def test_no_body_point_moves_or_bends_faster_than_its_bounds(make):
-    """By finite differences of the poses: velocities at both ends of every cell, and accelerations all over it."""
+    """By finite differences of the poses: velocities at both ends of every cell, accelerations within it."""
     motion = PathMotion(make())
     cells = motion.cells(0.08)
     body = np.array([[0.5, 0.2], [-0.3, 0.4], [1.1, -0.7]])

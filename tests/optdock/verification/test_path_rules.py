@@ -1,11 +1,11 @@
-"""Every rule of a path but clearance: kept with, broken without, and named."""
+"""Every path rule except clearance, satisfied and violated."""
 
 import dataclasses
 import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.clothoid import ClothoidSpline
@@ -88,7 +88,7 @@ def test_a_bound_just_below_the_path_is_broken(limits, kind):
     ],
 )
 def test_bounds_hold_to_either_side(knots, curvature, limits, side, sampled):
-    """A path and its mirror image break the same rules by the same amounts."""
+    """A path and its mirror image violate the same rules by the same amounts."""
     path = path_of(spline(knots, side * np.array(curvature), Pose2(0.0, 0.0, 0.0)))
     if sampled:
         path = Path((PolylineSegment(path.sample(0.01).poses, Direction.FORWARD),))
@@ -112,22 +112,22 @@ def test_the_start_curvature_binds_when_it_is_given():
 @pytest.mark.parametrize(
     ("asked", "expected"), [(1.0, []), (0.99, []), (0.9, ["start_curvature"]), (-1.0, ["start_curvature"])]
 )
-def test_the_start_curvature_of_samples_binds_as_far_as_they_tell_it(asked, expected):
-    """The first step's mean is off by what the curvature may change over the step: 0.01 m by 2 1/m^2."""
+def test_the_start_curvature_of_samples_is_checked_within_one_step(asked, expected):
+    """The mean over the first step differs by the change of curvature over the step: 0.01 m * 2 1/m^2."""
     arc = path_of(spline((0.0, 1.0), (1.0, 1.0)))
     path = Path((PolylineSegment(arc.sample(0.01).poses, Direction.FORWARD),))
     assert kinds(path, problem(path, start_curvature=asked, final_straight=0.0)) == expected
 
 
 def test_a_final_straight_lies_on_the_dock_s_axis():
-    """Straight on, with the heading of the goal, but 0.4 mm beside its axis half a metre before it."""
+    """Straight, with the heading of the goal, but 0.4 mm off its axis half a metre before it."""
     x = np.linspace(0.0, 1.0, 101)
     for slope, expected in ((0.0, []), (1e-4, []), (8e-4, ["final_straight"]), (-8e-4, ["final_straight"])):
         path = polyline(x, slope * x)
         assert kinds(path, problem(path, final_straight=0.5)) == expected
 
 
-def test_a_robot_that_sets_off_does_not_begin_with_a_turn_in_place():
+def test_a_robot_in_motion_does_not_begin_with_a_turn_in_place():
     path = Path(
         (
             TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5),
@@ -137,6 +137,7 @@ def test_a_robot_that_sets_off_does_not_begin_with_a_turn_in_place():
     for state, expected in (
         ({}, []),
         ({"start_speed": 0.1}, ["turn"]),
+        ({"start_speed": 1e-9}, ["turn"]),
         ({"start_acceleration": 0.1}, ["turn"]),
         ({"start_speed": 0.1, "start_acceleration": -0.1}, ["turn"]),
     ):
@@ -159,7 +160,7 @@ def test_a_kink_of_curvature_inside_the_final_straight_is_seen():
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75, 0.999, 1.0, 1.001])
 @pytest.mark.parametrize("sampled", [False, True])
 def test_the_final_straight_is_driven_in_one_gear(share, sampled):
-    """Straight on is not enough: back first and only a part of it into the dock is too short, wherever it begins."""
+    """A straight path in reverse and then forward is too short, regardless of the cusp."""
     back = spline((0.0, 1.0), (0.0, 0.0), Pose2(0.0, 0.0, 0.0), sign=-1)
     path = path_of(back, spline((0.0, 0.5 * share), (0.0, 0.0), back.end))
     if sampled:
@@ -169,11 +170,6 @@ def test_the_final_straight_is_driven_in_one_gear(share, sampled):
     violations = certify_path(path, problem(path, final_straight=0.5)).violations
     assert [violation.kind for violation in violations] == expected
     assert all(violation.amount == pytest.approx(0.5 * (1.0 - share)) for violation in violations)
-
-
-def test_a_turn_in_place_is_no_final_straight():
-    path = Path((*polyline(np.linspace(0.0, 1.0, 9), np.zeros(9)).segments, TurnSegment(Pose2(1.0, 0.0, 0.0), 0.5)))
-    assert "final_straight" in kinds(path, problem(path, MotionLimits(), final_straight=0.5))
 
 
 def test_the_gear_into_the_dock_is_the_one_asked_for():
@@ -188,14 +184,14 @@ def test_a_moving_robot_keeps_its_gear():
     assert kinds(path, problem(path, start_speed=-0.2)) == ["direction"]
 
 
-def test_the_gear_into_the_dock_is_that_of_the_motion_not_of_a_last_nanometre():
+def test_a_last_nanometre_does_not_define_the_gear_into_the_dock():
     back = spline((0.0, 1.0), (0.0, 0.0), sign=-1)
     path = path_of(back, spline((0.0, 1e-9), (0.0, 0.0), back.end))
     for asked, expected in ((DockDirection.FORWARD, ["direction"]), (DockDirection.BACKWARD, [])):
         assert kinds(path, problem(path, direction=asked, final_straight=0.0)) == expected
 
 
-def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
+def test_a_first_nanometre_does_not_define_the_gear_of_a_moving_robot():
     first = spline((0.0, 1e-9), (0.0, 0.0))
     path = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
     assert kinds(path, problem(path, start_speed=0.2)) == ["direction"]
@@ -203,7 +199,7 @@ def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
 
 
 @pytest.mark.parametrize(("count", "is_motion"), [(2, False), (200, True)])
-def test_gears_too_short_to_count_do_not_add_up(count, is_motion):
+def test_short_gears_add_up_to_a_motion(count, is_motion):
     """Two steps of 0.4 micrometres have no direction, two hundred are a motion in reverse."""
     s = 0.4e-6 * np.arange(count + 1)
     tiny = [polyline([-a, -b], [0.0, 0.0]).segments[0].poses for a, b in itertools.pairwise(s)]
@@ -275,8 +271,8 @@ def test_a_spike_of_curvature_in_the_first_micrometre_of_the_final_straight_is_s
     assert kinds(path, problem(path, MotionLimits(), final_straight=0.5)) == ["final_straight"]
 
 
-def test_a_half_circle_in_one_step_is_no_motion_of_wheels():
-    """Its arc keeps the curvature, its chord the clearance: nothing keeps both."""
+def test_a_half_circle_in_one_step_is_rejected():
+    """The arc of the step has the curvature and its chord the clearance, but no motion has both."""
     for count, expected in ((2, ["slip"]), (16, [])):
         angle = np.linspace(-np.pi / 2, np.pi / 2, count)
         path = Path.from_poses(np.column_stack((0.5 * np.cos(angle), 0.5 * np.sin(angle), angle + np.pi / 2)))
@@ -297,8 +293,8 @@ def test_a_certificate_is_plain_data():
     assert data["violations"][0]["kind"] == "final_straight"
 
 
-def test_joints_do_not_add_up():
-    """A hundred jumps of a hundredth of what one may jump are fine, of three hundredths they are not."""
+def test_jumps_at_joints_add_up():
+    """A hundred jumps of a hundredth of the tolerance are accepted, of three hundredths they are not."""
     for jump, expected in ((0.9e-8, []), (3e-8, ["joint"])):
         pieces = [spline((0.0, 0.01), (0.0, 0.0), Pose2(0.01 * k, jump * k, 0.0)) for k in range(101)]
         path = path_of(*pieces)
@@ -310,8 +306,8 @@ def polyline(x, y, yaw=0.0):
 
 
 @pytest.mark.parametrize(("slope", "expected"), [(0.0099, ["slip"]), (-0.0099, ["slip"]), (0.0003, [])])
-def test_slips_do_not_add_up(slope, expected):
-    """Every step slips by less than it may; all together they would carry the robot 3 cm to the side."""
+def test_slips_of_steps_add_up(slope, expected):
+    """Every step slips by less than its tolerance; in total the robot drifts 3 cm."""
     x = np.linspace(0.0, 3.0, 301)
     path = polyline(x, slope * x)
     assert kinds(path, problem(path, final_straight=0.0)) == expected
@@ -321,7 +317,7 @@ def test_slips_do_not_add_up(slope, expected):
 
 @pytest.mark.parametrize(("slope", "expected"), [(0.9e-4, []), (3e-4, ["slip"]), (-3e-4, ["slip"])])
 def test_a_long_path_may_slip_by_a_tenth_of_a_millimetre_per_metre_more(slope, expected):
-    """Over 10 m 2 mm in all, and not the centimetre that ten times as much would be."""
+    """Over 10 m the tolerance is 2 mm."""
     x = np.linspace(0.0, 10.0, 1001)
     path = polyline(x, slope * x)
     assert kinds(path, problem(path, final_straight=0.0)) == expected
@@ -369,7 +365,7 @@ def test_creeping_in_steps_too_short_to_count_is_a_slip():
 
 @pytest.mark.parametrize(("spacing", "aside"), [(1e-3, 9.9e-6), (5e-3, 40e-6), (0.02, 160e-6)])
 def test_a_zigzag_of_motion_is_a_curvature(spacing, aside):
-    """The heading stays, the direction of motion turns back and forth: by 20, 3 and 0.8 1/m with a limit of 0.5."""
+    """The heading is constant but the direction of motion oscillates by 20, 3 and 0.8 1/m with a limit of 0.5."""
     count = int(2.0 / spacing) + 1
     path = polyline(spacing * np.arange(count), np.where(np.arange(count) % 2, aside, 0.0))
     tight = problem(path, dataclasses.replace(LIMITS, max_curvature=0.5), final_straight=0.0)
@@ -377,8 +373,12 @@ def test_a_zigzag_of_motion_is_a_curvature(spacing, aside):
     assert kinds(path, problem(path, MotionLimits(), final_straight=0.0)) == []
 
 
+SUMS = ("drifts sideways", "add up", "in total", "direction of motion")
+
+
+@settings(max_examples=40)
 @given(st.integers(0, 100_000), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.sampled_from([0.0, 1e-9, 1e-6]))
-def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
+def test_exact_samples_satisfy_the_rules_of_sums(seed, spacing, rounding):
     rng = np.random.default_rng(seed)
     knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.3, 1.0, rng.integers(2, 9)))))
     curvature = rng.uniform(0.1, 1.5) * rng.uniform(-1.0, 1.0, knots.size)
@@ -389,15 +389,4 @@ def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
     limits = MotionLimits(max_curvature=float(np.max(np.abs(curvature))))
     found = certify_path(path, problem(path, limits, final_straight=0.0)).violations
     # A coarse step across a kink may still slip or bulge by itself.
-    assert [v.message for v in found if "in all" in v.message or "direction of motion" in v.message] == []
-
-
-@pytest.mark.parametrize("speed", [0.2, -0.2, 1e-9, -1e-9, 0.0])
-def test_no_robot_in_motion_begins_with_a_turn_in_place(speed):
-    turn = TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5)
-    driven = ClothoidSpline(turn.end, [0.0, 1.0], [0.0, 0.0], -1 if speed < 0.0 else 1)
-    path = Path((turn, ClothoidSegment(driven)))
-    drive = dataclasses.replace(LIMITS, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
-    robot = Robot(Footprint.from_radius(0.3), drive, turns_in_place=True)
-    wanted = DockingProblem(path.start, Dock(path.end), robot, start_speed=speed)
-    assert kinds(path, wanted) == (["turn"] if speed else [])
+    assert [v.message for v in found if any(part in v.message for part in SUMS)] == []

@@ -1,4 +1,4 @@
-"""Proven motions and ways: nobody but the proofs makes them, and they speak of what was proven only."""
+"""Proven motions and ways: only proofs create them, with the content that was proven."""
 
 import copy
 import dataclasses
@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import CertificationFailed, InvalidValue
@@ -48,7 +48,7 @@ def straight(y=0.0):
 
 
 def law(duration=12.0):
-    """From rest to rest in four phases of equal length: 2 j T^3 is the way."""
+    """Return a time law from rest to rest over `LENGTH` = 2 j T^3 in four phases of duration T."""
     quarter = duration / 4.0
     return TimeLaw(np.full(4, quarter), 0.5 * LENGTH / quarter**3 * np.array([1.0, -1.0, -1.0, 1.0]))
 
@@ -60,7 +60,7 @@ def problem(obstacles=(), clearance=0.02, robot=ROBOT, y=0.0):
 
 
 def wall(gap):
-    """A wall along the whole way, at this distance from a robot on it."""
+    """Return a wall along the path at this distance from the robot."""
     return [[-1.0, 0.25 + gap], [3.0, 0.25 + gap], [3.0, 1.0 + gap], [-1.0, 1.0 + gap]]
 
 
@@ -84,7 +84,7 @@ def test_a_proven_motion_ties_what_was_proven():
 
 
 @pytest.mark.parametrize("kind", [ProvenMotion, ProvenWay])
-def test_nothing_else_makes_one(kind):
+def test_only_proofs_create_proven_motions(kind):
     with pytest.raises(InvalidValue, match="cannot be constructed"):
         kind()
     forged = object.__new__(kind)
@@ -100,7 +100,7 @@ def test_nothing_else_makes_one(kind):
             object.__setattr__(honest, name, None)
 
 
-def test_a_plan_holds_nothing_but_a_proven_motion():
+def test_a_plan_accepts_only_a_proven_motion():
     plan = DockPlan(proven(), straight())
     looks_like = type("Motion", (), dict.fromkeys(("trajectory", "problem", "certificate", "trajectory_certificate")))
     for other in (object.__new__(ProvenMotion), plan, None, looks_like()):
@@ -113,7 +113,7 @@ def test_a_plan_holds_nothing_but_a_proven_motion():
             object.__setattr__(plan, name, None)
 
 
-def test_what_only_looks_like_a_plan_is_not_driven_on():
+def test_subclasses_of_plans_are_rejected():
     plan = DockPlan(proven(), straight())
 
     class Elsewhere(DockPlan):
@@ -136,19 +136,19 @@ def test_what_only_looks_like_a_plan_is_not_driven_on():
         (Trajectory(straight(), TimeLaw([1.0], [0.0], start_speed=0.3)), "the motion is not certified"),
     ],
 )
-def test_what_breaks_a_rule_is_not_proven(trajectory, reason):
+def test_violations_are_not_proven(trajectory, reason):
     with pytest.raises(CertificationFailed, match=reason) as caught:
         prove_motion(trajectory, problem())
     assert caught.value.where["amount"] > 0.0
     assert proven_for(trajectory) is None
 
 
-def test_what_drives_through_a_wall_is_not_proven():
+def test_a_collision_is_not_proven():
     with pytest.raises(CertificationFailed, match="overlaps obstacles"):
         proven(obstacles=[[[1.0, -0.1], [1.1, -0.1], [1.1, 0.1], [1.0, 0.1]]])
 
 
-def test_pickles_and_copies_speak_of_the_same():
+def test_pickles_and_copies_have_the_same_content():
     motion = proven(obstacles=[wall(0.1)])
     for other in (pickle.loads(pickle.dumps(motion)), copy.copy(motion), copy.deepcopy(motion)):
         assert type(other) is ProvenMotion
@@ -163,9 +163,10 @@ def test_pickles_and_copies_speak_of_the_same():
 # Ways from where the robot is.
 
 
+@settings(max_examples=40)
 @given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2), st.floats(0.0, 0.2), st.floats(0.0, 0.03))
-def test_a_robot_beside_its_way_keeps_what_is_required_wherever_it_goes_back_to_it(across, turned, gap, required):
-    """By displaced poses, sampled: none is nearer than required. And by the closed form: a straight way, a wall."""
+def test_a_robot_next_to_its_path_keeps_the_clearance_on_its_return(across, turned, gap, required):
+    """Sampled displaced poses keep the requirement, and the verdict is that of the closed form for a straight wall."""
     task = problem([wall(gap)], ClearanceRule(required, required, 0.0))
     pose = Pose2(0.3, across, turned)
     way = straight().piece(0.3)
@@ -182,7 +183,7 @@ def test_a_robot_beside_its_way_keeps_what_is_required_wherever_it_goes_back_to_
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.03, 0.0499, 0.0501, 0.0701])
-def test_a_tube_covers_as_much_as_it_is_wide(aside):
+def test_a_tube_covers_displacements_up_to_its_width(aside):
     robot = dataclasses.replace(ROBOT, tracking=TrackingTube(0.05))
     task = problem([wall(0.07)], ClearanceRule(0.02, 0.02, 0.0), robot)
     assert bool(prove_way(straight(), task, Pose2(0.0, aside, 0.0))) is (aside <= 0.05)
@@ -197,7 +198,7 @@ def test_a_robot_that_is_too_close_may_leave_and_may_not_come_nearer():
     assert prove_way(leaving, problem([[[-1.0, 0.4], [3.0, 0.4], [3.0, 1.0], [-1.0, 1.0]]], 0.1))
 
 
-def test_a_way_that_nothing_but_a_far_dock_changes_is_proven_already():
+def test_a_way_is_unchanged_if_only_a_distant_dock_differs():
     motion = proven(obstacles=[wall(0.1)])
     task = motion.problem
     elsewhere = dataclasses.replace(task, dock=Dock(Pose2(LENGTH, -0.1, 0.0)))
@@ -217,9 +218,9 @@ def test_a_way_that_nothing_but_a_far_dock_changes_is_proven_already():
 # Values that only look like ours.
 
 
-def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
+def test_proofs_reject_subclasses_of_values():
     class Nowhere(DockingProblem):
-        """Its obstacles are there for the proof, and not for the fingerprint."""
+        """A subclass could hide obstacles from the fingerprint."""
 
     class Slim(Footprint):
         pass
@@ -249,8 +250,8 @@ def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
 # What a robot beside its way is spared, and what not.
 
 
-def test_a_station_that_is_spared_is_not_driven_into():
-    """The dock is 5 cm short of the way's end, so that its station stands in the way."""
+def test_an_exempt_station_still_blocks_the_path():
+    """The dock is 5 cm before the end of the path, so the station blocks the path."""
     station = Footprint([[0.4, 0.25], [0.4, -0.25], [0.8, -0.25], [0.8, 0.25]])
     rule = ClearanceRule(0.0, 0.0, 0.0)
     for at, clear in ((LENGTH, True), (LENGTH - 0.05, False)):
@@ -259,7 +260,7 @@ def test_a_station_that_is_spared_is_not_driven_into():
         assert bool(prove_way(straight(), task, Pose2(0.0, 0.01, 0.01))) is clear
 
 
-def test_a_robot_beside_a_start_that_is_too_close_needs_as_much_more_there():
+def test_a_displaced_robot_near_a_tight_start_needs_more_clearance():
     task, start = problem([wall(0.01)], 0.05), Pose2(0.0, 0.0, 0.0)
     rest = {"begun": Begun(start, 0.01), "start_relief": 5.0}
     assert prove_way(straight(), task, start, **rest)
@@ -268,22 +269,22 @@ def test_a_robot_beside_a_start_that_is_too_close_needs_as_much_more_there():
 
 
 @pytest.mark.parametrize(("gap", "holds"), [(0.0069, False), (0.0071, True)])
-def test_beside_a_start_of_millimetres_the_way_keeps_as_much_more_as_the_robot_is_off(gap, holds):
-    """It began 4 mm from something, half of which is enough; 5 mm off its way, the way must keep 7 mm."""
+def test_near_a_tight_start_the_requirement_grows_by_the_displacement(gap, holds):
+    """The start has 4 mm, half of which is required; with 5 mm of displacement the path must keep 7 mm."""
     begun = Begun(Pose2(0.0, 0.0, 0.0), 0.004)
     blocked = _not_clear_by(0.005, straight(), problem([wall(gap)], 0.05), begun, 5.0, spares_station=False)
     assert (blocked == "") is holds
 
 
 @pytest.mark.parametrize(("begin", "dock"), [(0.2, Pose2(0.6, 0.0, 0.0)), (1.5, Pose2(9.0, 9.0, 0.0))])
-def test_neither_the_old_dock_nor_the_new_one_may_be_near_a_way_that_is_proven_already(begin, dock):
+def test_an_unchanged_way_is_far_from_both_docks(begin, dock):
     motion = proven()
     moved = dataclasses.replace(motion.problem, dock=Dock(dock))
     assert unchanged_way(motion, begin, begin + 0.1, moved) is None
     assert unchanged_way(motion, 0.2, 0.3, dataclasses.replace(motion.problem, dock=Dock(Pose2(9.0, 9.0, 0.0))))
 
 
-def test_what_is_about_to_be_driven_is_proven_for_a_robot_in_the_tube_at_its_start():
+def test_a_proven_way_covers_robots_in_the_tube_at_the_start():
     robot = dataclasses.replace(ROBOT, tracking=TrackingTube(0.05))
     for gap, width in ((0.5, 0.05), (0.03, 0.01), (0.01, 0.0)):
         path = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, -0.8), np.array([0.0, 1.0]), np.zeros(2))),), "map")

@@ -1,4 +1,4 @@
-"""The clearance of poses: the broad phase hides nothing, the narrow phase is exact, the ends are looked at once."""
+"""The clearance of poses: broad phase, exact narrow phase, and cached end clearances."""
 
 import dataclasses
 import gc
@@ -7,7 +7,7 @@ import weakref
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.families import FAMILIES, instance
@@ -36,7 +36,7 @@ def test_a_near_post_is_not_hidden_by_far_bars_whose_boxes_reach_closer():
     assert clearance == pytest.approx(0.49, abs=1e-9)
 
 
-def test_of_many_deep_overlaps_the_deepest_is_named():
+def test_the_deepest_of_many_overlaps_is_reported():
     half = np.arange(1.0, 13.0)
     squares = ObstacleSet.from_rectangles(np.column_stack((-half, -half)), np.column_stack((half, half)), "square")
     body = Footprint.rectangle(0.4, 0.4, 0.5)
@@ -58,6 +58,7 @@ def convex(rng):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_clearances_of_many_poses_are_those_of_each(seed):
     rng = np.random.default_rng(seed)
@@ -77,7 +78,7 @@ def test_clearances_of_many_poses_are_those_of_each(seed):
     assert capped_row.tolist() == np.where(distance < within, row, -1).tolist()
 
 
-def test_a_pose_among_nothing_is_infinitely_clear():
+def test_without_obstacles_the_clearance_of_a_pose_is_infinite():
     distance, row = pose_clearances(np.zeros((2, 3)), BAR, ObstacleSet.empty())
     assert distance.tolist() == [np.inf, np.inf]
     assert row.tolist() == [-1, -1]
@@ -85,7 +86,7 @@ def test_a_pose_among_nothing_is_infinitely_clear():
 
 @pytest.mark.parametrize("within", [np.inf, 0.3, 2.0])
 def test_clearances_among_many_obstacles_are_those_of_each_alone(within):
-    """Most of a map is left out where something is near, and must not be missed where nothing is."""
+    """Distant obstacles are skipped only if a near one exists."""
     rng = np.random.default_rng(5)
     lower = rng.uniform(-20.0, 20.0, (120, 2))
     obstacles = ObstacleSet.from_rectangles(lower, lower + rng.uniform(0.05, 0.6, (120, 2)), "map")
@@ -126,7 +127,7 @@ def between(x, post):
     return DockingProblem(Pose2(x, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), Robot(BAR, MotionLimits()), obstacles)
 
 
-def test_the_ends_are_looked_at_once_per_problem(looks):
+def test_end_clearances_are_computed_once_per_problem(looks):
     problem = between(-3.0, 2.0)
     found = end_clearances(problem)
     assert found == (pytest.approx(4.1), 0, pytest.approx(1.1), 0)
@@ -138,7 +139,7 @@ def test_the_ends_are_looked_at_once_per_problem(looks):
 
 
 class Named(DockingProblem):
-    """Problems that count as equal by their frame."""
+    """Problems that are equal if their frames are."""
 
     def __eq__(self, other):
         return self.frame == other.frame
@@ -147,7 +148,7 @@ class Named(DockingProblem):
         return hash(self.frame)
 
 
-def test_what_is_kept_is_that_of_the_problem_itself_not_of_an_equal_one():
+def test_end_clearances_are_cached_by_identity():
     near, far = (
         Named(**{f.name: getattr(between(-3.0, x), f.name) for f in dataclasses.fields(DockingProblem) if f.init})
         for x in (2.0, 3.0)
@@ -157,7 +158,7 @@ def test_what_is_kept_is_that_of_the_problem_itself_not_of_an_equal_one():
     assert end_clearances(far).goal == pytest.approx(2.1)
 
 
-def test_what_is_kept_keeps_no_problem_alive():
+def test_cached_clearances_keep_no_problem_alive():
     problem = between(-3.0, 2.0)
     end_clearances(problem)
     gone = weakref.ref(problem)

@@ -1,11 +1,11 @@
-"""The proof of motion limits: each broken without, kept with; never looser than a dense check."""
+"""The proof of motion limits: every limit violated and satisfied, compared with dense sampling."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.clothoid import ClothoidSpline
@@ -35,7 +35,7 @@ QUANTITIES = {
 
 
 def move(length, speed=0.5, acceleration=0.4, jerk=1.5, start_speed=0.0):
-    """Phases of a rest-to-rest (or moving start) straight move."""
+    """Return the phases of a straight move to rest."""
     one = ruckig.InputParameter(1)
     one.current_velocity, one.target_position = [start_speed], [length]
     one.max_velocity, one.max_acceleration, one.max_jerk = [speed], [acceleration], [jerk]
@@ -82,6 +82,7 @@ def test_each_limit_is_broken_just_below_the_motion_and_kept_just_above(name):
     assert kinds(motion, dataclasses.replace(OPEN, **{name: 1.002 * peak})) == []
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 10_000))
 def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
     rng = np.random.default_rng(seed)
@@ -104,14 +105,14 @@ def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
 
 
 def cruise(path, speed=0.5):
-    """From rest to rest along a path, at one speed but for the first and the last half metre."""
+    """Return a motion from rest to rest with constant speed except for the first and last half metre."""
     ramp = 0.5 / speed  # of two phases each: half the speed times the time of both is half a metre
     jerk, steady = speed / ramp**2, (path.length - 1.0) / speed
     return Trajectory(path, TimeLaw([ramp, ramp, steady, ramp, ramp], [jerk, -jerk, 0.0, -jerk, jerk]))
 
 
 def is_the_lateral_jerk(motion, exact):
-    """Certified just above, refused just below, and the ratio is the exact one."""
+    """Check that the motion is certified just above, rejected just below, and has the exact ratio."""
     above, below = (dataclasses.replace(OPEN, max_lateral_jerk=exact * (1.0 + e)) for e in (1e-5, -1e-5))
     certificate = certify_trajectory(motion, above, SpeedZone())
     assert certificate.certified, certificate.reason
@@ -129,7 +130,7 @@ def test_lateral_jerk_on_a_clothoid_at_constant_speed_is_speed_cubed_times_the_r
 
 @pytest.mark.parametrize("gear", [1, -1])
 def test_lateral_jerk_on_an_arc_is_twice_speed_times_acceleration_times_curvature(gear):
-    """Over a phase of constant jerk j from rest that is j^2 t^3 k, largest where the jerk turns; then j t v k each."""
+    """From rest at constant jerk j it is j^2 t^3 k, with its maximum after the sign change of the jerk."""
     spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.8, 0.8], gear)
     motion = cruise(Path((ClothoidSegment(spline),)), 0.4)
     ramp, jerk = motion.time_law.durations[0], motion.time_law.jerks[0]
@@ -141,7 +142,7 @@ def test_lateral_jerk_on_an_arc_is_twice_speed_times_acceleration_times_curvatur
     is_the_lateral_jerk(motion, exact)
 
 
-def test_where_the_robot_rests_or_turns_in_place_there_is_no_lateral_jerk():
+def test_the_lateral_jerk_is_zero_at_rest_and_in_turns_in_place():
     turn = Path((TurnSegment(Pose2(0.0, 0.0, 0.0), 1.2),))
     limits = dataclasses.replace(OPEN, max_yaw_rate=5.0, max_yaw_acceleration=10.0, max_lateral_jerk=1e-9)
     motion = Trajectory(turn, TimeLaw(*move(turn.length, speed=0.1, acceleration=0.1, jerk=0.1)))
@@ -151,7 +152,7 @@ def test_where_the_robot_rests_or_turns_in_place_there_is_no_lateral_jerk():
 
 
 def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
-    """Whether the table knows it or not: a field that was added to the limits and nowhere else certifies nothing."""
+    """A field that is added to the limits without a rule certifies nothing, with or without a row in the table."""
     planted = dataclasses.make_dataclass("Planted", [("max_foo", float, np.inf)], bases=(MotionLimits,), frozen=True)
     asked = trajectory(), planted(), SpeedZone(), (None, None, 0.0), lambda: False
 
@@ -178,7 +179,7 @@ def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
 
 
 def test_the_place_of_a_violation_shows_it():
-    """The curvature rises to a knot: the worst instant is the end of a cell, not its beginning."""
+    """The curvature rises to a knot: the worst instant is the end of a cell and not its beginning."""
     motion = Trajectory(path((0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0)), TimeLaw(*move(3.0)))
     peak = float(np.max(np.abs(motion.sample(1e-4).yaw_rate)))
     limits = dataclasses.replace(OPEN, max_yaw_rate=0.9 * peak)
@@ -198,18 +199,10 @@ def test_the_reverse_gear_has_its_own_speed_limit():
 
 def test_the_speed_zone_binds_from_its_first_millimetre():
     motion = trajectory()
-    speed_at = {
-        d: float(
-            np.interp(
-                3.0 - d,
-                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 0],
-                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 1],
-            )
-        )
-        for d in (0.1,)
-    }
-    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 1.001, 0.1)) == []
-    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 0.99, 0.1)) == ["speed"]
+    s, v = motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, :2].T
+    speed = float(np.interp(2.9, s, v))
+    assert kinds(motion, OPEN, SpeedZone(speed * 1.001, 0.1)) == []
+    assert kinds(motion, OPEN, SpeedZone(speed * 0.99, 0.1)) == ["speed"]
     assert kinds(motion, OPEN, SpeedZone(0.4, 100.0)) == ["speed"]
 
 
@@ -275,10 +268,10 @@ def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
         assert kinds(Trajectory(two_gears(), TimeLaw(durations, jerks, start_s=shift)), OPEN) == []
 
 
-@pytest.mark.parametrize("angle", [3e-6, 1e-3, 0.02, 1.5])
+@pytest.mark.parametrize("angle", [3e-6, 0.02, 1.5])
 @pytest.mark.parametrize("gear", [1, -1])
-def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
-    """The curvature jumps by what the wheels turn in reverse as forward, and at a joint within one gear."""
+def test_rests_at_joints_are_long_enough_for_steering(angle, gear):
+    """The curvature jumps at a cusp and at a joint within one gear."""
     bend = np.tan(0.5 * angle) / 0.7
     first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [bend, bend])
     second = ClothoidSpline(first.end, [0.0, 1.0], [-gear * bend] * 2, gear)
@@ -303,8 +296,8 @@ UNEVEN = {
 
 @pytest.mark.parametrize("name", UNEVEN)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
-    """Slowing down as speeding up, jerk of either sign, and a yaw rate that no border of the phases has."""
+def test_the_extremes_of_a_turn_are_found_in_every_phase(name, sign):
+    """Deceleration and acceleration, jerk of either sign, and a yaw rate with its maximum inside a phase."""
     law = TimeLaw(*UNEVEN[name])
     turn = Path((TurnSegment(Pose2(1.0, 2.0, 3.0), sign * float(law.states[-1, 0])),))
     dense = law.at(np.linspace(0.0, law.duration, 60_001))
@@ -322,7 +315,7 @@ def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
 @pytest.mark.parametrize("turns", [(), (0.7,), (-0.4, 1.2), (1e-8,)], ids=str)
 @pytest.mark.parametrize("last", [(), (3.0,)], ids=str)
 def test_the_speed_zone_counts_metres_driven_across_turns(turns, last):
-    """The last metres driven, in every gear they reach into; no turn in place is as long as its angle there."""
+    """The zone covers driven metres, in all gears; turns in place have no length in it."""
     phases, segments, pose = [], [], Pose2(0.0, 0.0, 0.0)
     for length, then in ((2.0, turns), (0.5, last)):
         segments.append(ClothoidSegment(ClothoidSpline(pose, [0.0, length], [0.0, 0.0])))
@@ -345,7 +338,7 @@ def straight(length):
 
 
 def law(*phases):
-    """Phases one after another, each (durations, jerks)."""
+    """Concatenate phases, each (durations, jerks)."""
     return TimeLaw(*(np.concatenate([np.atleast_1d(phase[i]) for phase in phases]) for i in (0, 1)))
 
 
@@ -379,7 +372,7 @@ def test_a_wait_of_years_costs_no_memory():
 
 @pytest.mark.parametrize("limit", [0.5, np.inf])
 @pytest.mark.parametrize("gears", [True, False])
-def test_no_law_over_distance_turns_in_place(gears, limit):
+def test_a_polyline_step_that_only_turns_is_not_covered(gears, limit):
     there = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     turn = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 3.0]])
     back = np.array([[1.0, 0.0, 3.0], [1.0 + np.cos(3.0), np.sin(3.0), 3.0]])
@@ -401,8 +394,8 @@ def test_a_zigzag_of_headings_turns_as_fast_as_its_steps():
 
 @pytest.mark.parametrize("kind", ["yaw_acceleration", "steering_rate"])
 @pytest.mark.parametrize("curvature", [0.004, 0.1, 0.3])
-def test_a_curvature_that_swings_from_step_to_step_is_no_straight_line(curvature, kind):
-    """Its means at the poses are none, or nearly: they told of a tenth of 1 rad/s^2 where the poses need twelve."""
+def test_an_oscillating_curvature_is_detected(curvature, kind):
+    """The means at the poses hide an oscillation that requires 12 rad/s^2."""
     n, h = 200, 0.01
     swing = 2.0 * curvature / h
     needed = {"yaw_acceleration": 0.5**2 * swing, "steering_rate": 0.4 * 0.5 * swing}[kind]
@@ -431,29 +424,29 @@ TURNING = dataclasses.replace(OPEN, max_yaw_rate=0.6, max_yaw_acceleration=1.0)
 
 
 def spike(width, at=1.0, turn=0.4):
-    """A path that turns at once: curvature rises to a peak and falls again within twice `width`."""
+    """Return a path whose curvature rises to a peak and falls again within twice `width`."""
     knots = [0.0, at, at + width, at + 2.0 * width, 3.0]
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, turn / width, 0.0, 0.0])),))
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-6, 1e-10, 2e-14, 2.3e-16])
+@pytest.mark.parametrize("width", [1e-2, 1e-10, 2.3e-16])
 @pytest.mark.parametrize("resting", [False, True])
-def test_a_turn_within_any_distance_is_seen(width, resting):
+def test_a_turn_within_any_distance_is_detected(width, resting):
     motion = Trajectory(spike(width), law(move(1.0), move(2.0)) if resting else law(move(3.0)))
     found = kinds(motion, TURNING)
     assert "yaw_acceleration" in found
     assert kinds(motion, dataclasses.replace(TURNING, max_yaw_acceleration=np.inf)) == ["yaw_rate"]
 
 
-@pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-8, 4e-14, 2.3e-16])
+@pytest.mark.parametrize("width", [1e-1, 1e-8, 2.3e-16])
 def test_a_jump_of_curvature_within_any_distance_is_a_jump_of_yaw_rate(width):
     knots = [0.0, 1.0, 1.0 + width, 2.0, 3.0]
     jump = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, 1.0, 1.0, 1.0])),))
     assert "yaw_acceleration" in kinds(Trajectory(jump, law(move(3.0))), TURNING)
 
 
-@pytest.mark.parametrize("wait", [1.0, 1e9, 1e15, 1e17])
-def test_what_follows_a_wait_of_any_length_is_judged(wait):
+@pytest.mark.parametrize("wait", [1.0, 1e17])
+def test_the_motion_after_a_wait_of_any_length_is_judged(wait):
     circle = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [2.0, 2.0])),))
     motion = Trajectory(circle, law(([wait], [0.0]), move(3.0)))
     assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.9)) == ["yaw_rate"]
@@ -463,7 +456,7 @@ def test_what_follows_a_wait_of_any_length_is_judged(wait):
 
 
 @pytest.mark.parametrize("at_end", [True, False])
-def test_a_turn_beyond_the_ends_of_the_motion_is_not_left_out(at_end):
+def test_a_turn_beyond_the_ends_of_the_motion_is_a_violation(at_end):
     width, short = 1e-9, 0.9e-6
     knots = [0.0, width, 3.0] if not at_end else [0.0, 3.0 - width, 3.0]
     curvature = [0.8 / width, 0.0, 0.0] if not at_end else [0.0, 0.0, 0.8 / width]
@@ -472,7 +465,7 @@ def test_a_turn_beyond_the_ends_of_the_motion_is_not_left_out(at_end):
     assert "coverage" in kinds(Trajectory(turning, TimeLaw(t, j, start_s=0.0 if at_end else short)), TURNING)
 
 
-def test_when_time_is_up_nothing_more_is_proven():
+def test_after_the_deadline_nothing_more_is_proven():
     motion, asked = Trajectory(path(), law(move(3.0))), []
     limits = dataclasses.replace(OPEN, max_yaw_rate=2.0)
     late = certify_trajectory(motion, limits, SpeedZone(), is_late=lambda: asked.append(1) is None)
@@ -482,7 +475,7 @@ def test_when_time_is_up_nothing_more_is_proven():
 
 
 def test_too_many_cells_are_given_up(monkeypatch):
-    """The lateral acceleration has its limit where speed and curvature still rise: no coarse cell can be cleared."""
+    """The lateral acceleration reaches its limit while speed and curvature rise, so no coarse cell can be cleared."""
     motion = Trajectory(path((0.0, 2.0)), law(move(3.0)))
     peak = float(np.max(motion.sample(1e-4).speed ** 2 * motion.path.curvature_at(motion.sample(1e-4).s)))
     limits = dataclasses.replace(OPEN, max_lateral_acceleration=peak * (1.0 + 1e-6))
@@ -504,9 +497,9 @@ def test_blocks_of_cells_change_nothing(monkeypatch):
     assert [one.message for one in parts.violations] == [one.message for one in whole.violations]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_second_derivatives_stay_within_their_bounds(seed):
-    """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
+    """For every quantity that depends on curvature, with all combinations of nonzero v, a, j, k and r."""
     for which in range(1, 32):
         rng = np.random.default_rng([seed, which])
         scales = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)

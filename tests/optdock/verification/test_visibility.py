@@ -1,4 +1,4 @@
-"""The proof of visibility against closed forms, dense samples and symmetries; what it refuses, and where."""
+"""The proof of visibility compared with closed forms, dense samples and symmetries."""
 
 import dataclasses
 import math
@@ -27,7 +27,7 @@ NO_TUBE = TrackingTube()
 
 
 def asked(path, camera, marker, visible=100.0, blind=0.0, tracking=NO_TUBE):
-    """A problem that `path` solves, whose marker stands at a point of the world."""
+    """Return a problem that `path` solves, with the marker at a world point."""
     seen = path.end.inverse() @ Pose2(*marker, 0.0)
     dock = Dock(path.end, marker=(seen.x, seen.y), visible_distance=visible, blind_distance=blind)
     robot = Robot(OUTLINE, LIMITS, turns_in_place=True, tracking=tracking, camera=camera)
@@ -39,7 +39,7 @@ def straight(length=3.0, sign=1, start=CENTRE):
 
 
 def winding(rng, gears=2):
-    """Clothoid gears with turns in place between some of them."""
+    """Return clothoid gears with turns in place between some of them."""
     segments, pose, sign = [], Pose2(*rng.uniform(-1.0, 1.0, 2), rng.uniform(-3.0, 3.0)), 1
     for _ in range(gears):
         if rng.random() < 0.4:
@@ -54,7 +54,7 @@ def winding(rng, gears=2):
 
 
 def loss(path, camera, marker, s):
-    """By how much bearing [rad] and distance [m] are beyond the view at places of a path, by angles. Shape (n,)."""
+    """Return the excess of bearing [rad] and distance [m] over the view along a path. Shape (n,)."""
     found = []
     for pose in path.poses_at(s):
         at = Pose2.from_sequence(pose) @ camera.mount
@@ -79,8 +79,8 @@ def test_driving_past_a_marker_loses_it_where_the_tangent_says(gear, beside):
     assert not prove_view(gone, asked(gone, camera, (2.0, beside)))
 
 
-def test_steps_that_turn_at_the_end_of_a_polyline_are_seen_whatever_rounding_makes_of_its_length():
-    """The last poses stand at one arc length, which added up over the segments is less by rounding."""
+def test_turning_steps_at_the_end_of_a_polyline_are_checked_despite_rounding():
+    """The last poses share one arc length, which rounding reduces in the sum over the segments."""
     lost = 0
     for seed in range(200):
         steps = np.random.default_rng(seed).uniform(0.01, 0.3, 30)
@@ -127,7 +127,7 @@ def test_ranges_are_distances_from_the_camera(camera, holds):
     assert bool(prove_view(path, asked(path, camera, (3.0, 0.0)))) is holds
 
 
-def test_only_the_part_that_is_asked_for_must_see():
+def test_only_the_required_part_is_checked():
     # The marker is beyond the range in the first metre, and too near in the last half metre.
     path, camera = straight(3.0), Camera(CENTRE, 1.0, 0.6, 2.1)
     assert prove_view(path, asked(path, camera, (3.1, 0.0), visible=2.0, blind=0.5))
@@ -152,7 +152,7 @@ def test_a_loss_far_shorter_than_the_cells_is_found():
     assert lost.violations[0].s == pytest.approx(s[np.argmax(bearing)], abs=5e-3)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(14))
 def test_a_proof_holds_at_dense_samples_and_a_refusal_at_its_place(seed):
     rng = np.random.default_rng(seed)
     path = winding(rng)
@@ -272,12 +272,12 @@ def test_the_certificate_names_the_place_the_value_and_the_limit():
         (Camera(CENTRE, 1.0, 1.5), "distance 1.000 m, at least 1.500 m"),
     ],
 )
-def test_a_range_that_is_broken_is_named(camera, said):
+def test_violated_ranges_are_named(camera, said):
     path = straight(3.0)
     assert said in certify_path(path, asked(path, camera, (4.0, 0.0))).reason
 
 
-def test_without_a_view_the_certificate_is_what_it_was():
+def test_without_a_view_the_certificate_is_unchanged():
     path = straight(1.0)
     certificate = certify_path(path, DockingProblem(path.start, Dock(path.end), Robot(OUTLINE, LIMITS)))
     assert certificate.view_margin is None
@@ -306,7 +306,7 @@ def bearing_of(pose, point):
     return math.atan2(seen.y, seen.x)
 
 
-def test_what_is_not_proven_in_time_is_refused_as_unproven():
+def test_after_the_deadline_the_view_is_unproven():
     path = winding(np.random.default_rng(3), gears=4)
     marker, s = np.add(path.end.as_array()[:2], (0.4, 0.3)), np.linspace(0.0, path.length, 2001)
     most = float(loss(path, Camera(CENTRE, 1e-9, 0.0, 100.0), marker, s).max())

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.model.costmap import Costmap
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.model.dock import Dock
-from optdock.model.occupancy import OccupancyGrid
 from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.layers.window import joined

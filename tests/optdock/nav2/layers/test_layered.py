@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.model.occupancy import OccupancyGrid
+from optdock.model.costmap import OccupancyGrid
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.static import StaticLayer

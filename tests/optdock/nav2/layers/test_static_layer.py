@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.model.costmap import Costmap
-from optdock.model.occupancy import OccupancyGrid
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.nav2.layered_costmap import LayeredCostmap
 from optdock.nav2.layers.static import StaticLayer
 from optdock.nav2.layers.window import NOWHERE
