@@ -2,7 +2,12 @@
 
 For convex sets A and B every unit axis n gives a lower bound `min_A n.a - max_B n.b` of their signed distance, and the
 best axis attains it ([Ericson2005] ch. 5.2). For polygons the best axis is an edge normal of either, or the direction
-between two vertices. All of them are evaluated, so the distance is exact and the axis proves it.
+between two vertices, so the maximum over these axes is the exact distance and its axis proves it.
+
+If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
+`min_A n.a' - max_B n.b <= n.a - max_B n.b`, so an edge whose bound is below a known gap cannot win. Vertex directions
+are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one maximum, and
+no edge normal lies between it and the better of its two neighbours, so both have the same nearest vertices.
 """
 
 from __future__ import annotations
@@ -12,12 +17,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
 __all__ = ["ConvexBody", "ConvexPieces", "Separation", "separation"]
 
 
 _MAX_PRODUCTS = 1_000_000  # vertex pairs evaluated at once; bounds the memory
+_MANY = 1000  # products of corner counts above which most edges are skipped (56 instead of 153 us for 32 x 32)
+_LIKELY = 6  # edges of each polygon that are evaluated first, and vertices near the best of them
 
 
 class ConvexBody(NamedTuple):
@@ -60,17 +67,99 @@ def separation(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Sep
         poses: Shape (m, 3) [m, m, rad].
         pieces: The obstacle of each pose.
     """
-    block = max(1, _MAX_PRODUCTS // (len(body.vertices) * len(pieces.x)))
+    corners = len(body.vertices) * len(pieces.x)
+    is_many = corners > _MANY and min(len(body.vertices), len(pieces.x)) > 2 * _LIKELY
+    block = max(1, _MAX_PRODUCTS // (corners if not is_many else 4 * _LIKELY * (len(body.vertices) + len(pieces.x))))
     if len(poses) > block:
         spans = [slice(i, i + block) for i in range(0, len(poses), block)]
         parts = [separation(body, poses[one], pieces.columns(one)) for one in spans]
         return Separation(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    c, s = turn = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = body.vertices[:, :1], body.vertices[:, 1:]
-    at = _Corners(poses[:, 0] + (c * x - s * y), poses[:, 1] + (s * x + c * y))
+    return _by_likely_axes(body, poses, pieces) if is_many else _by_all_axes(body, poses, pieces)
+
+
+def _by_all_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Separation:
+    turn = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    at = _corners(body, poses, turn)
     best = _better(_along_piece_normals(at, pieces), _along_body_normals(body, poses, turn, pieces))
     best = _better(best, _along_nearest_vertices(at, pieces))
     return Separation(best.distance, np.column_stack((best.x, best.y)))
+
+
+def _by_likely_axes(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Separation:
+    turn = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    at, corners = _corners(body, poses, turn), _Corners(pieces.x, pieces.y)
+    edges = _BodyEdges(*_turned(body.normals, turn), body.offsets[:, None])
+    edges = edges._replace(reach=edges.reach + edges.x * poses[:, 0] + edges.y * poses[:, 1])
+    between = (mine.mean(axis=0) - theirs.mean(axis=0) for mine, theirs in zip(at, corners, strict=True))
+    first, _ = _along_likely_normals(_Along(np.full(len(poses), -np.inf), *between), at, edges, pieces)
+    best, left_out = _along_likely_normals(first, at, edges, pieces)
+    height, depth = (best.x * points.x + best.y * points.y for points in (at, corners))
+    depth[_repeated(corners)] = -np.inf
+    low, high = _largest(-height)[0], _largest(depth)[0]
+    best = _better(best, _along_nearest_vertices(at, pieces, _picked(at, low), _picked(corners, high)))
+    found = Separation(best.distance, np.column_stack((best.x, best.y)))
+    open_pairs = np.flatnonzero(~(left_out <= best.distance))
+    if open_pairs.size:
+        found.distance[open_pairs], found.axis[open_pairs] = _by_all_axes(
+            body, poses[open_pairs], pieces.columns(open_pairs)
+        )
+    return found
+
+
+class _BodyEdges(NamedTuple):
+    """World components of the body's normals and its support along them, Shape (v, m)."""
+
+    x: FloatArray
+    y: FloatArray
+    reach: FloatArray
+
+
+def _along_likely_normals(
+    before: _Along, at: _Corners, edges: _BodyEdges, pieces: ConvexPieces
+) -> tuple[_Along, FloatArray]:
+    """Return the better of `before` and the likely edges, and an upper bound of all skipped edges, Shape (m,)."""
+    corners, pair = _Corners(pieces.x, pieces.y), np.arange(pieces.x.shape[1])
+    near = _picked(at, np.argmin(before.x * at.x + before.y * at.y, axis=0))
+    far = _picked(corners, np.argmax(before.x * corners.x + before.y * corners.y, axis=0))
+    most = pieces.normal_x * near.x + pieces.normal_y * near.y - pieces.offsets
+    most[np.roll(_repeated(corners), -1, axis=0)] = -np.inf
+    theirs, left_out = _largest(most)
+    mine, also_left_out = _largest(edges.x * far.x + edges.y * far.y - edges.reach)
+    x, y = pieces.normal_x[theirs, pair], pieces.normal_y[theirs, pair]
+    gaps = (x[:, None] * at.x + y[:, None] * at.y).min(axis=1) - pieces.offsets[theirs, pair]
+    my_x, my_y = edges.x[mine, pair], edges.y[mine, pair]
+    my_gaps = (my_x[:, None] * corners.x + my_y[:, None] * corners.y).min(axis=1) - edges.reach[mine, pair]
+    gaps, x, y = (np.concatenate(rows) for rows in ((gaps, my_gaps), (x, -my_x), (y, -my_y)))
+    k = np.argmax(gaps, axis=0)
+    return _better(before, _Along(gaps[k, pair], x[k, pair], y[k, pair])), np.maximum(left_out, also_left_out)
+
+
+def _repeated(corners: _Corners) -> BoolArray:
+    """Return which vertices are repeated by padding and must not displace others, Shape (k, m)."""
+    same: BoolArray = (corners.x == np.roll(corners.x, 1, axis=0)) & (corners.y == np.roll(corners.y, 1, axis=0))
+    return same
+
+
+def _corners(body: ConvexBody, poses: FloatArray, turn: tuple[FloatArray, FloatArray]) -> _Corners:
+    x, y = _turned(body.vertices, turn)
+    return _Corners(poses[:, 0] + x, poses[:, 1] + y)
+
+
+def _turned(vectors: FloatArray, turn: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return the world components, Shape (v, m) each, of body vectors, Shape (v, 2)."""
+    x, y = vectors[:, :1], vectors[:, 1:]
+    return turn[0] * x - turn[1] * y, turn[1] * x + turn[0] * y
+
+
+def _largest(values: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the rows of the `_LIKELY` largest values of every column, and the largest other value, Shape (m,)."""
+    order = np.argpartition(values, -_LIKELY - 1, axis=0)
+    return order[-_LIKELY:], np.take_along_axis(values, order[-_LIKELY - 1 : -_LIKELY], axis=0)[0]
+
+
+def _picked(points: _Corners, row: IntArray) -> _Corners:
+    pair = np.arange(row.shape[-1])
+    return _Corners(points.x[row, pair], points.y[row, pair])
 
 
 class _Corners(NamedTuple):
@@ -113,10 +202,14 @@ def _along_body_normals(
     return _Along(gaps[best, pair], s * normal_y - c * normal_x, -s * normal_x - c * normal_y)
 
 
-def _along_nearest_vertices(at: _Corners, pieces: ConvexPieces) -> _Along:
-    shape = (at.x.shape[0] * pieces.x.shape[0], at.x.shape[1])
-    dx = (at.x[:, None] - pieces.x).reshape(shape)  # (v k, m)
-    dy = (at.y[:, None] - pieces.y).reshape(shape)
+def _along_nearest_vertices(
+    at: _Corners, pieces: ConvexPieces, mine: _Corners | None = None, theirs: _Corners | None = None
+) -> _Along:
+    """Evaluate the direction between the nearest vertices of all, or of `mine` and `theirs`."""
+    first, second = mine or at, theirs or _Corners(pieces.x, pieces.y)
+    shape = (first.x.shape[0] * second.x.shape[0], first.x.shape[1])
+    dx = (first.x[:, None] - second.x).reshape(shape)  # (v k, m)
+    dy = (first.y[:, None] - second.y).reshape(shape)
     squared = dx * dx + dy * dy
     best, pair = np.argmin(squared, axis=0), np.arange(shape[1])
     length = np.sqrt(squared[best, pair])
