@@ -10,9 +10,7 @@ import numpy as np
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.geometry.obstacles import in_words
 from optdock.model.dock import DockDirection
-from optdock.planners.approach_axis import DockGeometry
-from optdock.planners.dock_parameters import DockPlannerParameters
-from optdock.planners.two_segment import TwoSegmentPlan, plan_two_segment
+from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, TwoSegmentPlan, plan_two_segment
 from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
 
 if TYPE_CHECKING:

@@ -1,13 +1,4 @@
-"""The two-segment docking path as a pure function: steps 5 to 8 of the dock planner.
-
-Segment 1 takes the robot from the start to the approach axis, segment 2 runs along the axis into the dock. Both are
-NURBS curves through three control points. The result is a raw path: its first tangent ignores the yaw of the start,
-curvature is unbounded where the control legs are short and jumps at the joint, there is a corner for `dir` 0, and the
-robot's outline is not checked. Making it drivable is the smoother's work.
-
-Told in the order of the method: the plan, how its curves are sampled (step 5), where and how segment 1 joins the axis
-(step 6), and how the parts become a path (steps 7 and 8).
-"""
+"""Two-segment docking path."""
 
 from __future__ import annotations
 
@@ -17,6 +8,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from optdock.errors import (
     GoalOccupied,
@@ -28,11 +20,13 @@ from optdock.errors import (
     StartOutsideMapBounds,
 )
 from optdock.geometry.arrays import FrozenArrays
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import unwrap_yaw
+from optdock.model.dock import DockDirection
 from optdock.model.path import Direction, Path, PolylineSegment
-from optdock.planners.approach_axis import ApproachAxis, DockGeometry, approach_axis
 from optdock.plugins.interfaces import never_cancelled
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,18 +34,221 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
-    from optdock.planners.dock_parameters import DockPlannerParameters
 
 __all__ = [
     "MAX_SAMPLES",
+    "ApproachAxis",
     "CurveSampler",
+    "DockGeometry",
+    "DockPlannerParameters",
     "Joint",
     "JointKind",
     "TwoSegmentPlan",
+    "approach_axis",
     "find_joint",
     "interior_angles",
     "plan_two_segment",
 ]
+
+
+class DockPlannerParameters(PluginParameters):
+    """Parameters of the two-segment planner; names and defaults of the source, `alpha` to `direction` are ours."""
+
+    cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
+    calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")
+    check_free_space: bool = Field(
+        default=False, description="the costmap must be free under the robot's centre; needs one"
+    )
+    degree: int = Field(2, ge=1, le=2, description="NURBS degree; three control points carry at most 2")
+    step: float = Field(0.02, gt=0.0, le=1.0, description="coarsest sampling step of u")
+    footprint_dock: tuple[tuple[float, float], ...] | None = Field(
+        None, description="outline of the dock, Nav2's string or points [m]; null: the problem's dock, or no length"
+    )
+    alpha: float = Field(1.0, ge=0.0, description="threshold angle of a start on the axis, in units of beta * pi")
+    beta: float = Field(0.5, gt=0.0, le=1.0, description="slope of the threshold angle over the scale, in units of pi")
+    gamma: float = Field(0.667, gt=0.0, lt=1.0, description="largest threshold angle, in units of pi")
+    direction: DockDirection = Field(DockDirection.AUTO, description="gear of the last motion: auto, forward, backward")
+    resolution: float = Field(0.05, gt=0.0, description="largest spacing of poses where there is no costmap [m]")
+
+    @field_validator("footprint_dock", mode="before")
+    @classmethod
+    def _points(cls, value: object) -> object:
+        return [tuple(row) for row in Footprint.from_string(value).vertices] if isinstance(value, str) else value
+
+    @field_validator("footprint_dock")
+    @classmethod
+    def _is_a_polygon(cls, value: tuple[tuple[float, float], ...] | None) -> tuple[tuple[float, float], ...] | None:
+        if value is not None:
+            Footprint(np.array(value))
+        return value
+
+    @property
+    def dock_outline(self) -> Footprint | None:
+        """`footprint_dock` as a polygon, None where it is null."""
+        return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
+
+
+_SAME_POSITION = 1e-9  # [m]
+
+
+class DockGeometry(NamedTuple):
+    """Sizes that the planner reads from the outlines [m].
+
+    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius. A dock without
+    an outline has length 0: the point before the dock is then half a robot away from the goal.
+    """
+
+    robot_length: float
+    robot_radius: float
+    dock_length: float = 0.0
+
+    @classmethod
+    def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
+        """Sizes of two outlines; no dock means a dock of length 0."""
+        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
+
+
+@dataclass(frozen=True, eq=False)
+class ApproachAxis(FrozenArrays):
+    """The line on which the robot enters the dock, and where the start lies beside it.
+
+    Args:
+        goal: Position G, Shape (2,) [m].
+        outward: Unit vector from G away from the dock, Shape (2,).
+        direction: Gear of the last motion.
+        distance_min_c: From G to C [m].
+        along: From G to D [m].
+        distance_ad: From the start to the axis [m].
+        safety_distance: Twice the padded radius of the robot [m].
+        angle_threshold: Smallest interior angle at which segment 1 may turn onto the axis [rad].
+    """
+
+    goal: FloatArray
+    outward: FloatArray
+    direction: Direction
+    distance_min_c: float
+    along: float
+    distance_ad: float
+    safety_distance: float
+    angle_threshold: float
+
+    @property
+    def t(self) -> float:
+        """The start's coordinate along the axis in units of the distance from G to C."""
+        return self.along / self.distance_min_c
+
+    @property
+    def distance_cd(self) -> float:
+        """From C to D [m]."""
+        return self.along - self.distance_min_c
+
+    @property
+    def distance_df(self) -> float:
+        """From D to F [m], which the source does not give: the safety distance, or the start's distance if longer.
+
+        It leaves room for the turn away from the dock (`dir` -1) up to about 0.6 safety distances beside the axis. From
+        further aside the arc no longer fits before F, and where it does not fit before C either a corner is left.
+        """
+        return max(self.safety_distance, self.distance_ad)
+
+    def point_at(self, distance: float) -> FloatArray:
+        """The point of the axis at `distance` [m] from G. Shape (2,) [m]."""
+        return self.goal + distance * self.outward
+
+    @property
+    def point_c(self) -> FloatArray:
+        """The point before the dock, Shape (2,) [m]."""
+        return self.point_at(self.distance_min_c)
+
+    @property
+    def point_d(self) -> FloatArray:
+        """The foot of the perpendicular from the start, Shape (2,) [m]."""
+        return self.point_at(self.along)
+
+    @property
+    def point_f(self) -> FloatArray:
+        """The far end of the centreline, Shape (2,) [m]."""
+        return self.point_at(self.distance_min_c + self.distance_cd + self.distance_df)
+
+
+def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters: DockPlannerParameters) -> ApproachAxis:
+    """The axis of a docking manoeuvre, on the side of the goal from which the robot comes.
+
+    Args:
+        start: Pose A; its yaw plays no part.
+        goal: Pose of the robot when docked.
+        geometry: Sizes of robot and dock.
+        parameters: `calib_safety_distance`, `alpha`, `beta`, `gamma` and `direction` are read.
+
+    Raises:
+        NoValidPathCouldBeFound: The robot has no length or no safety distance, the start is not beyond C, or it lies
+            on the side that `direction` forbids.
+    """
+    safety_distance = 2.0 * (geometry.robot_radius + parameters.calib_safety_distance)
+    _check_geometry(geometry, safety_distance)
+    distance_min_c = 0.5 * (geometry.robot_length + geometry.dock_length)
+    heading = np.array([math.cos(goal.yaw), math.sin(goal.yaw)])
+    from_goal = np.array([start.x - goal.x, start.y - goal.y])
+    ahead = float(from_goal @ heading)
+    # The robot comes from behind the docked pose when it drives in forward.
+    direction = Direction.REVERSE if ahead > 0.0 else Direction.FORWARD
+    _check_direction(direction, parameters.direction, ahead)
+    along = abs(ahead)
+    if not along > distance_min_c + _SAME_POSITION:
+        raise _not_beyond_c(along, distance_min_c)
+    distance_ad = abs(float(heading[0] * from_goal[1] - heading[1] * from_goal[0]))
+    return ApproachAxis(
+        goal=np.array([goal.x, goal.y]),
+        outward=-int(direction) * heading,
+        direction=direction,
+        distance_min_c=distance_min_c,
+        along=along,
+        distance_ad=distance_ad,
+        safety_distance=safety_distance,
+        angle_threshold=_angle_threshold(distance_ad, safety_distance, parameters),
+    )
+
+
+def _check_geometry(geometry: DockGeometry, safety_distance: float) -> None:
+    if not geometry.robot_length > 0.0:
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the robot's length must be > 0 m, got {geometry.robot_length:.6g} m; "
+            "check the robot's footprint",
+            where={"step": "geometry", "robot_length": geometry.robot_length},
+        )
+    if not safety_distance > 0.0:
+        raise NoValidPathCouldBeFound(
+            "dock planner: the safety distance, 2 * (robot radius + calib_safety_distance), must be > 0 m, got "
+            f"{safety_distance:.6g} m with a radius of {geometry.robot_radius:.6g} m; raise calib_safety_distance",
+            where={"step": "geometry", "safety_distance": safety_distance},
+        )
+
+
+def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) -> None:
+    found = DockDirection.FORWARD if direction is Direction.FORWARD else DockDirection.BACKWARD
+    if wanted in (DockDirection.AUTO, found):
+        return
+    side = "in front of" if ahead > 0.0 else "behind"
+    raise NoValidPathCouldBeFound(
+        f"dock planner: the start is {round(abs(ahead), 3):g} m {side} the docked robot, so it can only dock "
+        f"{found.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
+        where={"step": "direction", "wanted": wanted.value, "possible": found.value, "ahead": ahead},
+    )
+
+
+def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
+    return NoValidPathCouldBeFound(
+        f"dock planner: the start is {round(along, 3):g} m from the docked pose along the axis of the dock, and must "
+        f"be more than {round(distance_min_c, 3):g} m from it, half the lengths of robot and dock; start farther out "
+        "along the axis",
+        where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
+    )
+
+
+def _angle_threshold(distance_ad: float, safety_distance: float, parameters: DockPlannerParameters) -> float:
+    scale = distance_ad / (distance_ad + safety_distance)
+    return min((parameters.alpha + abs(scale)) * parameters.beta * math.pi, parameters.gamma * math.pi)
+
 
 _SAME_POSITION = 1e-9  # [m]
 _SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame

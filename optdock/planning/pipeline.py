@@ -49,16 +49,15 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.planners.manoeuvres.fewer_cusps import fewer_cusps
 from optdock.planners.manoeuvres.price import least_price
-from optdock.planning.end_poses import check_ends
-from optdock.planning.failures import Failure, Failures, stage_of
+from optdock.planning.failures import Failure, Failures, check_ends, stage_of
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import (
     Cancellation,
     Refinement,
     Stopwatch,
     at_work,
+    fewer_cusps,
     plain,
     ran_out_of_time,
     returned,

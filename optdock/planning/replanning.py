@@ -43,13 +43,12 @@ from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.planning.braking import braking
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
 from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
-from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube

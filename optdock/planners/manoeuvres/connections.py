@@ -8,10 +8,9 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.arcs import Arcs, joined
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
-from optdock.planners.manoeuvres.tree import joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.model.problem import DockingProblem
     from optdock.model.robot import Robot
+    from optdock.planners.manoeuvres.arcs import ArcTree
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.planners.manoeuvres.tree import ArcTree
 
 __all__ = [
     "Connections",

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import transform_points
-from optdock.planners.manoeuvres.distance_field import DistanceField
-from optdock.planners.manoeuvres.wavefront import Wavefront
+from optdock.planners.manoeuvres.distance_field import DistanceField, Wavefront
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:

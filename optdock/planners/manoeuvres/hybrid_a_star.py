@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.planners.manoeuvres.arcs import Moves
 from optdock.planners.manoeuvres.connections import Connections, TreeNodes, connections, free_manoeuvres, promising
-from optdock.planners.manoeuvres.tree import Moves
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.planners.manoeuvres.arcs import Arcs
+    from optdock.planners.manoeuvres.arcs import Arcs, ArcTree
+    from optdock.planners.manoeuvres.distance_field import Wavefront
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.planners.manoeuvres.tree import ArcTree
-    from optdock.planners.manoeuvres.wavefront import Wavefront
 
 __all__ = ["FULL_LOCK", "PoseGrid", "hybrid_a_star"]
 

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.arcs import Arcs, joined
 from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
 from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
-from optdock.planners.manoeuvres.tree import joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -32,8 +32,7 @@ from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegme
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.planners.dock_parameters import DockPlannerParameters
-from optdock.planners.two_segment import DockGeometry, plan_two_segment
+from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, plan_two_segment
 from optdock.samples.tube import Tube
 from optdock.simulation.run import Run
 from optdock.simulation.world import Record

@@ -9,8 +9,7 @@ from optdock.errors import NoValidPathCouldBeFound
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Direction
-from optdock.planners.approach_axis import DockGeometry, approach_axis
-from optdock.planners.dock_parameters import DockPlannerParameters
+from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, approach_axis
 
 GEOMETRY = DockGeometry(robot_length=0.8, robot_radius=0.5, dock_length=0.2)  # C at 0.5 m, safety distance 1 m
 DEFAULTS = DockPlannerParameters()

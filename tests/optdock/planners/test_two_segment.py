@@ -18,9 +18,7 @@ from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import Costmap
 from optdock.model.path import Direction
-from optdock.planners.approach_axis import DockGeometry
-from optdock.planners.dock_parameters import DockPlannerParameters
-from optdock.planners.two_segment import JointKind, plan_two_segment
+from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, JointKind, plan_two_segment
 
 GEOMETRY = DockGeometry(robot_length=0.8, robot_radius=0.5, dock_length=0.2)  # C at 0.5 m, safety distance 1 m
 ORIGIN = Pose2(0.0, 0.0, 0.0)

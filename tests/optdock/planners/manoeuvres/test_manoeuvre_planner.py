@@ -21,9 +21,8 @@ from optdock.model.robot import Robot
 from optdock.model.trajectory import braking_time
 from optdock.planners.manoeuvres import turns
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
+from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner, turning_radius
 from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price, least_prices
-from optdock.planners.manoeuvres.stages import turning_radius
 from optdock.plugins.interfaces import GlobalPlanner, PluginContext
 from optdock.plugins.registry import timed_by
 from optdock.verification import certify_path

@@ -11,10 +11,9 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.planners.manoeuvres.arcs import advance
-from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
-from optdock.planners.manoeuvres.stages import Stages
-from optdock.planners.manoeuvres.tree import ArcTree
+from optdock.planners.manoeuvres.arcs import ArcTree, advance
+from optdock.planners.manoeuvres.end_trees import sharpest_arcs
+from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
 

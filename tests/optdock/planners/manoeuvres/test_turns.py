@@ -18,8 +18,8 @@ from optdock.model.limits import MotionLimits, TurnLimits
 from optdock.model.path import Direction, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
+from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, stops, turning_times
-from optdock.planners.manoeuvres.stages import Stages
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
