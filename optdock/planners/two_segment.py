@@ -1,4 +1,12 @@
-"""Two-segment docking path."""
+"""Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
+
+Both segments are NURBS curves through three control points. The path is a raw one: its first tangent ignores the yaw
+of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
+
+F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
+         D
+         A                          start A, its foot D
+"""
 
 from __future__ import annotations
 
@@ -50,9 +58,17 @@ __all__ = [
     "plan_two_segment",
 ]
 
+_SAME_POSITION = 1e-9  # [m]
+_SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
+_SAME_ANGLE = 1e-9  # [rad]
+_ON_AXIS = 1e-6  # [m]
+_REVERSE_SLACK = 0.05  # [rad], of the source
+MAX_SAMPLES = 200_000  # per curve; a path of 1 km at 5 mm
+_CHUNK = 5_000  # samples between two calls of the cancel checker, about 2 ms
+
 
 class DockPlannerParameters(PluginParameters):
-    """Parameters of the two-segment planner; names and defaults of the source, `alpha` to `direction` are ours."""
+    """Parameters of the two-segment planner; `alpha` to `resolution` are not in the source."""
 
     cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
     calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")
@@ -84,7 +100,7 @@ class DockPlannerParameters(PluginParameters):
 
     @property
     def dock_outline(self) -> Footprint | None:
-        """`footprint_dock` as a polygon, None where it is null."""
+        """`footprint_dock` as a polygon; None where it is null."""
         return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
 
 
@@ -92,10 +108,9 @@ _SAME_POSITION = 1e-9  # [m]
 
 
 class DockGeometry(NamedTuple):
-    """Sizes that the planner reads from the outlines [m].
+    """Sizes of robot and dock [m].
 
-    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius. A dock without
-    an outline has length 0: the point before the dock is then half a robot away from the goal.
+    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius.
     """
 
     robot_length: float
@@ -104,21 +119,21 @@ class DockGeometry(NamedTuple):
 
     @classmethod
     def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
-        """Sizes of two outlines; no dock means a dock of length 0."""
+        """Return the sizes of two outlines; without a dock its length is 0."""
         return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
 
 
 @dataclass(frozen=True, eq=False)
 class ApproachAxis(FrozenArrays):
-    """The line on which the robot enters the dock, and where the start lies beside it.
+    """The line on which the robot enters the dock, and the position of the start relative to it.
 
     Args:
         goal: Position G, Shape (2,) [m].
         outward: Unit vector from G away from the dock, Shape (2,).
         direction: Gear of the last motion.
-        distance_min_c: From G to C [m].
-        along: From G to D [m].
-        distance_ad: From the start to the axis [m].
+        distance_min_c: Distance from G to C [m].
+        along: Distance from G to D [m].
+        distance_ad: Distance from the start to the axis [m].
         safety_distance: Twice the padded radius of the robot [m].
         angle_threshold: Smallest interior angle at which segment 1 may turn onto the axis [rad].
     """
@@ -132,57 +147,44 @@ class ApproachAxis(FrozenArrays):
     safety_distance: float
     angle_threshold: float
 
-    @property
-    def t(self) -> float:
-        """The start's coordinate along the axis in units of the distance from G to C."""
-        return self.along / self.distance_min_c
-
-    @property
-    def distance_cd(self) -> float:
-        """From C to D [m]."""
-        return self.along - self.distance_min_c
-
-    @property
-    def distance_df(self) -> float:
-        """From D to F [m], which the source does not give: the safety distance, or the start's distance if longer.
-
-        It leaves room for the turn away from the dock (`dir` -1) up to about 0.6 safety distances beside the axis. From
-        further aside the arc no longer fits before F, and where it does not fit before C either a corner is left.
-        """
-        return max(self.safety_distance, self.distance_ad)
-
-    def point_at(self, distance: float) -> FloatArray:
-        """The point of the axis at `distance` [m] from G. Shape (2,) [m]."""
+    def _at(self, distance: float) -> FloatArray:
         return self.goal + distance * self.outward
 
     @property
     def point_c(self) -> FloatArray:
         """The point before the dock, Shape (2,) [m]."""
-        return self.point_at(self.distance_min_c)
+        return self._at(self.distance_min_c)
 
     @property
     def point_d(self) -> FloatArray:
         """The foot of the perpendicular from the start, Shape (2,) [m]."""
-        return self.point_at(self.along)
+        return self._at(self.along)
 
     @property
     def point_f(self) -> FloatArray:
-        """The far end of the centreline, Shape (2,) [m]."""
-        return self.point_at(self.distance_min_c + self.distance_cd + self.distance_df)
+        """The far end of the centreline, Shape (2,) [m].
+
+        Its distance from D, which the source does not define, is the safety distance, or the distance of the start from
+        the axis if that is longer. This leaves room for the turn away from the dock (`dir` -1) up to about 0.6 safety
+        distances off the axis. From farther off the arc does not fit before F.
+        """
+        return self._at(
+            self.distance_min_c + (self.along - self.distance_min_c) + max(self.safety_distance, self.distance_ad)
+        )
 
 
 def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters: DockPlannerParameters) -> ApproachAxis:
-    """The axis of a docking manoeuvre, on the side of the goal from which the robot comes.
+    """Return the axis of a docking manoeuvre, on the side of the goal from which the robot comes.
 
     Args:
-        start: Pose A; its yaw plays no part.
-        goal: Pose of the robot when docked.
+        start: Pose A; its yaw is not used.
+        goal: Pose of the docked robot.
         geometry: Sizes of robot and dock.
         parameters: `calib_safety_distance`, `alpha`, `beta`, `gamma` and `direction` are read.
 
     Raises:
-        NoValidPathCouldBeFound: The robot has no length or no safety distance, the start is not beyond C, or it lies
-            on the side that `direction` forbids.
+        NoValidPathCouldBeFound: If the robot has no length or no safety distance, if the start is not beyond C, or if
+            it lies on the side that `direction` forbids.
     """
     safety_distance = 2.0 * (geometry.robot_radius + parameters.calib_safety_distance)
     _check_geometry(geometry, safety_distance)
@@ -195,8 +197,15 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
     _check_direction(direction, parameters.direction, ahead)
     along = abs(ahead)
     if not along > distance_min_c + _SAME_POSITION:
-        raise _not_beyond_c(along, distance_min_c)
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the start is {round(along, 3):g} m from the docked pose along the axis of the dock, and "
+            f"must be more than {round(distance_min_c, 3):g} m from it, half the lengths of robot and dock; start "
+            "farther out along the axis",
+            where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
+        )
     distance_ad = abs(float(heading[0] * from_goal[1] - heading[1] * from_goal[0]))
+    scale = distance_ad / (distance_ad + safety_distance)
+    threshold = min((parameters.alpha + abs(scale)) * parameters.beta * math.pi, parameters.gamma * math.pi)
     return ApproachAxis(
         goal=np.array([goal.x, goal.y]),
         outward=-int(direction) * heading,
@@ -205,7 +214,7 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
         along=along,
         distance_ad=distance_ad,
         safety_distance=safety_distance,
-        angle_threshold=_angle_threshold(distance_ad, safety_distance, parameters),
+        angle_threshold=threshold,
     )
 
 
@@ -225,51 +234,28 @@ def _check_geometry(geometry: DockGeometry, safety_distance: float) -> None:
 
 
 def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) -> None:
-    found = DockDirection.FORWARD if direction is Direction.FORWARD else DockDirection.BACKWARD
-    if wanted in (DockDirection.AUTO, found):
+    possible = DockDirection.FORWARD if direction is Direction.FORWARD else DockDirection.BACKWARD
+    if wanted in (DockDirection.AUTO, possible):
         return
     side = "in front of" if ahead > 0.0 else "behind"
     raise NoValidPathCouldBeFound(
         f"dock planner: the start is {round(abs(ahead), 3):g} m {side} the docked robot, so it can only dock "
-        f"{found.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
-        where={"step": "direction", "wanted": wanted.value, "possible": found.value, "ahead": ahead},
+        f"{possible.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
+        where={"step": "direction", "wanted": wanted.value, "possible": possible.value, "ahead": ahead},
     )
-
-
-def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
-    return NoValidPathCouldBeFound(
-        f"dock planner: the start is {round(along, 3):g} m from the docked pose along the axis of the dock, and must "
-        f"be more than {round(distance_min_c, 3):g} m from it, half the lengths of robot and dock; start farther out "
-        "along the axis",
-        where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
-    )
-
-
-def _angle_threshold(distance_ad: float, safety_distance: float, parameters: DockPlannerParameters) -> float:
-    scale = distance_ad / (distance_ad + safety_distance)
-    return min((parameters.alpha + abs(scale)) * parameters.beta * math.pi, parameters.gamma * math.pi)
-
-
-_SAME_POSITION = 1e-9  # [m]
-_SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
-_SAME_ANGLE = 1e-9  # [rad]
-_ON_AXIS = 1e-6  # [m]
-_REVERSE_SLACK = 0.05  # [rad], of the source
-MAX_SAMPLES = 200_000  # of one curve; a path of 1 km at 5 mm
-_CHUNK = 5_000  # samples between two looks at the cancel checker, about 2 ms
 
 
 @dataclass(frozen=True, eq=False)
 class TwoSegmentPlan(FrozenArrays):
-    """A raw docking path and how it came about.
+    """A raw docking path and its construction.
 
     Args:
-        path: From the start pose to the goal pose; a cusp where `dir` is -1.
-        axis: Where the robot enters: C, D, F, distances, threshold angle, gear of the last motion.
+        path: From the start pose to the goal pose, with a cusp where `dir` is -1.
+        axis: The approach axis.
         joint: How segment 1 reaches the axis.
         centreline: Samples of the axis from C to F, Shape (n, 3) [m, m, rad].
-        control_points_1: Of segment 1, Shape (3, 2) [m].
-        control_points_2: Of segment 2, Shape (3, 2) [m].
+        control_points_1: Control points of segment 1, Shape (3, 2) [m].
+        control_points_2: Control points of segment 2, Shape (3, 2) [m].
     """
 
     path: Path
@@ -298,29 +284,36 @@ def plan_two_segment(
     costmap: Costmap | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> TwoSegmentPlan:
-    """The raw docking path from `start` to `goal`.
+    """Compute the raw docking path from `start` to `goal`.
 
     Args:
-        start: Where the robot is.
-        goal: Where it must end, nose along the yaw.
+        start: Pose of the robot.
+        goal: Pose of the docked robot.
         geometry: Sizes of robot and dock.
-        parameters: Of the dock planner.
-        costmap: Its resolution bounds the spacing of poses (without one, `parameters.resolution` does), and with
-            `parameters.check_free_space` the cells under start, goal and curves must be free. Off the map nothing is.
+        parameters: Parameters of the dock planner.
+        costmap: Its resolution bounds the spacing of poses; without one, `parameters.resolution` does. With
+            `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
         cancel_checker: Polled at least every 5 ms.
 
     Raises:
-        PlannerException: `parameters.check_free_space` is on, and there is no costmap to check.
-        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: an end is not free.
-        NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
-        PlannerCancelled: `cancel_checker` returned True.
+        PlannerException: If `parameters.check_free_space` is set and there is no costmap.
+        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: if an end is not free.
+        NoValidPathCouldBeFound: If a rule of the method is broken; the message names the step and the amount.
+        PlannerCancelled: If `cancel_checker` returned True.
     """
     if cancel_checker():
         raise PlannerCancelled("dock planner: cancelled before it began")
     if parameters.check_free_space:
         _check_free_ends(start, goal, costmap, parameters.cost_threshold)
     axis = approach_axis(start, goal, geometry, parameters)
-    sampler = _sampler(parameters, costmap, cancel_checker)
+    sampler = CurveSampler(
+        degree=parameters.degree,
+        step=parameters.step,
+        resolution=parameters.resolution if costmap is None else costmap.resolution,
+        costmap=costmap if parameters.check_free_space else None,
+        cost_threshold=parameters.cost_threshold,
+        cancel_checker=cancel_checker,
+    )
     middle = 0.5 * (axis.point_c + axis.point_f)
     centreline = sampler.poses(np.array([axis.point_c, middle, axis.point_f]), Direction.FORWARD, "the centreline")
     joint = find_joint(np.array([start.x, start.y]), centreline[:, :2], axis.angle_threshold)
@@ -329,14 +322,8 @@ def plan_two_segment(
     last = first[-1, :2]
     control_points_2 = np.array([last, 0.5 * (last + axis.goal), axis.goal])
     second = sampler.poses(control_points_2, axis.direction, "segment 2")
-    return TwoSegmentPlan(
-        path=_assembled(start, goal, (first, second), (gear, axis.direction)),
-        axis=axis,
-        joint=joint,
-        centreline=centreline,
-        control_points_1=joint.control_points,
-        control_points_2=control_points_2,
-    )
+    path = _assembled(start, goal, (first, second), (gear, axis.direction))
+    return TwoSegmentPlan(path, axis, joint, centreline, joint.control_points, control_points_2)
 
 
 def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, threshold: int) -> None:
@@ -363,28 +350,15 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
             )
 
 
-def _sampler(
-    parameters: DockPlannerParameters, costmap: Costmap | None, cancel_checker: Callable[[], bool]
-) -> CurveSampler:
-    return CurveSampler(
-        degree=parameters.degree,
-        step=parameters.step,
-        resolution=parameters.resolution if costmap is None else costmap.resolution,
-        costmap=costmap if parameters.check_free_space else None,
-        cost_threshold=parameters.cost_threshold,
-        cancel_checker=cancel_checker,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class CurveSampler:
-    """Samples curves through control points.
+    """Sampling of curves through control points.
 
     Args:
         degree: NURBS degree.
         step: Coarsest step of u.
         resolution: Largest distance of neighbouring poses [m].
-        costmap: Where every sample must be free, or None to check nothing.
+        costmap: Map on which every sample must be free; None: no check.
         cost_threshold: A cost at or above this blocks.
         cancel_checker: Polled while sampling.
     """
@@ -397,23 +371,23 @@ class CurveSampler:
     cancel_checker: Callable[[], bool]
 
     def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
-        """Poses from u = 0 to 1, yaw along the tangent, or against it in reverse.
+        """Sample poses from u = 0 to 1, with yaw along the tangent, or against it in reverse.
 
-        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source takes the
-        mean of |dC/du|, the length, and so spaces poses up to twice too far where the curve is fast. As in the source
-        the last pose takes the yaw of the one before it. Samples that are not finite are skipped.
+        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
+        of |dC/du|, which spaces poses up to twice too far where the curve is fast. As in the source the last pose has
+        the yaw of the one before it. Samples that are not finite are skipped.
 
         Args:
             control_points: Shape (n, 2) [m], n > degree; unit weights.
             direction: Gear.
-            name: What to call the curve in a message.
+            name: Name of the curve in a message.
 
         Returns:
             Shape (m, 3) [m, m, rad], m >= 2.
 
         Raises:
-            NoValidPathCouldBeFound: A sample is blocked, too few are finite, or it would take over MAX_SAMPLES.
-            PlannerCancelled: The cancel checker returned True.
+            NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
+            PlannerCancelled: If the cancel checker returned True.
         """
         curve = Nurbs(control_points, degree=self.degree)
         u = np.linspace(0.0, 1.0, self._count(curve, name) + 1, dtype=np.float64)
@@ -464,7 +438,7 @@ class CurveSampler:
 
 
 class JointKind(IntEnum):
-    """The source's `dir`."""
+    """The variable `dir` of the source."""
 
     TOWARD = 1  # turns onto the axis toward the dock, tangent at the end
     AWAY = -1  # turns onto the axis away from the dock, then changes gear
@@ -474,8 +448,8 @@ class JointKind(IntEnum):
 class Joint(NamedTuple):
     """How segment 1 reaches the axis.
 
-    `dir`, the index `middle` on the centreline where its middle control point lies (-1 for none), and its three control
-    points, Shape (3, 2) [m].
+    `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
+    [m].
     """
 
     dir: JointKind
@@ -484,9 +458,9 @@ class Joint(NamedTuple):
 
 
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
-    """The joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
+    """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
 
-    A start on the axis needs no turn and goes straight to C even where C is too near for the sampled search.
+    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search.
 
     Args:
         start: Position A, Shape (2,) [m].
@@ -508,7 +482,7 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
 
 
 def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 where a ray has no length.
+    """Return angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 for a ray of no length.
 
     >>> interior_angles(np.zeros((1, 2)), np.array([0.0, 2.0]), np.array([-1.0, 0.0])) / np.pi
     array([0.5])
@@ -522,7 +496,7 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 def _first_wide(
     start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """The first of `indices` whose angle between the rays to start and to `end` reaches the threshold."""
+    """Return the first of `indices` with an angle between the rays to start and `end` that reaches the threshold."""
     at = centreline[indices]
     real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
     wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
@@ -530,12 +504,12 @@ def _first_wide(
 
 
 def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
-    """Whether the run-in from the joint to `end` is at least as long as the way to the joint."""
+    """Whether the distance from the joint to `end` is at least the distance to the joint."""
     return bool(np.hypot(*(end - joint)) >= leg - _SAME_DISTANCE)
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
-    """Equal legs, to one sample: an arc that ends tangent to the axis."""
+    """Return the joint with equal legs, to one sample: an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
     end = ahead[int(np.argmax(far))]
@@ -555,7 +529,7 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
-    """Start + segment 1 + segment 2 + goal; of poses in one place the first stays, and always the goal's."""
+    """Join start, both segments and goal; of repeated positions the first pose stays, and always the goal."""
     head = _without_repeats(np.vstack((start.as_array(), parts[0])))
     tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
     apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION

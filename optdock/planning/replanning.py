@@ -23,7 +23,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
-from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
+from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time
 from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
@@ -212,8 +212,8 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
         raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
     state = _checked(state)
     world = _world(plan, target)
-    plugins = _ChosenPlugins(planner, smoother, timing)
-    plugins.warm_up()
+    plugins = _Plugins(planner, smoother, timing)
+    warm_up(*plugins)
     deadline = Deadline(time_budget)
     run = _Replanning(RunningDrive(plan, world, state), time_budget, lead, Cancellation(cancel_checker), deadline)
     with garbage_collection_paused():
@@ -244,31 +244,12 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
     return target
 
 
-_WARM: set[object] = set()  # what was warmed up in this process
-
-
-@dataclass(frozen=True, eq=False)
-class _ChosenPlugins:
-    """What was chosen; made when it is needed."""
+class _Plugins(NamedTuple):
+    """Plugins as the caller named them."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
-    chosen_smoother: SmootherLike
-    chosen_timing: TimingLike
-
-    def warm_up(self) -> None:
-        """Load and build what is loaded and built once; the names of what is warm are known."""
-        names = repr((self.planner, self.chosen_smoother, self.chosen_timing))
-        if names not in _WARM:
-            warm_up(self.planner, self.chosen_smoother, self.chosen_timing)
-            _WARM.add(names)
-
-    @property
-    def smoother(self) -> Smoother:
-        return plugin_from(Smoother, self.chosen_smoother, "smoother")
-
-    @property
-    def timing(self) -> TimeParameterizer:
-        return plugin_from(TimeParameterizer, self.chosen_timing, "timing")
+    smoother: SmootherLike
+    timing: TimingLike
 
 
 @dataclass(eq=False)
@@ -284,7 +265,7 @@ class _Replanning:
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
 
-    def answer(self, delay: float, plugins: _ChosenPlugins) -> Replanned:
+    def answer(self, delay: float, plugins: _Plugins) -> Replanned:
         """New, kept or stop."""
         joint = self.drive.branch_point(self.lead, at_a_rest=True)
         if (
@@ -308,7 +289,7 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _ChosenPlugins) -> Replanned:
+    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
         """A new plan in the gears of the old one; the old one; a new one in other gears.
 
         `until`: the way until the joint; None: the robot is there.
@@ -320,9 +301,10 @@ class _Replanning:
         deadline = self.deadline.shortened(by=reserve)
         problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
         if joint.rest is not None and not self._is_on_the_straight(joint.rest):
-            watch = Stopwatch(deadline, self.timing_ms)
-            smoother, timing = plugins.smoother, plugins.timing
-            work = Refinement(problem, smoother, timing, joint.rest, self.cancelled, self.budget, deadline, watch)
+            smoother = plugin_from(Smoother, plugins.smoother, "smoother")
+            timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
+            limits = self.cancelled, self.budget, deadline, self.timing_ms
+            work = Refinement(problem, smoother, timing, joint.rest, *limits)
             plan = self._in_the_same_gears(joint, joint.rest, problem, work)
             if plan is not None:
                 return self._new(joint, until, plan)
@@ -335,10 +317,8 @@ class _Replanning:
         plan = plan_dock(
             problem,
             time_budget=deadline.left,
-            planner=plugins.planner,
-            smoother=plugins.chosen_smoother,
-            timing=plugins.chosen_timing,
             cancel_checker=self.cancelled,
+            **plugins._asdict(),
         )
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
             raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
@@ -363,7 +343,7 @@ class _Replanning:
             if work.deadline.left < longest:  # another round would not end in time
                 break
             began = work.deadline.elapsed
-            with work.watch.timed("deform"):
+            with work.timed("deform"):
                 path = deformed(
                     guess,
                     joint.pose,
@@ -377,7 +357,7 @@ class _Replanning:
             if path is None or work.asked_to_stop():
                 break
             guess = path
-            with work.watch.timed("certify"):
+            with work.timed("certify"):
                 certificate = certify_path(path, problem, is_late=work.asked_to_stop)
             if certificate.certified:
                 plan = self._attempt("deformed", path, functools.partial(work.proven, path, path))

@@ -1,4 +1,8 @@
-"""Arcs."""
+"""Sequences of circular arcs and straight lines, and trees of arcs that grow from the start or the goal.
+
+An arc has a signed length, negative in reverse, and a curvature d yaw / d length that is positive to the left in either
+gear. Sequences are padded with arcs of length zero to one number of columns.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +23,13 @@ if TYPE_CHECKING:
 
 __all__ = ["ArcTree", "Arcs", "Moves", "advance", "joined"]
 
-_NOTHING = 1e-9  # [m]: shorter arcs lead nowhere
+_NOTHING = 1e-9  # [m]: shorter arcs are no motion
+_BISECTIONS = 4
+_STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
 
 def advance(poses: FloatArray, length: FloatArray, curvature: FloatArray) -> FloatArray:
-    """The poses at the ends of arcs that begin at `poses`, Shape (..., 3); the three are broadcast."""
+    """Return the poses at the ends of arcs that begin at `poses`, Shape (..., 3); the arguments are broadcast."""
     turn = length * curvature
     chord = length * np.sinc(turn / (2.0 * np.pi))
     middle = poses[..., 2] + 0.5 * turn
@@ -38,35 +44,30 @@ class Arcs(NamedTuple):
     lengths: FloatArray
     curvatures: FloatArray
 
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return int(self.lengths.shape[0])
-
     def rows(self, keep: IntArray | slice) -> Arcs:
-        """The sequences at `keep`."""
+        """Return the sequences at `keep`."""
         return Arcs(self.start[keep], self.lengths[keep], self.curvatures[keep])
 
     def joints(self) -> FloatArray:
-        """Poses at the beginning of every arc, and at the end of the last. Shape (n, k + 1, 3)."""
+        """Return the poses at the beginning of every arc and at the end of the last. Shape (n, k + 1, 3)."""
         poses = [self.start]
         for length, curvature in zip(self.lengths.T, self.curvatures.T, strict=True):
             poses.append(advance(poses[-1], length, curvature))
         return np.stack(poses, axis=1)
 
     def poses_at_shares(self, shares: FloatArray) -> FloatArray:
-        """Poses at shares of each sequence's total length, Shape (q,) in [0, 1]. Shape (n, q, 3)."""
+        """Return poses at shares of the total length of each sequence, Shape (q,) in [0, 1]. Shape (n, q, 3)."""
         ends = np.cumsum(np.abs(self.lengths), axis=1)
         s = ends[:, -1:] * shares
         owner = (s[:, :, None] > ends[:, None, :]).sum(axis=2).clip(max=self.lengths.shape[1] - 1)
-        row = np.arange(self.size)[:, None]
+        row = np.arange(len(self.lengths))[:, None]
         before = ends[row, owner] - np.abs(self.lengths[row, owner])
         driven = np.copysign(s - before, self.lengths[row, owner])
         return advance(self.joints()[row, owner], driven, self.curvatures[row, owner])
 
     def poses_every(self, spacing: float) -> FloatArray:
-        """Poses at most `spacing` apart along one sequence alone, all joints included. Shape (q, 3)."""
-        assert self.size == 1
+        """Sample a single sequence with poses at most `spacing` apart, all joints included. Shape (q, 3)."""
+        assert len(self.lengths) == 1
         joints, lengths, curvatures = self.joints()[0], self.lengths[0], self.curvatures[0]
         counts = np.where(np.abs(lengths) > _NOTHING, np.ceil(np.abs(lengths) / spacing - 1e-9), 0).astype(np.int64)
         owner = np.repeat(np.arange(counts.size), counts)
@@ -75,14 +76,14 @@ class Arcs(NamedTuple):
         return np.concatenate((inner, joints[-1:]))
 
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
-        """One sequence alone as a path of polylines, whose last pose is exactly `end`, Shape (3,).
+        """Return a single sequence as a path of polylines.
 
         Args:
-            spacing: Largest distance between its poses [m].
-            end: Where the arcs lead, but for rounding.
+            spacing: Largest distance between poses [m].
+            end: Exact last pose, Shape (3,); the arcs end there up to rounding.
             frame: Name of the coordinate frame.
         """
-        assert self.size == 1
+        assert len(self.lengths) == 1
         lengths, curvatures, joints = self.lengths[0], self.curvatures[0], self.joints()[0]
         kept = np.flatnonzero(np.abs(lengths) > _NOTHING)
         gears = np.sign(lengths[kept])
@@ -96,52 +97,31 @@ class Arcs(NamedTuple):
         return Path(tuple(PolylineSegment(block, sign) for block, sign in zip(blocks, signs, strict=True)), frame)
 
 
-_BISECTIONS = 4
-_STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, that are checked in one go; blocked arcs are given up after it
-
-
 class Moves(NamedTuple):
-    """What may be driven from every node: signs of the lengths and curvatures, Shape (c,) each [1/m]."""
+    """Motions to try from every node: signs of the lengths and curvatures, Shape (c,) each [1/m]."""
 
     signs: FloatArray
     curvatures: FloatArray
 
     @classmethod
     def of(cls, signs: tuple[float, ...], curvatures: tuple[float, ...]) -> Moves:
-        """Every sign with every curvature."""
+        """Return every combination of sign and curvature."""
         grid = np.array([(sign, curvature) for sign in signs for curvature in curvatures])
         return cls(grid[:, 0], grid[:, 1])
-
-
-class _Starts(NamedTuple):
-    """Where arcs begin, and how: poses (n, 3), signs and curvatures (n,)."""
-
-    poses: FloatArray
-    signs: FloatArray
-    curvatures: FloatArray
-
-    def are_free(self, rows: IntArray, lengths: FloatArray, space: FreeSpace, effort: Effort) -> BoolArray:
-        """Whether the poses after lengths, Shape (k,) or (n, k) [m], on the arcs at `rows` are free. Shape (n, k)."""
-        space.poll()
-        poses = advance(self.poses[rows, None], self.signs[rows, None] * lengths, self.curvatures[rows, None])
-        free: BoolArray = space.is_free(poses.reshape(-1, 3), effort.margin, effort.start_relief).reshape(
-            poses.shape[:2]
-        )
-        return free
 
 
 class ArcTree:
     """Nodes that are reached from a root by free arcs.
 
     Args:
-        root: The pose where it begins, Shape (3,).
-        robot: For the prices of its nodes.
-        gear: The sign that a positive length has when it is driven: 1 from the start, -1 from the goal, where growing
-            is driving back in time.
+        root: Pose of the root, Shape (3,).
+        robot: Robot whose prices count.
+        gear: Sign that a positive length has when driven: 1 from the start, -1 from the goal, where the tree grows
+            backwards in time.
 
     Attributes:
         poses: Shape (n, 3).
-        prices: Of the way between root and node, Shape (n,) [s].
+        prices: Price of the way between root and node, Shape (n,) [s].
         signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
     """
 
@@ -164,52 +144,25 @@ class ArcTree:
         effort: Effort,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
-        """Drive all moves from the nodes at `rows`; the rows of the new nodes.
+        """Drive all moves from the nodes at `rows` as far as they are free and return the rows of the new nodes.
 
         Args:
-            rows: Where to begin.
-            moves: What to drive.
-            stations: Ascending lengths after which a node is left, and where the last pose was free [m].
-            space: What is free.
-            effort: How closely to look.
-            is_new: Which of the poses found, in ascending order of price, are worth a node; None: all.
+            rows: Rows of the first nodes.
+            moves: Moves to drive.
+            stations: Ascending lengths at which a node is added [m]; the last free pose is one as well.
+            space: Free space.
+            effort: Resolution of the collision check.
+            is_new: Filter of the poses found, in ascending order of price; None: keep all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
-        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, effort)
+        free = _free_lengths((self.poses[node], sign, curvature), float(stations[-1]), space, effort)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
-        # Where the way ends between two stations, its end is one as well.
+        # The end of the free length between two stations is a station as well.
         last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
         return self.add(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
-
-    @staticmethod
-    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, effort: Effort) -> FloatArray:
-        """How far each arc is free, up to `longest`. Shape (n,) [m]."""
-        free = np.zeros(starts.signs.size)
-        spacing = space.spacing(effort)
-        steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
-        going, blocked = np.arange(free.size), np.zeros(free.size)
-        for k in range(0, steps.size, _STRIDE):
-            some = steps[k : k + _STRIDE]
-            still = []
-            for block in range(0, going.size, _ABREAST):
-                mine = going[block : block + _ABREAST]
-                good = starts.are_free(mine, some, space, effort)
-                count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
-                free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
-                blocked[mine] = some[np.minimum(count, some.size - 1)]
-                still.append(mine[count == some.size])
-            going = np.concatenate(still) if still else going
-        # Between the last free pose and the first blocked one: in a narrow place every centimetre counts.
-        ended = np.setdiff1d(np.arange(free.size), going)
-        for _ in range(_BISECTIONS if ended.size else 0):
-            middle = 0.5 * (free[ended] + blocked[ended])
-            good = starts.are_free(ended, middle[:, None], space, effort)[:, 0]
-            free[ended] = np.where(good, middle, free[ended])
-            blocked[ended] = np.where(good, blocked[ended], middle)
-        return free
 
     def add(
         self,
@@ -218,7 +171,7 @@ class ArcTree:
         curvature: FloatArray,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
-        """The rows of new nodes at the ends of free arcs, Shape (n,) each; `is_new` as of `grow`."""
+        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows; `is_new` as in `grow`."""
         sign = np.sign(length)
         driven = driving_prices(self.gear * length, self._robot)
         price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)
@@ -235,18 +188,55 @@ class ArcTree:
         return np.arange(first, len(self))
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Lengths and curvatures of the arcs between root and node, as they are driven. Shape (k,) each."""
+        """Return lengths and curvatures of the arcs between root and node, as driven. Shape (k,) each."""
         lengths, curvatures = [], []
         while row > 0:
             lengths.append(self.lengths[row])
             curvatures.append(self.curvatures[row])
             row = int(self.parents[row])
         found = np.array(lengths, dtype=np.float64), np.array(curvatures, dtype=np.float64)
-        # From node to root is how the way out of the goal is driven, its lengths the other way round.
+        # The goal's tree is driven from node to root, with the signs of the lengths reversed.
         return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
 
 
+def _free_lengths(
+    starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
+) -> FloatArray:
+    """Return how far arcs (start poses, signs, curvatures) are free, up to `longest`. Shape (n,) [m]."""
+    poses, signs, curvatures = starts
+
+    def are_free(rows: IntArray, lengths: FloatArray) -> BoolArray:
+        space.poll()
+        ends = advance(poses[rows, None], signs[rows, None] * lengths, curvatures[rows, None])
+        found: BoolArray = space.is_free(ends.reshape(-1, 3), effort.margin, effort.start_relief)
+        return found.reshape(ends.shape[:2])
+
+    free = np.zeros(signs.size)
+    spacing = space.spacing(effort)
+    steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
+    going, blocked = np.arange(free.size), np.zeros(free.size)
+    for k in range(0, steps.size, _STRIDE):
+        some = steps[k : k + _STRIDE]
+        still = []
+        for block in range(0, going.size, _ABREAST):
+            mine = going[block : block + _ABREAST]
+            good = are_free(mine, some)
+            count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
+            free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
+            blocked[mine] = some[np.minimum(count, some.size - 1)]
+            still.append(mine[count == some.size])
+        going = np.concatenate(still) if still else going
+    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+    ended = np.setdiff1d(np.arange(free.size), going)
+    for _ in range(_BISECTIONS if ended.size else 0):
+        middle = 0.5 * (free[ended] + blocked[ended])
+        good = are_free(ended, middle[:, None])[:, 0]
+        free[ended] = np.where(good, middle, free[ended])
+        blocked[ended] = np.where(good, blocked[ended], middle)
+    return free
+
+
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
-    """Ways one after the other, as one sequence of arcs from a pose."""
+    """Concatenate ways to one sequence of arcs from a pose."""
     lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
     return Arcs(start[None], lengths, curvatures)

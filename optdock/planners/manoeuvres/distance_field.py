@@ -1,4 +1,4 @@
-"""Field."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest ways of a disc on it."""
 
 from __future__ import annotations
 
@@ -17,22 +17,25 @@ if TYPE_CHECKING:
 __all__ = ["DistanceField", "Wavefront"]
 
 _TILE = 32  # grid points along the side of a tile
-_BLOCK = 24  # pieces whose distances to a whole tile are found in one go
+_BLOCK = 24  # obstacle pieces per vectorized evaluation of a tile
+_FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
+_EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
+_BESIDE = 0.75  # cells: half a diagonal, and rounding
 
 
 class DistanceField:
-    """Distances to the nearest obstacle, of points in a square around a place, up to a reach.
+    """Distances from points in a square to the nearest obstacle, up to a reach.
 
     Args:
-        obstacles: What is there.
-        square: Its centre and the length of its sides, Shape (3,) [m].
-        spacing: Between grid points [m].
-        reach: Larger distances count as this one [m].
+        obstacles: The obstacles.
+        square: Centre and length of the sides, Shape (3,) [m].
+        spacing: Grid spacing [m].
+        reach: Largest distance; larger ones are cut to it [m].
         poll: Called before every tile.
 
     Attributes:
-        side: Grid points along the sides.
-        origin: The first of them, Shape (2,) [m].
+        side: Number of grid points along each side.
+        origin: First grid point, Shape (2,) [m].
     """
 
     def __init__(
@@ -49,7 +52,7 @@ class DistanceField:
         self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
+        """Return bounds of the distances of points, Shape (..., 2) [m]; the lower one is -inf off the field."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
         is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
@@ -60,7 +63,7 @@ class DistanceField:
         return np.where(is_inside, distance - away, -np.inf), distance + away
 
     def at(self, index: IntArray) -> FloatArray:
-        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
+        """Return the distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
         tile = (i // _TILE) * self._tiles + j // _TILE
         slot = self._slots[tile]
@@ -80,10 +83,9 @@ class DistanceField:
         rows = self._obstacles.rows_in_box(low, high)
         best = np.full((_TILE, _TILE), self.reach)
         boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
-        for some in _blocks(boxes):
-            np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
-        for some in _blocks(others):
-            np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
+        for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
+            for k in range(0, some.size, _BLOCK):
+                np.minimum(best, distances(self._obstacles, some[k : k + _BLOCK], axes), out=best)
         if self._count == len(self._values):
             self._values = np.concatenate((self._values, np.empty_like(self._values)))
         self._values[self._count] = best
@@ -91,12 +93,8 @@ class DistanceField:
         self._count += 1
 
 
-def _blocks(rows: IntArray) -> list[IntArray]:
-    return [rows[k : k + _BLOCK] for k in range(0, rows.size, _BLOCK)]
-
-
 def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
-    """Which pieces are axis-aligned rectangles. Shape (m,)."""
+    """Return which pieces are axis-aligned rectangles. Shape (m,)."""
     x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
     low, high = obstacles.lower, obstacles.upper
     at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
@@ -104,7 +102,7 @@ def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
     if not turned.any():
         return turned
     step = np.roll(obstacles.vertices, -1, axis=1) - obstacles.vertices
-    # Of a rectangle's corners no step leads across.
+    # No edge of an axis-aligned rectangle is diagonal.
     turned &= np.all((step[..., 0] == 0.0) | (step[..., 1] == 0.0), axis=1)
     return turned
 
@@ -136,30 +134,27 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
     return nearest
 
 
-_FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
-_EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
-_BESIDE = 0.75  # cells: half a diagonal, and rounding
-_UNREACHED = np.inf
-
-
 class Wavefront:
-    """Steps of a wave from a place.
+    """Lengths of shortest ways around the obstacles for a disc: the heuristic of hybrid A*.
+
+    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, as an octagon: the
+    number of steps is at most the length in cells, and at most 11 % less. It advances on demand.
 
     Args:
-        field: Distances to the obstacles; its grid is the wave's.
-        source: Where the wave begins, Shape (2,) [m].
-        radius: Of the disc, whose centre must keep this distance but for what a grid point may lie beside a way [m].
+        field: Distances to the obstacles; the wave uses its grid.
+        source: Start of the wave, Shape (2,) [m].
+        radius: Radius of the disc, reduced by the distance of a way from the nearest grid point [m].
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:
         self._field, self._radius = field, radius
-        self._steps = np.full((field.side, field.side), _UNREACHED)
+        self._steps = np.full((field.side, field.side), np.inf)
         self._front: IntArray = np.rint((source - field.origin) / field.spacing).astype(np.int64)[None]
         self._steps[tuple(self._front.T)] = 0.0
         self._count = 0
 
     def lengths(self, points: FloatArray) -> FloatArray:
-        """Lower bounds of the lengths of ways to points, Shape (n, 2) [m]; infinite where there is none. Shape (n,)."""
+        """Return lower bounds of the lengths of ways to points, Shape (n, 2) to (n,) [m]; infinite if none exists."""
         field = self._field
         index = np.clip(np.rint((points - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
         rows, columns = index.T
@@ -170,7 +165,7 @@ class Wavefront:
         return reached
 
     def way(self, point: FloatArray) -> FloatArray | None:
-        """Grid points of a shortest way to a point, Shape (2,); None where there is none. Shape (n, 2) [m]."""
+        """Return the grid points of a shortest way to a point, Shape (2,); None if there is none. Shape (n, 2) [m]."""
         if np.isinf(self.lengths(point[None])[0]):
             return None
         field = self._field

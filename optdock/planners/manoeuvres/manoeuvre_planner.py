@@ -1,4 +1,7 @@
-"""Planner."""
+"""`ManoeuvrePlanner`: the plugin, and the stages of its search in ascending order of cost.
+
+Each stage joins more poses near the start to more poses near the goal.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ from pydantic import Field
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.pose import Pose2
-from optdock.planners.manoeuvres.arcs import ArcTree
 from optdock.planners.manoeuvres.connections import TreeNodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.end_trees import (
     BOTH,
     EXIT_TURN,
     GENTLE,
+    ROOT,
     EndTrees,
     gears_into,
     sharpest_arcs,
@@ -48,6 +51,18 @@ if TYPE_CHECKING:
 
 __all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters"]
 
+_TIGHT = 0.5  # free share of the last arcs below which the dock is tight
+# A better plan is searched for where the price exceeds this multiple of the price of the cheapest word without
+# obstacles, and of the shortest way around the obstacles at full speed; and the number of nodes of that search. In 352
+# cases a multiple of 1.6 makes plans 0.4 % dearer on average and one 41 %, at the same CPU time; three times as many
+# nodes make one plan 2 % cheaper.
+_DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
+_TURN_TRIES = 4  # most guesses of turns and straight lines
+_STAGED = 4  # most straight runs out of a dock along a wall that arcs begin at
+_TRIES = 4  # most different guesses per stage
+_WORDS_PER_PAIR = 12  # words from the start to each staging pose
+_SAMPLING = 40.0  # poses of a path per turning radius
+
 
 class ManoeuvrePlannerParameters(PluginParameters):
     """Parameters of the manoeuvre planner."""
@@ -58,37 +73,37 @@ class ManoeuvrePlannerParameters(PluginParameters):
 
 
 class ManoeuvrePlanner(GlobalPlanner):
-    """Plans manoeuvres with cusps among obstacles: Reeds-Shepp words between trees of arcs around start and goal.
+    """Plan manoeuvres with cusps among obstacles: Reeds-Shepp words between trees of arcs around start and goal.
 
-    Every path keeps the clearance that the problem asks for and the turning radius of the robot; its curvature jumps
-    where arcs meet, which is left to a smoother. It needs a problem, so it must be configured before it plans.
+    Every path keeps the clearance that the problem requires and the turning radius of the robot; its curvature jumps
+    between arcs, so it must be smoothed. The planner needs a problem in its context.
 
     Args:
         **parameters: See `ManoeuvrePlannerParameters`.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = ManoeuvrePlannerParameters
     parameters: ManoeuvrePlannerParameters
 
     def on_configure(self) -> None:
-        """Check the surroundings.
+        """Check the context.
 
         Raises:
-            InvalidValue: The context holds no problem.
+            InvalidValue: If the context holds no problem.
         """
         if self.context.problem is None:
             raise InvalidValue(f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)")
 
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """The first of `create_plans`.
+        """Return the first path of `create_plans`.
 
         Raises:
-            LifecycleError: The planner is not configured.
-            NoValidPathCouldBeFound: Nothing was found; that is not a proof that there is nothing.
-            PlannerCancelled: `cancel_checker` returned True.
+            LifecycleError: If the planner is not configured.
+            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            PlannerCancelled: If `cancel_checker` returned True.
         """
         return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
 
@@ -99,21 +114,27 @@ class ManoeuvrePlanner(GlobalPlanner):
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,
     ) -> Iterator[Guess | None]:
-        """Collision-free manoeuvres, stage by stage, within a stage the cheapest first.
+        """Yield collision-free manoeuvres, stage by stage, within a stage in ascending order of price.
 
         Raises:
-            LifecycleError: The planner is not configured.
-            NoValidPathCouldBeFound: Nothing was found; that is not a proof that there is nothing.
-            PlannerCancelled: `cancel_checker` returned True.
+            LifecycleError: If the planner is not configured.
+            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            PlannerCancelled: If `cancel_checker` returned True.
         """
-        problem = self._problem(start, goal)
+        problem = self.context.problem_at_hand(None)
+        if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or problem is None:
+            raise LifecycleError(
+                f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
+            )
+        if start != problem.start or goal != problem.goal:
+            problem = dataclasses.replace(problem, start=start, dock=dataclasses.replace(problem.dock, pose=goal))
 
-        def _poll() -> None:
+        def poll() -> None:
             if cancel_checker():
                 raise PlannerCancelled("cancelled while a manoeuvre was searched for")
 
-        _poll()
-        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, _poll, better_than)
+        poll()
+        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, poll, better_than)
         for guess in stages.guesses():
             if guess is not None:
                 count += 1
@@ -122,23 +143,13 @@ class ManoeuvrePlanner(GlobalPlanner):
         if count == 0 and math.isinf(better_than()):
             runs = stages.straight_runs()
             raise NoValidPathCouldBeFound(
-                f"manoeuvre planner: {_why_not(problem, runs)}",
+                f"manoeuvre planner: {_reason(problem, runs)}",
                 where={"start": start.as_array().tolist(), "goal": goal.as_array().tolist(), "straight_run": runs},
             )
 
-    def _problem(self, start: Pose2, goal: Pose2) -> DockingProblem:
-        problem = self.context.problem_at_hand(None)
-        if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or problem is None:
-            raise LifecycleError(
-                f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
-            )
-        if start == problem.start and goal == problem.goal:
-            return problem
-        return dataclasses.replace(problem, start=start, dock=dataclasses.replace(problem.dock, pose=goal))
 
-
-def _why_not(problem: DockingProblem, runs: Mapping[str, float]) -> str:
-    """What is known when nothing was found: whether the dock can be entered at all in the gear that it asks for."""
+def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
+    """Return the message of a search without a result; it checks whether the dock can be entered straight at all."""
     dock = problem.dock
     wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
     if all(runs[gear] < dock.final_straight for gear in wanted):
@@ -155,26 +166,13 @@ def _why_not(problem: DockingProblem, runs: Mapping[str, float]) -> str:
     )
 
 
-# The dock is tight where less than this share of the last arcs is free.
-_TIGHT = 0.5
-# A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at
-# full speed: then a better one is looked for, with so many nodes. On 352 cases a multiple of 1.6 makes plans 0.4 %
-# dearer on average and one 41 %, at the same CPU time; three times as many nodes make one plan 2 % cheaper.
-_DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
-_TURN_TRIES = 4  # ways of turns and straight lines that are offered at most
-_STAGED = 4  # straight runs out of a dock along a wall that arcs lead away from
-_TRIES = 4  # different ways that one stage offers at most
-_WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
-_SAMPLING = 40.0  # poses of a path per turning radius
-
-
 class Stages:
     """One search.
 
     Args:
-        problem: From where, to where, among what.
+        problem: The planning problem.
         slack: Radius of the first words in smallest turning radii.
-        poll: Raises where the caller wants no more.
+        poll: Raises to end the search.
         better_than: See `GlobalPlanner.create_plans`.
     """
 
@@ -186,7 +184,7 @@ class Stages:
         self.radius = turning_radius(problem)
         margin = 0.02 * footprint.width
         eased, sharp = slack * self.radius, self.radius
-        # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
+        # The weaker clearance rule of a start along a wall comes last; the certificate also tries the strict one first.
         is_too_close = end_clearances(problem).start < problem.path_clearance.required
         relief = problem.start_run if is_too_close else 0.0
         self._efforts: tuple[Effort, ...] = (
@@ -198,22 +196,24 @@ class Stages:
         self._known: list[FloatArray] = []
 
     def guesses(self) -> Iterator[Guess | None]:
-        """The guesses of all stages, the first of them in a few milliseconds."""
+        """Yield the guesses of all stages, the first of them after a few milliseconds."""
         stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
         turns = self.problem.robot.turns_in_place and stands
         most = self._better_than()
-        if self._straight_on() >= most or (not turns and self._cheapest_word >= most):
-            return  # what there is cannot be beaten, were there no obstacle at all
+        distance = self.problem.start.distance_to(self.problem.goal)
+        straight_on = float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
+        if straight_on >= most or (not turns and self._cheapest_word >= most):
+            return  # no plan is cheaper, even without obstacles
         words = self._words(self._efforts[0])
         yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
-        yield from self._words(self._efforts[1])  # hybrid A* shoots those without a margin
+        yield from self._words(self._efforts[1])  # words without a margin are tried by hybrid A*
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
         if not self._is_worth_a_search():
             return
         if math.isinf(self._better_than()):
             yield from self._along_walls()
-        # Where the dock itself is tight, the way to it is not what is hard to find.
+        # If the dock itself is tight, its surroundings are the difficult part, and the search by poses goes first.
         is_tight = self.trees.room_before_dock(self._efforts[0]) < _TIGHT * EXIT_TURN * self._efforts[0].radius
         first, second = (self._along_routes, self._hybrid_a_star)[:: -1 if is_tight else 1]
         yield from first()
@@ -221,14 +221,13 @@ class Stages:
             yield from second()
 
     def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:
-        """The guesses of several stages, merged by price."""
         for guess in heapq.merge(*stages, key=lambda one: least_price(one.path, self.problem)):
             if least_price(guess.path, self.problem) < self._better_than():
                 yield guess
 
     @functools.cached_property
     def space(self) -> FreeSpace:
-        """Where the robot may be."""
+        """The free space."""
         return FreeSpace(self.problem, self._poll)
 
     @functools.cached_property
@@ -237,27 +236,22 @@ class Stages:
         return EndTrees(self.problem, self.space)
 
     def straight_runs(self) -> dict[str, float]:
-        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        """Return the free straight length before the dock for entering it in each gear [m]."""
         return self.trees.straight_runs(self._efforts[-1])
-
-    def _straight_on(self) -> float:
-        """The least price of a straight line to the dock in the faster gear, headings ignored [s]."""
-        distance = self.problem.start.distance_to(self.problem.goal)
-        return float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
 
     @functools.cached_property
     def _cheapest_word(self) -> float:
-        """The least price of a word to the final straight, obstacles ignored [s]."""
+        """The least price of a word to the final straight without obstacles [s]."""
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
-        words = reeds_shepp_words(starts, np.stack([end.as_array() for end in ends]), self.radius).lengths
+        words = reeds_shepp_words(starts, np.stack([end.as_array() for end in ends]), self.radius)
         form, end = np.nonzero(~np.isnan(words).any(axis=2))
         ways = np.column_stack((words[form, end], -straights[end]))
         return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
-        """Turns in place and straight lines, and the same with rounded corners."""
+        """Yield turns in place and straight lines, also with rounded corners."""
         known: set[str] = set()
         for effort in (self._efforts[0], self._efforts[-1]):
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
@@ -273,28 +267,26 @@ class Stages:
                     yield Guess(path, "turn and drive")
 
     @functools.cached_property
-    def _staging_with_margin(self) -> TreeNodes:
-        """Staging poses for words, of whatever radius."""
+    def _staging(self) -> TreeNodes:
         return self.trees.staging(self._efforts[0])
 
     def _words(self, effort: Effort) -> Iterator[Guess]:
-        """Words from the start to the staging poses, with a margin."""
-        staging = self._staging_with_margin
+        """Yield words from the start to the staging poses, with a margin."""
+        staging = self._staging
         if staging.rows.size == 0:
             return
-        found = connections(*all_pairs(self.trees.root, staging), effort.radius, self.space, _WORDS_PER_PAIR)
+        start = self.trees.from_start()
+        found = connections(*all_pairs(TreeNodes(start, ROOT), staging), effort.radius, self.space, _WORDS_PER_PAIR)
         found = found.rows(found.prices < self._worthwhile())
-        # The price decides about most of them, so it comes first: a word's poses are a hundred times as much work.
+        # The price excludes most words and is checked first: the poses of a word take a hundred times as long.
         ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
         found = found.at_prices(least_prices(ways, self.problem), self._better_than())
-        found = promising(found, self.trees.root.tree, self.space)
-        yield from self._offered(
-            "Reeds-Shepp",
-            free_manoeuvres(found, self.trees.root.tree, staging.tree, self.space, effort, self._better_than),
-        )
+        found = promising(found, start, self.space)
+        ways_in = free_manoeuvres(found, start, staging.tree, self.space, effort, self._better_than)
+        yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or one that is much dearer than the way around the obstacles would be."""
+        """Whether there is no plan, or one much dearer than the way around the obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True
@@ -309,7 +301,7 @@ class Stages:
         return self.space.wavefront(self.problem.start.as_array()[:2])
 
     def _along_routes(self) -> Iterator[Guess]:
-        """Words from pose to pose along the way of a disc around the obstacles."""
+        """Yield words from pose to pose along the shortest way of a disc around the obstacles."""
         start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)
@@ -327,25 +319,23 @@ class Stages:
             yield from self._offered("roadmap", ways)
 
     def _along_walls(self) -> Iterator[Guess]:
-        """Words between arcs that lead away from a wall beside the start and from one beside the dock."""
-        robot, effort = self.problem.robot, self._efforts[2]
-        gears = np.array(self.trees.start_gears)
-        exits, root = ArcTree(self.problem.start.as_array(), robot, 1), np.zeros(gears.size, dtype=np.int64)
-        away = sharpest_arcs(exits, root, gears, self.space, effort)
+        """Yield words between arcs that lead away from a wall next to the start and from one next to the dock."""
+        exits, effort, gears = self.trees.from_start(), self._efforts[2], np.array(self.trees.start_gears)
+        away = sharpest_arcs(exits, np.zeros(gears.size, dtype=np.int64), gears, self.space, effort)
         if away.size == 0:
             return
         entries, rows = self.trees.staging(effort)
         before, rows = len(entries), rows[rows > 0][:_STAGED]
         there = sharpest_arcs(entries, rows, entries.signs[rows], self.space, effort)
         if len(exits) - 1 == away.size and len(entries) - before == there.size:
-            return  # full lock is free at once
+            return  # full lock is free from the beginning
         pairs = all_pairs(TreeNodes(exits, np.append(0, away)), TreeNodes(entries, np.concatenate((rows, there))))
         found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
         ways = free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
-        yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # they share the arcs beside the walls
+        yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # all share the arcs along the walls
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
-        """As far afield as it takes, until there is a plan; with a pause after each effort that finds nothing."""
+        """Yield manoeuvres of hybrid A* with increasing effort, and None after each effort without a plan."""
         goal, efforts = self.problem.goal.as_array()[:2], self._efforts
         if math.isfinite(self._better_than()):
             efforts = (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),)
@@ -359,7 +349,7 @@ class Stages:
                 exits = self.trees.exits(effort, GENTLE)  # along a wall
             if exits.nodes.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
-            # The search begins where space is tight: words reach the other end.
+            # The search begins at the tighter end; words reach the other one.
             from_start = exits.room < self.trees.room_before_dock(effort)
             if from_start:
                 more, _ = self.trees.grown(entries, BOTH, effort)
@@ -380,7 +370,7 @@ class Stages:
             yield None
 
     def _offered(self, stage: str, found: Iterator[Arcs]) -> Iterator[Guess]:
-        """The first few of the ways found that are unlike those offered before and may beat the best plan."""
+        """Yield the first few ways that differ from all earlier ones and may be cheaper than the best plan."""
         offered = 0
         for arcs in found:
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
@@ -392,11 +382,11 @@ class Stages:
                 return
 
     def _worthwhile(self) -> float:
-        """The estimated price from which on a way cannot beat the best plan."""
+        """Return the estimated price from which on a way cannot be cheaper than the best plan."""
         return self._better_than() - ends_cost(self.problem)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
-        """Whether a way is not one that has been offered, but for a little."""
+        """Whether a way differs from all ways offered before by more than half the width of the robot."""
         places = arcs.poses_at_shares(np.linspace(0.0, 1.0, 17))[0, :, :2]
         near = 0.5 * self.problem.robot.footprint.width
         if any(np.abs(places - other).max() < near for other in self._known):
