@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -54,7 +54,9 @@ class BlockedPose:
         obstacle: The name of what is nearest.
     """
 
-    gear: int
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True)
+
+    gear: Annotated[int, Field(ge=-1, le=1)]
     before: float
     x: float
     y: float
@@ -118,29 +120,15 @@ class BlockedStraight:
         """
         try:
             document = _Document.model_validate(values)
-            poses = tuple(BlockedPose(**pose.model_dump()) for pose in document.straight)
-            return cls(poses, ProblemFingerprint(**document.problem))
+            return cls(document.straight, ProblemFingerprint(**document.problem))
         except (ValueError, TypeError) as error:  # pydantic's errors are ValueErrors
             raise InvalidFile(f"impossibility: {error}") from error
-
-
-class _PoseDocument(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
-
-    gear: Annotated[int, Field(ge=-1, le=1)]
-    before: float
-    x: float
-    y: float
-    yaw: float
-    clearance: float
-    required: float
-    obstacle: str
 
 
 class _Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    straight: Annotated[tuple[_PoseDocument, ...], Field(max_length=2)]
+    straight: Annotated[tuple[BlockedPose, ...], Field(max_length=2)]
     problem: dict[str, str]
 
 

@@ -31,7 +31,7 @@ import base64
 import math
 import zlib
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -68,6 +68,7 @@ _LEVELS = 12  # above and below 0 that tiles in a file may have
 # A proof that is made within a second has hundreds of tiles, some dozen discs, and packed cells of 1 MB.
 _MOST_TILES, _MOST_DISCS, _MOST_HEADINGS = 10_000, 500, 10_000
 _MOST_CELLS = 1 << 26
+_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,14 @@ class Bottleneck:
         between: Names of the nearest obstacles on both sides, one or two.
     """
 
-    x: float
-    y: float
-    yaw: float
-    missing_width: float
-    missing_without_clearance: float
-    accuracy: float
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    x: _Number
+    y: _Number
+    yaw: _Number
+    missing_width: _Number
+    missing_without_clearance: _Number
+    accuracy: _Number
     between: tuple[str, ...]
 
     @property
@@ -223,31 +226,18 @@ class ImpossibilityProof(FrozenArrays):
             tiles,
             tuple(part.astype(np.bool_).reshape(shape) for part, shape in zip(parts, shapes, strict=True)),
             np.array(document.whole, dtype=np.int64).reshape(-1, 3),
-            None if document.bottleneck is None else Bottleneck(**document.bottleneck.model_dump()),
+            document.bottleneck,
             ProblemFingerprint(**document.problem),
         )
 
 
-_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 _Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
 _Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
-class _ProofModel(BaseModel):
+class _ProofDocument(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-
-class _BottleneckDocument(_ProofModel):
-    x: _Number
-    y: _Number
-    yaw: _Number
-    missing_width: _Number
-    missing_without_clearance: _Number
-    accuracy: _Number
-    between: tuple[str, ...]
-
-
-class _ProofDocument(_ProofModel):
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]
     cell: Annotated[float, Field(gt=0.0, le=1e6)]
@@ -259,7 +249,7 @@ class _ProofDocument(_ProofModel):
     ]
     inside: str
     whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST_TILES)]
-    bottleneck: _BottleneckDocument | None = None
+    bottleneck: Bottleneck | None = None
     problem: dict[str, str]
 
 

@@ -183,12 +183,12 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         raise InvalidValue(f"cancel_checker: must be a function that says whether to stop, got {cancel_checker!r}")
     so_far, began = PartialPlan(), time.monotonic()
     try:
-        planners, *others = _chosen(planner, smoother, timing)
-        _warm_once(tuple(map(type, planners)), *map(type, others))
+        planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
+        _warm_once(tuple(map(type, planners)), type(smoothing), type(parameterizing))
         began = time.monotonic()
         deadline = Deadline(time_budget - _margin(time_budget))
-        cancelled = Cancellation(cancel_checker)
-        work = Refinement(problem, *others, warm_start, cancelled, time_budget, deadline, so_far.timing_ms)
+        limits = Cancellation(cancel_checker), time_budget, deadline
+        work = Refinement(problem, smoothing, parameterizing, warm_start, *limits, so_far.timing_ms)
         try:
             with garbage_collection_paused():
                 plan = _Portfolio(work, planners, given, so_far).plan()
@@ -235,8 +235,8 @@ def warm_up(
         PluginError: If a plugin is unknown or cannot be built.
         InvalidValue: If a parameter of a plugin is wrong, or `robot` is not a `Robot`.
     """
-    planners, *others = _chosen(planner, smoother, timing)
-    _warm_once(tuple(map(type, planners)), *map(type, others))
+    planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
+    _warm_once(tuple(map(type, planners)), type(smoothing), type(parameterizing))
     if robot is not None:
         prepare_footprint(instance(Robot, robot, "robot").footprint)
 
