@@ -1,4 +1,4 @@
-"""Drive."""
+"""A robot on its running plan: its state, the joint at which another plan can take over, and braking."""
 
 from __future__ import annotations
 
@@ -32,16 +32,17 @@ NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 
 
 class DriveState(NamedTuple):
-    """How far a robot is on the trajectory that it drives.
+    """Progress of a robot on its trajectory.
 
     Attributes:
-        time: Of the reference, on the trajectory's own clock [s].
-        rate: How fast that clock runs, 1 where the robot keeps up [1].
-        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
-            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
-        moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
-            `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
-        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
+        time: Time of the reference on the trajectory's own clock [s].
+        rate: Rate of that clock, 1 at the planned speed [1].
+        pose: Measured pose at that time; None: on the trajectory. Within the tube around the running path the
+            controller corrects the error, and a new plan begins on that path; outside it begins at the pose of the
+            robot.
+        moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, for a robot that
+            steers by a dock detected at another place. None: identity.
+        is_filtered: Whether `pose` is an estimate accurate enough for a new plan to begin there in any case.
     """
 
     time: float
@@ -52,10 +53,10 @@ class DriveState(NamedTuple):
 
 
 class BranchPoint(NamedTuple):
-    """A place on the running trajectory, and the robot there.
+    """A place on the running trajectory, and the state of the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, from where the robot will be; None: nothing is left.
+    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: nothing remains.
     """
 
     time: float
@@ -73,15 +74,15 @@ class BranchPoint(NamedTuple):
 
 
 class RunningDrive:
-    """The rest of a running plan, for a robot that is somewhere on it or beside it.
+    """The rest of a running plan, for a robot on it or off it.
 
     Args:
         plan: The running plan.
-        world: The problem as it is now.
-        state: How far the robot is.
+        world: The current problem.
+        state: Progress of the robot.
 
     Attributes:
-        ahead: The running path, or that path moved as a whole to where the robot is: what is ahead of the robot.
+        ahead: The path ahead: the running path, or that path moved as a whole to the robot.
         now: The robot on it.
     """
 
@@ -94,28 +95,28 @@ class RunningDrive:
 
     @functools.cached_property
     def path(self) -> Path:
-        """The running path, where it is being followed."""
+        """The running path, at its current place."""
         path, moved = self.plan.path, self.state.moved
         return path if moved is None else path.moved(moved)
 
     def move_ahead(self) -> None:
-        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
+        """Move the path ahead as a whole to the measured pose of the robot."""
         assert self.state.pose is not None
         self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
         self.now = self.branch_point(0.0)
 
     @functools.cached_property
     def reference(self) -> Pose2:
-        """Where the running trajectory has the robot."""
+        """The pose of the running trajectory."""
         return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
     @functools.cached_property
     def is_on_the_path(self) -> bool:
-        """Whether the robot is there."""
+        """Whether the robot is at that pose."""
         return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
 
     def is_in_tube(self, place: Pose2) -> bool:
-        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
+        """Whether the tube around a drive that begins at a place of the path covers the robot."""
         pose, footprint = self.state.pose, self.world.robot.footprint
         assert pose is not None
         off = footprint.displacement(pose, self.reference)
@@ -125,7 +126,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
+        """Return the state in `lead` seconds; in a turn in place, or shortly before a rest, the state at that rest."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -145,7 +146,7 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
+        """Return the time; in a turn in place or shortly before a rest, the time of that rest."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
@@ -158,7 +159,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """The time itself; or, where the robot rests until its wheels are turned, when they are."""
+        """Return the time; while the robot rests until its wheels are turned, the end of that rest."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest
@@ -168,7 +169,7 @@ class RunningDrive:
         return rest
 
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
-        """Whether the way from here to the joint is proven to be clear; None: there is none."""
+        """Prove the clearance of the way from here to the joint; None if they coincide."""
         now = self.now
         if now.rest is None or joint.s - now.s <= NO_WAY:
             return None
@@ -179,7 +180,7 @@ class RunningDrive:
         return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
-        """The problem of a robot at the joint."""
+        """Return the problem of a robot at the joint."""
         limits = self.world.robot.limits
         turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
         free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
@@ -195,15 +196,15 @@ _STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
 
 
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
-    """The quickest certified braking from a place of a trajectory, or the quickest of all.
+    """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
 
     Args:
-        joint: Where the robot begins to brake.
-        limits: Of the robot.
-        frame: That of the path.
+        joint: Place at which the robot begins to brake.
+        limits: Limits of the robot.
+        frame: Frame of the path.
 
     Returns:
-        What to drive, and the certificate of its motion, which may refuse it.
+        The trajectory, and the certificate of its motion, which may be negative.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
     still = Trajectory(_standing(joint.pose, frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
@@ -239,5 +240,5 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
 
 
 def _standing(pose: Pose2, frame: str) -> Path:
-    """A path for a robot that stays: a tenth of what the certificate takes for nothing."""
+    """Return a path of a tenth of the certificate's tolerance for a robot that stands."""
     return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)
