@@ -113,12 +113,9 @@ OUTSIDE, START, GOAL = range(3)  # nodes
 
 
 class ConnectivityGraph:
-    """Graph of adjacent tiles.
+    """Graph of adjacent tiles; `kinds` returns the open and the narrow cells of a tile, the others are left out.
 
-    Args:
-        grid: The grid of cells.
-        ends: Poses of the centre at start and goal.
-        kinds: Returns the open and the narrow cells of a tile; the others are left out.
+    `ends`: poses of the centre at start and goal.
     """
 
     def __init__(self, grid: CellGrid, ends: list[FloatArray], kinds: Kinds) -> None:
@@ -261,11 +258,9 @@ class ConnectivityGraph:
 
 @functools.lru_cache(maxsize=4096)
 def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
-    """Return flat indices of cells of two tiles that share a face, Shape (n,) each.
+    """Return flat indices of cells of two tiles that share a face across an axis (0: x), Shape (n,) each.
 
-    Args:
-        sides: Per tile level, column, row, cells along a side, headings, and the side: 0 the lower, -1 the upper.
-        axis: Axis across the side, 0 for x.
+    `sides`: per tile level, column, row, cells along a side, headings, and the side: 0 the lower, -1 the upper.
     """
     finest = max(side[0] for side in sides)
     size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one

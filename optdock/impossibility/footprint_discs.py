@@ -52,9 +52,7 @@ def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     """Return the discs of a footprint, computed once.
 
-    Args:
-        footprint: Footprint of the robot.
-        look: Called every few milliseconds; its exceptions are passed on, and nothing is kept.
+    `look` is called every few milliseconds; its exceptions are passed on, and nothing is kept.
     """
     kept = _bodies(footprint)
     if not kept:

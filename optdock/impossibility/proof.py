@@ -354,11 +354,7 @@ def _middle(pose: Pose2, proof: ImpossibilityProof) -> FloatArray:
 
 
 class _Rim:
-    """The cells that must be blocked, of every tile, Shape (headings, rows, columns) each.
-
-    Args:
-        proof: Proof with tiles that do not overlap.
-    """
+    """The cells of a proof that must be blocked, of every tile, Shape (headings, rows, columns) each."""
 
     def __init__(self, proof: ImpossibilityProof) -> None:
         self.cell = proof.cell
@@ -374,9 +370,7 @@ class _Rim:
     def fault(self, inner: FloatArray, outer: FloatArray) -> str:
         """Find the rim, and return the fault of the set that is independent of blocked cells; empty if there is none.
 
-        Args:
-            inner: The pose of the centre at the end that the set surrounds.
-            outer: The pose of the centre at the other end.
+        `inner`, `outer`: the poses of the centre at the end that the set surrounds, and at the other end.
         """
         within, is_covered = self._cells_at(inner)
         for k, cells in within:

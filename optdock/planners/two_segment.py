@@ -165,8 +165,7 @@ class ApproachAxis(FrozenArrays):
         """The far end of the centreline, Shape (2,) [m].
 
         Its distance from D, which the source does not define, is the safety distance, or the distance of the start from
-        the axis if that is longer. This leaves room for the turn away from the dock (`dir` -1) up to about 0.6 safety
-        distances off the axis. From farther off the arc does not fit before F.
+        the axis if that is longer: room for a turn away from the dock up to about 0.6 safety distances off the axis.
         """
         return self._at(
             self.distance_min_c + (self.along - self.distance_min_c) + max(self.safety_distance, self.distance_ad)
@@ -175,12 +174,6 @@ class ApproachAxis(FrozenArrays):
 
 def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters: DockPlannerParameters) -> ApproachAxis:
     """Return the axis of a docking manoeuvre, on the side of the goal from which the robot comes.
-
-    Args:
-        start: Pose A; its yaw is not used.
-        goal: Pose of the docked robot.
-        geometry: Sizes of robot and dock.
-        parameters: `calib_safety_distance`, `alpha`, `beta`, `gamma` and `direction` are read.
 
     Raises:
         NoValidPathCouldBeFound: If the robot has no length or no safety distance, if the start is not beyond C, or if
@@ -286,14 +279,9 @@ def plan_two_segment(
 ) -> TwoSegmentPlan:
     """Compute the raw docking path from `start` to `goal`.
 
-    Args:
-        start: Pose of the robot.
-        goal: Pose of the docked robot.
-        geometry: Sizes of robot and dock.
-        parameters: Parameters of the dock planner.
-        costmap: Its resolution bounds the spacing of poses; without one, `parameters.resolution` does. With
-            `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
-        cancel_checker: Polled at least every 5 ms.
+    The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
+    `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
+    `cancel_checker` is polled at least every 5 ms.
 
     Raises:
         PlannerException: If `parameters.check_free_space` is set and there is no costmap.
@@ -354,13 +342,8 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
 class CurveSampler:
     """Sampling of curves through control points.
 
-    Args:
-        degree: NURBS degree.
-        step: Coarsest step of u.
-        resolution: Largest distance of neighbouring poses [m].
-        costmap: Map on which every sample must be free; None: no check.
-        cost_threshold: A cost at or above this blocks.
-        cancel_checker: Polled while sampling.
+    `degree`: of the NURBS. `step`: coarsest step of u. `resolution`: largest distance of neighbouring poses [m].
+    `costmap`: map on which every sample must cost less than `cost_threshold`; None: no check.
     """
 
     degree: int
@@ -371,19 +354,12 @@ class CurveSampler:
     cancel_checker: Callable[[], bool]
 
     def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
-        """Sample poses from u = 0 to 1, with yaw along the tangent, or against it in reverse.
+        """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
         Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
         of |dC/du|, which spaces poses up to twice too far where the curve is fast. As in the source the last pose has
-        the yaw of the one before it. Samples that are not finite are skipped.
-
-        Args:
-            control_points: Shape (n, 2) [m], n > degree; unit weights.
-            direction: Gear.
-            name: Name of the curve in a message.
-
-        Returns:
-            Shape (m, 3) [m, m, rad], m >= 2.
+        the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2) [m], n >
+        degree, of unit weight.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -460,12 +436,9 @@ class Joint(NamedTuple):
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
     """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
 
-    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search.
-
-    Args:
-        start: Position A, Shape (2,) [m].
-        centreline: Samples of the straight line from C to F, Shape (n, 2) [m], n >= 2.
-        angle_threshold: Smallest interior angle between the rays from the joint to A and along the axis [rad].
+    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search. `start`:
+    position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m]. `angle_threshold`:
+    smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))

@@ -242,14 +242,7 @@ def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> Flo
 
 
 class _Program:
-    """The quadratic program of a step: the least change that closes the gap within the bounds.
-
-    Args:
-        gears: The initial gears.
-        limits: Their bounds.
-        speed: See `deformed`.
-        steers: See `deformed`.
-    """
+    """The quadratic program of a step: the least change that closes the gap within the bounds."""
 
     def __init__(self, gears: list[_GearPiece], limits: MotionLimits, speed: float, *, steers: bool) -> None:
         sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)

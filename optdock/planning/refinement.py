@@ -119,15 +119,9 @@ class Cancellation:
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     """Return how far a path leads straight until a robot that touches an obstacle at the start is clear of it [m].
 
-    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept.
-
-    Args:
-        path: Path from the start.
-        problem: The planning problem.
-
-    Returns:
-        0 if the robot touches nothing, moves or has its wheels turned, and if the path begins elsewhere or does not
-        lead straight out of the contact.
+    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. 0 if
+    the robot touches nothing, moves or has its wheels turned, and if the path begins elsewhere or does not lead
+    straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -146,13 +140,9 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
 
 
 def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
-    """Return a path with a straight line before it that ends where the path begins.
+    """Return a path with a straight line of some length [m] before it, from `start` to the beginning of the path.
 
-    Args:
-        start: Start of the line.
-        gear: Gear of the line, 1 or -1.
-        length: Length of the line [m].
-        path: Path of any kind; a clothoid spline in the same gear is joined to the line.
+    A clothoid spline in the same gear, 1 or -1, is joined to the line.
     """
     first, segments = path.segments[0], path.segments
     knots, curvature = np.array([0.0, length]), np.zeros(2)
@@ -166,14 +156,9 @@ def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
 def stopping_at_bends(path: Path) -> Path | None:
     """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
 
-    A standing robot may turn its wheels, so a sequence of arcs can be driven without smoothing. If the room is too
-    short for a transition between two curvatures, this can be the only way.
-
-    Args:
-        path: Sampled arcs and straight lines, and turns in place.
-
-    Returns:
-        None if the path is no such sequence, or one with too many bends.
+    A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. If
+    the room is too short for a transition between two curvatures, this can be the only way. None if the path is no such
+    sequence, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -270,13 +255,9 @@ class Refinement:
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 
     def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
-        """Return the certified plan along a path that needs no smoothing.
+        """Return the certified plan along a path that needs no smoothing, made of a guess; arguments as in `refined`.
 
-        Args:
-            raw: The guess that the path was made of.
-            path: Path in the problem's frame.
-            so_far: As in `refined`.
-            is_late: Polled during the certificate of the path; `asked_to_stop` by default.
+        `is_late` is polled during the certificate of the path; `asked_to_stop` by default.
 
         Raises:
             OptdockError: As `refined`.
@@ -412,13 +393,8 @@ class Refinement:
 def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
     """Configure a plugin for the problem; an error that its interface does not name becomes a PluginError.
 
-    Args:
-        plugin: Plugin that is not configured yet.
-        problem: Problem of the context.
-        cancelled: Exceptions of the caller's cancel checker are passed on.
-
     Raises:
-        PluginError: With the plugin's exception as cause.
+        PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
         LifecycleError: If the plugin is configured already.
     """
     name = type(plugin).__name__

@@ -74,12 +74,7 @@ class BranchPoint(NamedTuple):
 
 
 class RunningDrive:
-    """The rest of a running plan, for a robot on it or off it.
-
-    Args:
-        plan: The running plan.
-        world: The current problem.
-        state: Progress of the robot.
+    """The rest of a running plan in the current problem `world`, for a robot on the plan or off it.
 
     Attributes:
         ahead: The path ahead: the running path, or that path moved as a whole to the robot.
@@ -198,13 +193,7 @@ _STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
     """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
 
-    Args:
-        joint: Place at which the robot begins to brake.
-        limits: Limits of the robot.
-        frame: Frame of the path.
-
-    Returns:
-        The trajectory, and the certificate of its motion, which may be negative.
+    Returns the trajectory, and the certificate of its motion, which may be negative.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
     still = Trajectory(_standing(joint.pose, frame), TimeLaw(np.array([_STILL]), np.zeros(1)))

@@ -76,12 +76,8 @@ class Arcs(NamedTuple):
         return np.concatenate((inner, joints[-1:]))
 
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
-        """Return a single sequence as a path of polylines.
-
-        Args:
-            spacing: Largest distance between poses [m].
-            end: Exact last pose, Shape (3,); the arcs end there up to rounding.
-            frame: Name of the coordinate frame.
+        """Return a single sequence as a path of polylines with poses at most `spacing` [m] apart, ending exactly at
+        `end`.
         """
         assert len(self.lengths) == 1
         lengths, curvatures, joints = self.lengths[0], self.curvatures[0], self.joints()[0]
@@ -111,13 +107,10 @@ class Moves(NamedTuple):
 
 
 class ArcTree:
-    """Nodes that are reached from a root by free arcs.
+    """Nodes that are reached from a root pose, Shape (3,), by free arcs.
 
-    Args:
-        root: Pose of the root, Shape (3,).
-        robot: Robot whose prices count.
-        gear: Sign that a positive length has when driven: 1 from the start, -1 from the goal, where the tree grows
-            backwards in time.
+    `gear` is the sign that a positive length has when driven: 1 from the start, -1 from the goal, where the tree grows
+    backwards in time.
 
     Attributes:
         poses: Shape (n, 3).
@@ -146,13 +139,8 @@ class ArcTree:
     ) -> IntArray:
         """Drive all moves from the nodes at `rows` as far as they are free and return the rows of the new nodes.
 
-        Args:
-            rows: Rows of the first nodes.
-            moves: Moves to drive.
-            stations: Ascending lengths at which a node is added [m]; the last free pose is one as well.
-            space: Free space.
-            effort: Resolution of the collision check.
-            is_new: Filter of the poses found, in ascending order of price; None: keep all.
+        Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
+        found, in ascending order of price; None: keep all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)

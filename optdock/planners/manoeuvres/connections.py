@@ -82,10 +82,7 @@ class TreeNodes(NamedTuple):
 
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """Return the cheapest words of pairs of nodes of the start's and the goal's tree; collisions are not checked.
-
-    Both have the same number of rows.
-    """
+    """Return the cheapest words of pairs of nodes, the same number of rows each; collisions are not checked."""
     blocks = []
     for k in range(0, exits.rows.size, _PAIRS):
         space.poll()
@@ -111,15 +108,7 @@ class PairWords(NamedTuple):
 
 
 def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
-    """Return the words that are cheapest at full speed of every pair of poses, Shape (n, 3) each.
-
-    Args:
-        starts: Start poses.
-        ends: End poses.
-        radius: Turning radius of all arcs [m].
-        robot: Robot whose speeds and price of reversing count.
-        per_pair: Largest number per pair.
-    """
+    """Return at most `per_pair` words that are cheapest at full speed of every pair of poses, Shape (n, 3) each."""
     words = reeds_shepp_words(starts, ends, radius)
     with np.errstate(invalid="ignore"):
         driven = driving_prices(words, robot).sum(axis=2)
@@ -180,10 +169,7 @@ def free_manoeuvres(
     effort: Effort,
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
-    """Yield collision-free manoeuvres from start to goal in ascending order of price, below `worthwhile()`.
-
-    The threshold may fall meanwhile.
-    """
+    """Yield collision-free manoeuvres from start to goal in ascending order of price, while below `worthwhile()`."""
     for k in range(0, found.size, _BATCH):
         space.poll()
         if found.prices[k] >= worthwhile():

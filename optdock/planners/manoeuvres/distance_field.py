@@ -24,18 +24,10 @@ _BESIDE = 0.75  # cells: half a diagonal, and rounding
 
 
 class DistanceField:
-    """Distances from points in a square to the nearest obstacle, up to a reach.
+    """Distances up to `reach` [m] from points of a square to the nearest obstacle.
 
-    Args:
-        obstacles: The obstacles.
-        square: Centre and length of the sides, Shape (3,) [m].
-        spacing: Grid spacing [m].
-        reach: Largest distance; larger ones are cut to it [m].
-        poll: Called before every tile.
-
-    Attributes:
-        side: Number of grid points along each side.
-        origin: First grid point, Shape (2,) [m].
+    `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: of the grid [m]. `poll` is called before every
+    tile. Attribute `side`: number of grid points along each side; `origin`: the first one, Shape (2,) [m].
     """
 
     def __init__(
@@ -135,15 +127,10 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
 
 
 class Wavefront:
-    """Lengths of shortest ways around the obstacles for a disc: the heuristic of hybrid A*.
+    """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
 
     A wave spreads over the grid, alternately to the four and the eight neighbours of its front, as an octagon: the
     number of steps is at most the length in cells, and at most 11 % less. It advances on demand.
-
-    Args:
-        field: Distances to the obstacles; the wave uses its grid.
-        source: Start of the wave, Shape (2,) [m].
-        radius: Radius of the disc, reduced by the distance of a way from the nearest grid point [m].
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:

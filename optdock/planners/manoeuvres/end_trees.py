@@ -58,12 +58,7 @@ class Exits(NamedTuple):
 
 
 class EndTrees:
-    """The trees at both ends of one problem.
-
-    Args:
-        problem: The planning problem.
-        space: Free space.
-    """
+    """The trees at both ends of one problem."""
 
     def __init__(self, problem: DockingProblem, space: FreeSpace) -> None:
         self.problem, self.space = problem, space
@@ -104,9 +99,7 @@ class EndTrees:
     def staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
         """Return straight runs out of the dock, as far as they are free, where the final straight may begin.
 
-        Args:
-            effort: Resolution of the collision check.
-            more: Further lengths at which runs may end [m].
+        `more`: further lengths at which runs may end [m].
         """
         tree, straight = self._from_goal(), self.problem.dock.final_straight
         stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
@@ -138,14 +131,8 @@ class EndTrees:
     ) -> tuple[IntArray, float]:
         """Grow arcs and lines out of the nodes of an end, in several generations if hardly any is free.
 
-        Args:
-            end: First nodes.
-            gears: Signs of the first lengths.
-            effort: Resolution of the collision check.
-            bends: Curvatures of arcs in those of the smallest radius.
-
-        Returns:
-            The rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
+        Returns the rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
+        `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.
         """
         tree, first = end
         station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)
@@ -210,12 +197,7 @@ def gears_into(dock: Dock) -> tuple[float, ...]:
 def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:
     """Drive chains of arcs to either side until full lock is free; return the rows after arcs at full lock.
 
-    Args:
-        tree: Tree to which nodes are added.
-        rows: Nodes at which chains begin, Shape (n,).
-        gears: Signs of their lengths, Shape (n,).
-        space: Free space.
-        effort: Turning radius and resolution.
+    The chains begin at nodes, Shape (n,), with signs of their lengths `gears`, Shape (n,).
     """
     node, sign, side = np.repeat(rows, 2), np.repeat(gears, 2), np.tile([1.0, -1.0], rows.size)
     length, full = _LENGTH * space.footprint.circumscribed_radius, 1.0 / effort.radius

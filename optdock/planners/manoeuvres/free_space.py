@@ -75,12 +75,8 @@ def _discs(body: ConvexBody, across: int) -> _Discs:
 class FreeSpace:
     """Test of poses for the clearance that a problem requires, and a margin.
 
-    Args:
-        problem: The planning problem.
-        poll: Called every few milliseconds; raises to end the search.
-
-    Attributes:
-        width: Lesser extent of the footprint [m].
+    `poll` is called every few milliseconds and raises to end the search. Attribute `width`: lesser extent of the
+    footprint [m].
     """
 
     def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
@@ -103,12 +99,7 @@ class FreeSpace:
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
-        """Return the lengths of ways around the obstacles from a place, Shape (2,) [m].
-
-        Args:
-            source: The place.
-            radius: Radius of the disc that moves [m]; None: of the disc inside the footprint.
-        """
+        """Return the wavefront from a place, Shape (2,) [m], of a disc, by default the one inside the footprint."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
     @functools.cached_property

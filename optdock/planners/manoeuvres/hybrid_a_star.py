@@ -41,9 +41,7 @@ _STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # distances of nodes alon
 class PoseGrid:
     """Cells of poses, each of which is entered once: fine near obstacles, coarse in open space.
 
-    Args:
-        space: Free space, whose distance field sets the cell size.
-        fineness: Width of the robot divided by the size of the smallest cells.
+    The smallest cells are the width of the robot divided by `fineness`.
     """
 
     def __init__(self, space: FreeSpace, fineness: int) -> None:
@@ -89,7 +87,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         entries: Nodes of the goal's tree from which the search goes on; the tree grows.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
-        wavefront: Lengths of the shortest ways for a disc from the end where the search does not begin.
+        wavefront: Wavefront from the end where the search does not begin.
         worthwhile: Returns the price from which on a way is useless; infinite while there is no plan.
         from_start: Grow the start's tree instead, and join its nodes to the entries.
         bends: Curvatures of the arcs in addition to straight lines, in those of the smallest radius.

@@ -167,14 +167,7 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
 
 
 class Stages:
-    """One search.
-
-    Args:
-        problem: The planning problem.
-        slack: Radius of the first words in smallest turning radii.
-        poll: Raises to end the search.
-        better_than: See `GlobalPlanner.create_plans`.
-    """
+    """One search; `slack` is the radius of the first words in smallest turning radii, `poll` raises to end the search."""
 
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]

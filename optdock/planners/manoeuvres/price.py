@@ -92,12 +92,7 @@ def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return shortest durations of drives from stop to stop, see `least_price`. Shape (n, k) [s].
-
-    Args:
-        gears: Lengths, negative in reverse, 0 for no drive. Shape (n, k) [m].
-        problem: As in `least_prices`.
-    """
+    """Return shortest durations of drives from stop to stop, see `least_price`; signed lengths to [s], Shape (n, k)."""
     limits, zone = problem.robot.limits, problem.dock.approach
     length, drives = np.abs(gears), gears != 0.0
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
@@ -139,12 +134,7 @@ def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
 
 
 def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
-    """Return shortest durations of turns in place from rest to rest, without a bound on jerk.
-
-    Args:
-        turns: Turned angles, not negative, of any shape [rad].
-        limits: Finite limits of turns.
-    """
+    """Return shortest durations [s] of turns in place [rad] from rest to rest, without a bound on jerk."""
     ramps = np.minimum(limits.rate, np.sqrt(turns * limits.acceleration))
     times: FloatArray = ramps / limits.acceleration + turns / np.maximum(ramps, 1e-300)
     return times

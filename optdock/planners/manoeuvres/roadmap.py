@@ -69,15 +69,9 @@ def roadmap_ways(
     route: FloatArray,
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
-    """Yield free manoeuvres along a route as they are found, approximately in ascending order of price.
+    """Yield free manoeuvres along a route, Shape (n, 2) [m], as they are found, roughly in ascending order of price.
 
-    Args:
-        exits: The start, and other nodes of its tree.
-        entries: Nodes of the goal's tree without its root.
-        space: Free space.
-        effort: Turning radius and resolution.
-        route: Points from the start to the goal, Shape (n, 2) [m].
-        worthwhile: Returns the price from which on a way is useless.
+    `entries` are without the root of the goal's tree; `worthwhile` returns the price from which on a way is useless.
     """
     for price, way in _LazySearch(exits, entries, space, effort, route).ways():
         if price >= worthwhile():
@@ -87,7 +81,7 @@ def roadmap_ways(
 
 
 class _LazySearch:
-    """Best-first search over words that are checked when they are expanded; arguments as in `roadmap_ways`.
+    """Best-first search over words that are checked when they are expanded.
 
     Vertices are the exits, then poses along the route, then the entries.
     """
@@ -220,14 +214,9 @@ def _arc_lengths(route: FloatArray) -> FloatArray:
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
-    """Return a route with the same ends that is pulled straight and pushed away from obstacles nearer than `room`.
+    """Return a route, Shape (n, 2) [m], pulled straight and pushed away from obstacles nearer than `room` [m].
 
-    Its points lie about one robot width apart.
-
-    Args:
-        route: Points, Shape (n, 2) [m].
-        space: Free space.
-        room: Wanted distance on both sides [m].
+    Its ends are kept; its points lie about one robot width apart.
     """
     s = _arc_lengths(route)
     at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))

@@ -90,13 +90,7 @@ class TurnsAndDrives(NamedTuple):
         return np.concatenate(blocks)
 
     def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
-        """Return the turns as segments and the drives as polylines.
-
-        Args:
-            spacing: Spacing of the poses of drives [m].
-            goal: Exact last pose.
-            frame: Name of the coordinate frame.
-        """
+        """Return turns as segments and drives as polylines of some spacing [m], with `goal` as exact last pose."""
         before, after = self.joints()
         segments: list[Segment] = []
         rounds = np.append(self.rounds(), False)
@@ -185,12 +179,8 @@ def turns_and_drives(
 ) -> Iterator[TurnsAndDrives]:
     """Yield free manoeuvres in ascending order of price: a straight run, a turn, a line, a turn, a straight run.
 
-    Args:
-        exits: The start and the ends of straight runs out of it.
-        entries: Poses at which straight runs into the dock begin.
-        space: Free space.
-        effort: Resolution of the collision check.
-        worthwhile: Returns the price from which on a manoeuvre is useless [s].
+    `exits` are the start and the ends of straight runs out of it, `entries` poses at which straight runs into the dock
+    begin; `worthwhile` returns the price from which on a manoeuvre is useless [s].
     """
     found = _lines(exits, entries, space, effort)
     left = {False: _TRIES, True: _TRIES}
@@ -338,14 +328,8 @@ def routes(
 ) -> Iterator[TurnsAndDrives]:
     """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
 
-    The way is that of the disc in which the robot turns; then that of one as wide as the robot.
-
-    Args:
-        exits: As in `turns_and_drives`.
-        entries: As in `turns_and_drives`.
-        space: Free space.
-        effort: Resolution of the collision check.
-        worthwhile: As in `turns_and_drives`.
+    The way is that of the disc in which the robot turns; then that of one as wide as the robot. Arguments as in
+    `turns_and_drives`.
     """
     kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
