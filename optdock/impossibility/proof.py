@@ -45,6 +45,8 @@ from optdock.verification.proximity import end_clearances
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from shapely import STRtree
+
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
@@ -298,19 +300,22 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
         proof: Proof to be checked.
         problem: The planning problem.
     """
+    import shapely
+
     fault = _fault(proof, problem)
     if fault:
         return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
     rim = _Rim(proof)
     inner, outer = (problem.goal, problem.start) if proof.end == "goal" else (problem.start, problem.goal)
     fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
-    judge = _CellTest(proof, problem)
+    # Floats have the highest resolution near the origin of the tiles.
+    tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
     count = 0
     for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
         if fault:
             break
         count += int(cells.sum())
-        if not judge.are_blocked(tile, cells):
+        if not _are_blocked(proof, problem, tree, tile, cells):
             fault = "a cell on the rim is not blocked"
     return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
 
@@ -447,44 +452,32 @@ class _Rim:
         np.logical_or.at(self.blocked[k], place, must)
 
 
-class _CellTest:
-    """Test of cells by exact distances of discs from obstacles."""
+def _are_blocked(
+    proof: ImpossibilityProof, problem: DockingProblem, tree: STRtree, tile: list[int], cells: BoolArray
+) -> bool:
+    """Whether all selected cells of a tile, Shape (headings, rows, columns), are blocked, by exact distances.
 
-    def __init__(self, proof: ImpossibilityProof, problem: DockingProblem) -> None:
-        import shapely
+    `tree`: the obstacles relative to the origin of the tiles.
+    """
+    import shapely
 
-        self.proof, self.problem = proof, problem
-        # Floats have the highest resolution near the origin of the tiles.
-        self.tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
-        self.start_clearance = end_clearances(problem).start
-        self.discs = proof.discs[np.argsort(-proof.discs[:, 2])].tolist()
-
-    def are_blocked(self, tile: list[int], cells: BoolArray) -> bool:
-        """Whether all selected cells of a tile are blocked, Shape (headings, rows, columns)."""
-        import shapely
-
-        (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
-        half = self.proof.cell / 2**level
-        turn = math.pi / cells.shape[0]
-        x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
-        yaw = turn * (2.0 * layer + 1.0)
-        c, s = np.cos(yaw), np.sin(yaw)
-        required = self._required(x, y, (c, s), half, turn)
-        left = np.ones(yaw.size, dtype=np.bool_)
-        for px, py, radius in self.discs:
-            moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
-            within = radius + required - moved - SLACK
-            asked = np.flatnonzero(left & (within > 0.0))
-            if asked.size:
-                at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
-                met = self.tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
-                left[asked[met]] = False
-        return not left.any()
-
-    def _required(
-        self, x: FloatArray, y: FloatArray, turned: tuple[FloatArray, FloatArray], half: float, turn: float
-    ) -> FloatArray:
-        (mx, my), (ox, oy), (c, s) = self.proof.centre, self.proof.origin, turned
-        reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
-        at = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
-        return least_required(self.problem, *at, reach, self.start_clearance)
+    (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
+    half = proof.cell / 2**level
+    turn = math.pi / cells.shape[0]
+    x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
+    yaw = turn * (2.0 * layer + 1.0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    (mx, my), (ox, oy) = proof.centre, proof.origin
+    reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
+    place = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
+    required = least_required(problem, *place, reach, end_clearances(problem).start)
+    left = np.ones(yaw.size, dtype=np.bool_)
+    for px, py, radius in proof.discs[np.argsort(-proof.discs[:, 2])].tolist():
+        moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
+        within = radius + required - moved - SLACK
+        asked = np.flatnonzero(left & (within > 0.0))
+        if asked.size:
+            at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
+            met = tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
+            left[asked[met]] = False
+    return not left.any()

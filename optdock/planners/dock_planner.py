@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -11,7 +10,7 @@ from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.geometry.obstacles import in_words
 from optdock.model.dock import DockDirection
 from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, TwoSegmentPlan, plan_two_segment
-from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
+from optdock.plugins.interfaces import GlobalPlanner, LifecycleState, never_cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,17 +39,6 @@ class DockPlanner(GlobalPlanner):
 
     Parameters: ClassVar[type[PluginParameters]] = DockPlannerParameters
     parameters: DockPlannerParameters
-
-    def configure(self, context: PluginContext) -> None:
-        """Configure the planner; a second call with the same surroundings does nothing.
-
-        Raises:
-            LifecycleError: If it is configured with other surroundings (clean up first), or finalized.
-            InvalidValue: If the context holds no robot footprint.
-        """
-        if self.state in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) and _same(self.context, context):
-            return
-        super().configure(context)
 
     def on_configure(self) -> None:
         """Check the surroundings and load SciPy's splines, which takes longer than a hundred plans.
@@ -104,13 +92,13 @@ class DockPlanner(GlobalPlanner):
         geometry = DockGeometry.from_footprints(robot, outline)
         plan = plan_two_segment(start, goal, geometry, parameters, self.context.costmap, cancel_checker)
         self.context.logger.debug(
-            "%s: dir %d, %s, %.3f m", self.context.name, plan.dir, plan.direction.name, plan.path.length
+            "%s: dir %d, %s, %.3f m", self.context.name, plan.joint.dir, plan.axis.direction.name, plan.path.length
         )
         if problem is None:
             return plan
         if self.parameters.check_free_space:
             _check_free(plan.path, (self.context.problem_at_hand(None) or problem).all_obstacles)
-        return dataclasses.replace(plan, path=plan.path.with_frame(problem.frame))
+        return plan._replace(path=plan.path.with_frame(problem.frame))
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
@@ -129,10 +117,3 @@ def _check_free(path: Path, obstacles: ObstacleSet) -> None:
             f"dock planner: the path is blocked at ({x:.3f}, {y:.3f}) by {in_words(name)}",
             where={"x": x, "y": y, "obstacle": name},
         )
-
-
-def _same(known: PluginContext, offered: PluginContext) -> bool:
-    if known.costmap is not offered.costmap or known.footprint is not offered.footprint:
-        return False
-    mine, theirs = known.problem, offered.problem
-    return mine is theirs or (mine is not None and theirs is not None and mine.fingerprint == theirs.fingerprint)

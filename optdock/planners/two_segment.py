@@ -238,35 +238,12 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
     )
 
 
-@dataclass(frozen=True, eq=False)
-class TwoSegmentPlan(FrozenArrays):
-    """A raw docking path and its construction.
-
-    Args:
-        path: From the start pose to the goal pose, with a cusp where `dir` is -1.
-        axis: The approach axis.
-        joint: How segment 1 reaches the axis.
-        centreline: Samples of the axis from C to F, Shape (n, 3) [m, m, rad].
-        control_points_1: Control points of segment 1, Shape (3, 2) [m].
-        control_points_2: Control points of segment 2, Shape (3, 2) [m].
-    """
+class TwoSegmentPlan(NamedTuple):
+    """A raw docking path, its approach axis, and how segment 1 reaches the axis."""
 
     path: Path
     axis: ApproachAxis
     joint: Joint
-    centreline: FloatArray
-    control_points_1: FloatArray
-    control_points_2: FloatArray
-
-    @property
-    def direction(self) -> Direction:
-        """Gear of the last motion: REVERSE docks backward."""
-        return self.axis.direction
-
-    @property
-    def dir(self) -> JointKind:
-        """1 turns toward the dock, -1 away from it with a cusp, 0 drives to the axis and turns there."""
-        return self.joint.dir
 
 
 def plan_two_segment(
@@ -308,10 +285,8 @@ def plan_two_segment(
     gear = Direction(-axis.direction) if joint.dir is JointKind.AWAY else axis.direction
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
-    control_points_2 = np.array([last, 0.5 * (last + axis.goal), axis.goal])
-    second = sampler.poses(control_points_2, axis.direction, "segment 2")
-    path = _assembled(start, goal, (first, second), (gear, axis.direction))
-    return TwoSegmentPlan(path, axis, joint, centreline, joint.control_points, control_points_2)
+    second = sampler.poses(np.array([last, 0.5 * (last + axis.goal), axis.goal]), axis.direction, "segment 2")
+    return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction)), axis, joint)
 
 
 def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, threshold: int) -> None:

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.model.dock import Dock
     from optdock.model.trajectory import Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
@@ -180,17 +179,14 @@ def _changed(
     }
     if later is not known:
         before, after = known.dock, later.dock
-        differs["dock"] = before is not after and (before.pose != after.pose or _outline(before) != _outline(after))
+        outlines = [dock.footprint and dock.footprint.vertices.tobytes() for dock in (before, after)]
+        differs["dock"] = before is not after and (before.pose != after.pose or outlines[0] != outlines[1])
         differs["clearance"] = known.path_clearance != later.path_clearance  # with the tube
         if known.robot is not later.robot:
             was, now = known.robot.fingerprint, later.robot.fingerprint
             differs |= {"footprint": was.footprint != now.footprint, "limits": was.limits != now.limits}
         differs["frame"] = known.frame != later.frame
     return tuple(name for name, differ in differs.items() if differ)
-
-
-def _outline(dock: Dock) -> bytes | None:
-    return None if dock.footprint is None else dock.footprint.vertices.tobytes()
 
 
 def _is_another(first: Costmap | None, second: Costmap | None) -> bool:

@@ -196,7 +196,9 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
     Returns the trajectory, and the certificate of its motion, which may be negative.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
-    still = Trajectory(_standing(joint.pose, frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
+    # A tenth of the certificate's tolerance: the path of a robot that stands.
+    standing = ClothoidSegment(ClothoidSpline(joint.pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2)))
+    still = Trajectory(Path((standing,), frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
     if joint.rest is None or joint.rests:
         return still, certify_trajectory(still, limits, SpeedZone())
     first = None
@@ -226,8 +228,3 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
             return trajectory, motion
     assert first is not None
     return first
-
-
-def _standing(pose: Pose2, frame: str) -> Path:
-    """Return a path of a tenth of the certificate's tolerance for a robot that stands."""
-    return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)

@@ -76,9 +76,7 @@ class Arcs(NamedTuple):
         return np.concatenate((inner, joints[-1:]))
 
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
-        """Return a single sequence as a path of polylines with poses at most `spacing` [m] apart, ending exactly at
-        `end`.
-        """
+        """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
         assert len(self.lengths) == 1
         lengths, curvatures, joints = self.lengths[0], self.curvatures[0], self.joints()[0]
         kept = np.flatnonzero(np.abs(lengths) > _NOTHING)

@@ -167,7 +167,7 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
 
 
 class Stages:
-    """One search; `slack` is the radius of the first words in smallest turning radii, `poll` raises to end the search."""
+    """One search; `slack`: radius of the first words in smallest turning radii; `poll` raises to end the search."""
 
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]

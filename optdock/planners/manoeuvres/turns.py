@@ -125,30 +125,19 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
     return PolylineSegment(poses, last.direction)
 
 
-class _TurnRoom(NamedTuple):
-    """How far the robot can turn left and right from free headings, Shape (n,) [rad]."""
-
-    left: FloatArray
-    right: FloatArray
-
-    @classmethod
-    def at(cls, poses: FloatArray, space: FreeSpace, effort: Effort) -> _TurnRoom:
-        """Check some headings; the final check of the manoeuvre covers those between."""
-        space.poll()
-        step = 2.0 * math.pi / _HEADINGS
-        around = np.repeat(poses[:, None], _HEADINGS, axis=1)
-        around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
-        free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), _HEADINGS)
-        far = []
-        for side in (free, free[:, -2::-1]):  # the last heading is the first one again
-            count = np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1))
-            far.append((count + 1.0) * step)
-        return cls(*far)
-
-    def allows(self, turns: FloatArray, rows: IntArray) -> BoolArray:
-        """Whether turns from the headings at `rows` may be free."""
-        allowed: BoolArray = (turns <= self.left[rows]) & (-turns <= self.right[rows])
-        return allowed
+def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: FreeSpace, effort: Effort) -> BoolArray:
+    """Whether turns [rad] from the poses at `rows` may be free, by a check of some headings. Shape (n,)."""
+    space.poll()
+    step = 2.0 * math.pi / _HEADINGS
+    around = np.repeat(poses[:, None], _HEADINGS, axis=1)
+    around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
+    free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), _HEADINGS)
+    left, right = (
+        (np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1)) + 1.0) * step
+        for side in (free, free[:, -2::-1])  # the last heading is the first one again
+    )
+    allowed: BoolArray = (turns <= left[rows]) & (-turns <= right[rows])
+    return allowed
 
 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
@@ -247,8 +236,8 @@ def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effor
     stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
     stops = stops + (drives & (into != 0.0) & ((turns[:, 1] != 0.0) | (into * gear < 0.0)))
     prices += stopping_cost(limits) * (stops + (~drives & (out != 0.0) & (into != 0.0)))
-    room_out, room_in = (_TurnRoom.at(poses, space, effort) for poses in (leaving, arriving))
-    can_turn = np.column_stack((room_out.allows(turns[:, 0], i), room_in.allows(-turns[:, 1], j)))
+    turns_out = _allowed_turns(leaving, turns[:, 0], i, space, effort)
+    can_turn = np.column_stack((turns_out, _allowed_turns(arriving, -turns[:, 1], j, space, effort)))
     turned = np.flatnonzero(can_turn.all(axis=1))
     run = np.abs(entries.tree.lengths[rows[1]]) - space.problem.dock.final_straight
     goes_on = np.column_stack((out * gear > 0.0, into * gear > 0.0)) & drives[:, None]

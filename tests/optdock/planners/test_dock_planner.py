@@ -87,19 +87,6 @@ def test_planning_after_cleanup_or_shutdown_is_refused():
         planner.configure(PluginContext(footprint=ROBOT))
 
 
-def test_configuring_again_is_a_no_op_that_succeeds():
-    context = PluginContext(footprint=ROBOT)
-    planner = configured(context)
-    planner.configure(context)
-    planner.configure(PluginContext(name="again", footprint=ROBOT))
-    assert planner.state is LifecycleState.INACTIVE
-    assert planner.context is context
-    planner.activate()
-    planner.configure(context)
-    assert planner.state is LifecycleState.ACTIVE
-    assert planner.create_plan(START, GOAL).end == GOAL
-
-
 def test_configuring_again_with_another_costmap_is_refused_not_ignored():
     planner = configured()
     other = PluginContext(footprint=ROBOT, costmap=Costmap(np.zeros((4, 4), dtype=np.uint8), 0.1))

@@ -76,8 +76,8 @@ def test_every_way_of_joining_has_a_stated_start_in_both_gears(kind, turned):
     start = STARTS[kind]
     found = plan(Pose2(start.x, start.y, start.yaw + math.pi), TURNED) if turned else plan(start)
     docking = Direction.REVERSE if turned else Direction.FORWARD
-    assert found.dir is kind
-    assert found.direction is docking
+    assert found.joint.dir is kind
+    assert found.axis.direction is docking
     gears = [part.direction for part in found.path.segments]
     assert gears == ([Direction(-docking), docking] if kind is JointKind.AWAY else [docking])
     assert len(found.path.cusps) == len(gears) - 1
@@ -112,7 +112,7 @@ def test_headings_follow_the_gear(start):
     found = plan(start)
     for part in found.path.segments:
         step = np.diff(part.poses[:, :2], axis=0)
-        from_joint = np.hypot(*(part.poses[:-1, :2] - found.control_points_1[2]).T)
+        from_joint = np.hypot(*(part.poses[:-1, :2] - found.joint.control_points[2]).T)
         held = (from_joint > 1e-9) & (np.arange(len(step)) > 0)
         ahead = step[:, 0] * np.cos(part.poses[:-1, 2]) + step[:, 1] * np.sin(part.poses[:-1, 2])
         assert np.all(ahead[held] * int(part.direction) > 0.0)
@@ -123,7 +123,7 @@ def test_headings_follow_the_gear(start):
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_straight_start_gives_a_straight_path_of_exact_length(along, goal, sign):
     found = plan(goal @ Pose2(sign * along, 0.0, 0.0), goal)
-    assert found.dir is JointKind.TOWARD
+    assert found.joint.dir is JointKind.TOWARD
     assert len(found.path.segments) == 1
     assert found.path.length == pytest.approx(along, abs=1e-9)
     local = np.array([Pose2(*pose).in_frame_of(goal).as_array() for pose in all_poses(found.path)[0]])
@@ -140,14 +140,14 @@ def test_mirrored_problems_have_mirrored_paths(start):
 @given(starts(), frames)
 def test_moving_the_whole_problem_moves_the_path(start, frame):
     found, other = plan(start), plan(frame @ start, frame @ ORIGIN)
-    assert other.dir is found.dir
+    assert other.joint.dir is found.joint.dir
     assert_same_motion(found.path, other.path, moved(frame))
 
 
 @given(starts())
 def test_a_robot_turned_around_takes_the_same_way_in_the_other_gear(start):
     found, other = plan(start), plan(Pose2(start.x, start.y, start.yaw + math.pi), TURNED)
-    assert other.direction is Direction(-found.direction)
+    assert other.axis.direction is Direction(-found.axis.direction)
     (poses, gears), (other_poses, other_gears) = all_poses(found.path), all_poses(other.path)
     np.testing.assert_array_equal(other_gears, -gears)
     np.testing.assert_allclose(other_poses[:, :2], poses[:, :2], atol=1e-7)
@@ -169,18 +169,18 @@ def test_control_points_knots_and_centreline_are_as_specified(start):
     np.testing.assert_allclose(found.centreline[0, :2], axis.point_c, atol=1e-12)
     np.testing.assert_allclose(found.centreline[-1, :2], axis.point_f, atol=1e-12)
     assert axis.point_f[0] == pytest.approx(axis.point_d[0] - max(1.0, abs(start.y)))
-    np.testing.assert_allclose(found.control_points_1[0], [start.x, start.y])
-    np.testing.assert_allclose(found.control_points_2[0], found.control_points_1[2], atol=1e-12)
+    np.testing.assert_allclose(found.joint.control_points[0], [start.x, start.y])
+    np.testing.assert_allclose(found.control_points_2[0], found.joint.control_points[2], atol=1e-12)
     np.testing.assert_allclose(found.control_points_2[2], [0.0, 0.0])
-    np.testing.assert_allclose(found.control_points_2[1], 0.5 * found.control_points_1[2], atol=1e-12)
-    assert Nurbs(found.control_points_1).knots.tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    np.testing.assert_allclose(found.control_points_2[1], 0.5 * found.joint.control_points[2], atol=1e-12)
+    assert Nurbs(found.joint.control_points).knots.tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
 
 
 def test_a_turn_toward_the_dock_ends_tangent_to_the_axis_and_is_symmetric():
     found = plan(STARTS[JointKind.TOWARD], resolution=0.001)
-    legs = np.hypot(*np.diff(found.control_points_1, axis=0).T)
+    legs = np.hypot(*np.diff(found.joint.control_points, axis=0).T)
     assert legs[0] == pytest.approx(legs[1], abs=0.004)
-    curve = Nurbs(found.control_points_1)
+    curve = Nurbs(found.joint.control_points)
     assert curve.tangent_yaw_at(1.0)[0] == pytest.approx(0.0, abs=1e-12)
     turn = curve.curvature_at([0.0, 1.0])
     assert turn[0] == pytest.approx(turn[1], rel=0.02)
@@ -198,7 +198,7 @@ def test_a_cusp_lies_at_f_with_the_robot_on_the_axis():
 def test_a_corner_turns_by_a_right_angle_on_the_axis():
     found = plan(STARTS[JointKind.CORNER])
     assert found.joint.middle == -1
-    assert abs(found.control_points_1[2][0] - found.axis.point_d[0]) <= 0.025
+    assert abs(found.joint.control_points[2][0] - found.axis.point_d[0]) <= 0.025
     assert np.abs(found.path.segments[0].step_curvature).max() > 20.0
 
 
@@ -206,7 +206,7 @@ def test_the_known_defects_of_a_raw_path_are_left_alone():
     # The first tangent points at the joint, whatever the start's yaw; the smoother repairs it.
     start = STARTS[JointKind.TOWARD]
     found = plan(start)
-    leg = found.control_points_1[1] - found.control_points_1[0]
+    leg = found.joint.control_points[1] - found.joint.control_points[0]
     second = all_poses(found.path)[0][1, 2]
     assert second == pytest.approx(math.atan2(leg[1], leg[0]), abs=0.05)
     assert abs(second - start.yaw) > 0.5
@@ -218,7 +218,7 @@ def test_starts_far_off_the_axis_as_seen_from_c_are_planned(angle, distance):
     off = math.radians(angle)
     found = plan(Pose2(-0.5 - distance * math.cos(off), distance * math.sin(off), 0.0))
     # Beyond 30 degrees there is no room for a run-in toward C, beyond 0.6 m none for one from F.
-    assert found.dir is JointKind.CORNER
+    assert found.joint.dir is JointKind.CORNER
     assert found.path.length == pytest.approx(distance * (math.sin(off) + math.cos(off)) + 0.5, abs=0.03)
 
 
@@ -258,7 +258,7 @@ def test_each_curve_is_checked_where_asked(x, y, step):
         plan(start, costmap=costmap, check_free_space=True)
     assert caught.value.where["step"] == step
     assert caught.value.where["x"] == pytest.approx(x, abs=0.1)
-    assert plan(start, costmap=costmap).dir is JointKind.TOWARD  # by default nothing is checked
+    assert plan(start, costmap=costmap).joint.dir is JointKind.TOWARD  # by default nothing is checked
 
 
 def test_ends_on_cells_that_are_not_free_are_refused_by_name_where_asked():
@@ -311,8 +311,8 @@ def test_a_free_map_blocks_nothing():
 
 def test_degree_one_drives_the_control_polygon():
     found = plan(STARTS[JointKind.TOWARD], degree=1)
-    legs = np.hypot(*np.diff(found.control_points_1, axis=0).T).sum()
-    assert found.path.length == pytest.approx(legs - found.control_points_1[2][0], abs=0.02)
+    legs = np.hypot(*np.diff(found.joint.control_points, axis=0).T).sum()
+    assert found.path.length == pytest.approx(legs - found.joint.control_points[2][0], abs=0.02)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
