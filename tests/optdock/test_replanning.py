@@ -87,7 +87,7 @@ def assert_lawful(found):
 
 @pytest.mark.parametrize("drive", list(Drive))
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.35, 0.6])
+@pytest.mark.parametrize("share", [0.0, 0.35])
 def test_a_new_plan_begins_where_the_running_one_is_as_it_drives(sign, drive, share):
     plan = running(sign, drive)
     goal = moved(plan, 0.02, -0.02, 0.02)
@@ -134,8 +134,7 @@ def commands(running, found, rate, period):
     return [np.concatenate((scale * first, second)) for first, second, scale in scaled]
 
 
-@pytest.mark.parametrize("rate", [1.0, 0.6])
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+@pytest.mark.parametrize(("share", "rate"), [(0.05, 0.6), (0.2, 1.0), (0.5, 0.6)])
 def test_across_the_joint_no_step_of_speed_or_acceleration_is_more_than_the_limits_allow(share, rate):
     plan, period = running(), 0.002
     state = DriveState(share * plan.trajectory.duration, rate)
@@ -337,7 +336,7 @@ def test_whatever_the_joint_falls_on_nothing_jumps(turning):
     assert plan.path.turns is turning
     goal = moved(plan, 0.015, 0.01, 0.01)
     for arrival in plan.trajectory.cusp_times.tolist():
-        for before in (0.4, 0.15, 0.05, 1e-9, -1e-9, -0.05, -0.3):
+        for before in (0.4, 0.05, 1e-9, -1e-9, -0.05):
             found = replan(plan, goal, DriveState(max(arrival - before - LEAD, 0.0)), BUDGET, lead=LEAD)
             assert found.outcome is ReplanOutcome.NEW
             assert found.starts_at >= arrival - before - 1e-9

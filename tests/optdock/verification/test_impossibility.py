@@ -93,8 +93,7 @@ def test_a_body_that_is_too_wide_is_told_from_a_clearance_that_is():
     assert found.missing_without_clearance == pytest.approx(0.2, abs=0.05)
 
 
-@pytest.mark.parametrize("thick", [0.001, 0.2])
-@pytest.mark.parametrize("at", [(0.0, 0.0), (-3e5, 7e6)])
+@pytest.mark.parametrize(("thick", "at"), [(0.001, (0.0, 0.0)), (0.2, (-3e5, 7e6))])
 def test_a_closed_door_is_proven_however_thin_and_far_off(thick, at):
     proven(gap(0.0, thick=thick, at=at))
 
@@ -103,14 +102,12 @@ def test_a_closed_door_is_proven_however_thin_and_far_off(thick, at):
     "asked",
     [
         gap(0.7),  # as wide as the robot with its clearance
-        gap(0.7, turn=0.7),
-        gap(0.6 - 0.9 * TOLERANCE, clearance=0.0),  # accepted by the tolerance of a certificate
+        gap(0.6 - 0.9 * TOLERANCE, clearance=0.0, turn=0.7),  # accepted by the tolerance of a certificate
         gap(0.75),
-        gap(1.5),
     ],
 )
 def test_a_gap_that_is_wide_enough_is_never_proven_closed(asked):
-    assert prove_impossible(asked, time_budget=0.5) is None
+    assert prove_impossible(asked, time_budget=0.3) is None
 
 
 def test_without_a_wall_around_start_or_goal_there_is_no_proof():
@@ -181,14 +178,14 @@ def test_the_taper_near_the_goal_and_the_relief_near_the_start_count():
 
     away, docked = (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     # on the way out of the bay the taper asks for less than the 5 cm that there are
-    assert prove_impossible(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 10.0)), time_budget=2.0) is None
+    assert prove_impossible(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 10.0)), time_budget=0.5) is None
     proven(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 1.0)))
     # 2 cm on both sides are what the robot starts with, and what may be granted for its own length
-    assert prove_impossible(problem(docked, away, bay(0.32), 0.2), time_budget=2.0) is None
+    assert prove_impossible(problem(docked, away, bay(0.32), 0.2), time_budget=0.5) is None
     proven(problem(away, docked, bay(0.32), 0.2))
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", range(6))
 def test_a_scene_carved_around_a_motion_is_never_proven_impossible(number):
     case = impossibilities.draw(rng_of("impossibilities", 11, number))
     assert impossibilities.judge({**case, "budget": 0.1}).outcome == "not proven"
@@ -196,7 +193,7 @@ def test_a_scene_carved_around_a_motion_is_never_proven_impossible(number):
 
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
 def test_no_member_of_a_feasible_family_is_proven_impossible(family):
-    assert prove_impossible(instance(family, 3).problem, time_budget=0.1) is None
+    assert prove_impossible(instance(family, 3).problem, time_budget=0.05) is None
 
 
 def test_the_search_stops_when_it_is_told_to():
