@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from optdock.errors import InvalidFile
 from optdock.geometry.fingerprint import ProblemFingerprint
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockedPose", "BlockedStraight", "check_blocked_straight", "prove_straight_blocked"]
 
-_SPACING = 0.01  # [m] between the poses looked at
+_SPACING = 0.01  # [m] between the poses
+_Number: TypeAlias = Annotated[float, Strict()]
 _GEARS = {DockDirection.FORWARD: (1,), DockDirection.BACKWARD: (-1,), DockDirection.AUTO: (1, -1)}
 
 
@@ -54,15 +55,15 @@ class BlockedPose:
         obstacle: Name of the nearest obstacle.
     """
 
-    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False, strict=True)
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
 
-    gear: Annotated[int, Field(ge=-1, le=1)]
-    before: float
-    x: float
-    y: float
-    yaw: float
-    clearance: float
-    required: float
+    gear: Annotated[int, Strict(), Field(ge=-1, le=1)]
+    before: _Number
+    x: _Number
+    y: _Number
+    yaw: _Number
+    clearance: _Number
+    required: _Number
     obstacle: str
 
     def __str__(self) -> str:

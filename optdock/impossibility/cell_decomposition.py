@@ -339,7 +339,12 @@ class _Search:
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
         """Yield the narrowest place of the widest route, by margins at the centres of ever finer cells."""
-        tiles, half = self._coarse_tiles(), self.grid.cell
+        present, half = set(self.graph.present()), self.grid.cell
+        tiles = [  # the examined ones of level 0, and all that were not examined
+            tile
+            for key, tile in enumerate(self.graph.tiles)
+            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
+        ]
         low, high = -self.problem.path_clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
         for _ in range(_ROUNDS):
             low, high = self._widest(tiles, low, high, _SHARP * half)
@@ -374,15 +379,6 @@ class _Search:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
         return low, high
-
-    def _coarse_tiles(self) -> list[Tile]:
-        """Return the tiles of level 0 that were examined, and all that were not."""
-        present = set(self.graph.present())
-        return [
-            tile
-            for key, tile in enumerate(self.graph.tiles)
-            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
-        ]
 
     def _by_margin(self, tiles: list[Tile], low: float, high: float) -> ConnectivityGraph:
         self.deadline.look()

@@ -201,8 +201,7 @@ class ImpossibilityProof(FrozenArrays):
             InvalidFile: If something is missing, or of another kind.
         """
         try:
-            document = _ProofDocument.model_validate(values)
-            return cls._read(document)
+            return cls._read(_ProofDocument.model_validate(values))
         except (ValueError, TypeError, zlib.error) as error:  # pydantic's errors are ValueErrors
             raise InvalidFile(f"impossibility: {error}") from error
 
@@ -444,12 +443,9 @@ class _Rim:
             spans = (layer * count // len(layer), *((across, face) if axis == 0 else (face, across)))
             places.append(np.ix_(*spans))
         here, there = (self.inside[k][place] for k, place in zip(both, places, strict=True))
-        self._mark(first, places[0], there & ~here)
-        self._mark(second, places[1], here & ~there)
-
-    def _mark(self, k: int, place: tuple[IntArray, ...], must: BoolArray) -> None:
-        """Mark cells of a tile that must be blocked; a larger cell may be marked several times."""
-        np.logical_or.at(self.blocked[k], place, must)
+        # A larger cell may be marked several times.
+        np.logical_or.at(self.blocked[first], places[0], there & ~here)
+        np.logical_or.at(self.blocked[second], places[1], here & ~there)
 
 
 def _are_blocked(

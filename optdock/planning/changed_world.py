@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["StillHolds", "still_holds"]
 
-_NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
-_SPACING = 0.1  # [m] between the places by which what is near is found
+_NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
+_SPACING = 0.1  # [m] between the places by which near obstacles are found
 _HALVINGS = 30  # of a phase: below a microsecond
 _RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
 
@@ -107,7 +107,7 @@ def still_holds(
         return StillHolds(holds=False, changed=changed, reason=reason)
     if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)
-    # Where nothing is left to drive the robot stands at the end, which must be clear as well.
+    # At the end of the plan the pose of the standing robot must be clear as well.
     begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
     return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
 
@@ -136,7 +136,7 @@ class _Change:
         begun, relief = Begun(known.start, end_clearances(known).start), self.plan.certificate.start_relief
         proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         if proof.holds and proof.proven < 0.0 and not is_ruled_anew:
-            # What is new is touched; together with what was there before it may hide an overlap.
+            # A new obstacle is touched; together with known ones it may hide an overlap.
             near = near + known.all_obstacles.near(places, reach)
             proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)

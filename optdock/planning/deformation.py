@@ -40,23 +40,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Push", "deformed", "push_off"]
 
-_ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
+_ROOM = 0.005  # [m]: additional distance of a push, as the nearest place moves along the path
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
-_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
-_PUSHED = 1e-4  # [m]: pushes leave more room than that
+_FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
+_PUSHED = 1e-4  # [m]: tolerance of pushes
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
-_LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
-_SHORTEST_PIECE = 0.01  # [m]: shorter ones are not cut any further
-_LENGTH_PRICE = 0.5  # of a gear's relative change of length, where one of the curvature by its limit over 1 m costs 1
-_BEND_PRICE = 0.3  # of curvature, likewise, beside its rate
+_LEAST_PIECES = 12  # of a gear
+_SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
+_LENGTH_PRICE = 0.5  # of a relative change of length; a change of curvature by its limit over 1 m costs `_BEND_PRICE`
+_BEND_PRICE = 0.3
 _ALL = 1_000_000  # gears
-_USED = 0.999  # share of the bounds that is taken where one is reached
-_SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
-_USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
-_LEAST_TURN = 1e-3  # [rad]: a turn in place that shrinks to less is none
-_MOST_STRETCH = 0.3  # of a gear in one step, relative: beyond it the linear model knows nothing
-_USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is thought to swing by all it has
-# Three Gauss points on [0, 1] integrate what is linear in a hat, and quadratic in between, exactly.
+_USED = 0.999  # share of the bounds that the program uses
+_SLOW = 0.3  # least speed in a bend as share of the speed at the start
+_USED_BY_BENDS = 0.8  # share of the yaw acceleration for bends; the rest is for acceleration in them
+_LEAST_TURN = 1e-3  # [rad]: smaller turns in place vanish
+_MOST_STRETCH = 0.3  # largest relative change of length per step, for the validity of the linear model
+_USUAL_SWING = 0.25  # [m]: length over which the curvature changes by its bound, without a limit of its rate
+# Three Gauss points on [0, 1]: exact for a hat function times a quadratic.
 _NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.leggauss(3)) / 2.0 + [[0.5], [0.0]])
 
 
@@ -123,7 +123,7 @@ class _Contact(NamedTuple):
     short: float
 
 
-def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
+def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     path: Path,
     start: Pose2,
     goal: Pose2,
@@ -191,7 +191,7 @@ def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
 def _refined(knots: FloatArray, length: float) -> FloatArray:
     """Return the knots before `length`, `length` itself, and more between distant ones."""
     kept = knots[(knots > 0.0) & (knots < length)]
-    apart = 0.1 * _SHORTEST_PIECE  # what is nearer to another knot bends nothing, and would ask for a rate of its own
+    apart = 0.1 * _SHORTEST_PIECE  # closer knots add a rate constraint without a degree of freedom
     kept = kept[(kept > apart) & (kept < length - apart)]
     ends = np.concatenate(([0.0], kept, [length]))
     steps = np.diff(ends)
@@ -224,7 +224,7 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
     heights = corners @ normal
     nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
     place = corners[nearest[0]]
-    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+    if nearest.size > 1:  # an edge: the point next to the nearest corner of the obstacle
         outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
         corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
         place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
@@ -368,7 +368,7 @@ class _Program:
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
             first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
-            # As long again, with the same curvatures: as much turn more everywhere, and the way itself.
+            # Derivative by the logarithm of the length: the turns grow in proportion, and so does the way.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))
         return np.concatenate(columns, axis=1)

@@ -102,7 +102,7 @@ _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
 # exists, and the width of a gap that is too narrow is measured in 30 ms more.
 _DISC_PROOF = 0.25
 # A guess is tried only if its least price is below this share of the best plan's price; on easy scenes a plan costs
-# 0.2 % more than the least price of its path. In 352 cases, compared with the longest search: with 0.95, 25 plans were
+# 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.95, 25 plans were
 # dearer by more than 0.5 % and 2 cheaper; with 0.98, 2 and 9, in a tenth more time. 0.97 lies between.
 _WORTH_A_TRY = 0.97
 # Share of the budget below which a collision-free guess that was interrupted is continued before others.

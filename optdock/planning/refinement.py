@@ -408,7 +408,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()
-    except GeneratorExit:  # the planner's next guess is not wanted
+    except GeneratorExit:  # the generator of guesses was closed
         raise
     except BaseException as error:
         if cancelled.raised is not None:

@@ -83,20 +83,20 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
-_FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: kept back for the old plan's proof, and the stop's
+_FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: reserved for the proofs of the old plan or a stop
 _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
 _AT_THE_END = "nothing is left of the plan"
-_PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
-# What a dock asks of a path beside its pose and its station.
+_PUSHES = 4  # most pushes off obstacles, two milliseconds each
+# Requirements of a dock for a path, in addition to its pose and its station.
 _DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
-_NEARBY = 0.5  # [m] around its reference, in which a robot beside its path is looked for
+_NEARBY = 0.5  # [m]: distance from its reference along the path in which a robot off its path is projected
 
 
 class ReplanOutcome(str, Enum):
     """Decision for a moving robot."""
 
     NEW = "new"  # drive the new plan from the joint on
-    KEPT = "kept"  # go on: the old plan is as good as before
+    KEPT = "kept"  # continue with the old plan
     STOP = "stop"  # brake along the old path
 
 
@@ -264,11 +264,8 @@ class _Replanning:
     def answer(self, delay: float, plugins: _Plugins) -> Replanned:
         """Return the decision: new, kept or stop."""
         joint = self.drive.branch_point(self.lead, at_a_rest=True)
-        if (
-            not self.drive.is_on_the_path
-            and self.drive.ahead is self.drive.path
-            and not self.drive.is_in_tube(joint.pose)
-        ):
+        is_moved = self.drive.is_on_the_path or self.drive.ahead is not self.drive.path
+        if not is_moved and not self.drive.is_in_tube(joint.pose):
             self.drive.move_ahead()
             joint = self.drive.branch_point(self.lead, at_a_rest=True)
         until = self.drive.way_until(joint)
@@ -296,12 +293,14 @@ class _Replanning:
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline = self.deadline.shortened(by=reserve)
         problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
-        if joint.rest is not None and not self._is_on_the_straight(joint.rest):
+        rest = joint.rest
+        straight = self.drive.world.dock.final_straight
+        if rest is not None and (len(rest.segments) > 1 or rest.length > straight):
             smoother = plugin_from(Smoother, plugins.smoother, "smoother")
             timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
             limits = self.cancelled, self.budget, deadline, self.timing_ms
-            work = Refinement(problem, smoother, timing, joint.rest, *limits)
-            plan = self._in_the_same_gears(joint, joint.rest, problem, work)
+            work = Refinement(problem, smoother, timing, rest, *limits)
+            plan = self._in_the_same_gears(joint, rest, problem, work)
             if plan is not None:
                 return self._new(joint, until, plan)
             why = str(self.failure or "the path cannot be deformed within the curvature limits")
@@ -325,10 +324,6 @@ class _Replanning:
         plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
         way = until or proven_way(plan.motion, self.drive.state.pose)
         return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
-
-    def _is_on_the_straight(self, rest: Path) -> bool:
-        """Whether the robot is on the final straight, which cannot be deformed."""
-        return len(rest.segments) == 1 and rest.length <= self.drive.world.dock.final_straight
 
     def _in_the_same_gears(
         self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
@@ -394,16 +389,15 @@ class _Replanning:
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
-        found = self._goes_on(path, world) if self.drive.is_on_the_path else self._goes_back(path, world)
+        if self.drive.is_on_the_path:
+            found = prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
+        else:
+            found = self._goes_back(path, world)
         if found.way is None:
             return None
         tried, timing = tuple(self.tried), self._timing()
         running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
-
-    def _goes_on(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Prove the clearance of the rest of the path for a robot on it."""
-        return prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
         """Prove the clearance of the rest of the path for a robot off it, by the rule of the plan's certificate."""

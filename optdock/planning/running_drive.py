@@ -28,7 +28,7 @@ __all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive", "braking"]
 
 _AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
 _REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
-NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 
 
 class DriveState(NamedTuple):
@@ -145,7 +145,7 @@ class RunningDrive:
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
-            return time  # a clock that stands never comes to any other
+            return time  # the clock stands
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             return self._steered(time)
         turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
@@ -219,7 +219,7 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
         if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
             motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
             return still, motion
-        if length > segment.length - NO_WAY:  # it comes to rest at the cusp by itself
+        if length > segment.length - NO_WAY:  # the braking ends at the cusp
             length = segment.length
         trajectory = Trajectory(joint.rest.piece(0.0, length), law)
         motion = certify_trajectory(trajectory, limits, SpeedZone())

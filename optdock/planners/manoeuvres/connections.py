@@ -51,11 +51,6 @@ class Connections(NamedTuple):
     lengths: FloatArray
     curvatures: FloatArray
 
-    @property
-    def size(self) -> int:
-        """Number of words."""
-        return int(self.prices.size)
-
     def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
         """Return the words at `keep`."""
         return Connections(
@@ -152,7 +147,7 @@ def end_gears(lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
 def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
     """Return the connections whose words pass a rough collision check at a few poses."""
     kept = []
-    for k in range(0, found.size, _ROUGH_BATCH):
+    for k in range(0, found.prices.size, _ROUGH_BATCH):
         space.poll()
         some = slice(k, k + _ROUGH_BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
@@ -170,7 +165,7 @@ def free_manoeuvres(
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
     """Yield collision-free manoeuvres from start to goal in ascending order of price, while below `worthwhile()`."""
-    for k in range(0, found.size, _BATCH):
+    for k in range(0, found.prices.size, _BATCH):
         space.poll()
         if found.prices[k] >= worthwhile():
             return

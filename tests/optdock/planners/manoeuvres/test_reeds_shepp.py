@@ -87,7 +87,7 @@ def test_lengths_scale_with_the_radius_and_grow_with_it():
     assert np.all(plain >= np.hypot(*(goals - starts)[:, :2].T) - 1e-9)
 
 
-def test_an_arc_ends_where_many_small_steps_lead():
+def test_arc_ends_where_many_small_steps_lead():
     start, length, curvature = np.array([[1.0, -2.0, 0.7]]), -1.7, 0.9
     steps = 100_000
     turn = length * curvature / steps
@@ -108,7 +108,7 @@ def test_shares_and_even_spacing_show_the_same_way():
         assert np.abs(dense - joint).sum(axis=1).min() <= 1e-12
 
 
-def test_a_path_of_arcs_has_their_gears_lengths_and_curvature():
+def test_path_of_arcs_has_their_gears_lengths_and_curvature():
     arcs = Arcs(np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 0.5, -0.7, -0.3]]), np.array([[0.5, 0.0, -1.0, 1.0]]))
     path = arcs.path(0.02, arcs.joints()[0, -1] + (0.0, 0.0, 2.0 * math.pi), "hall")
     assert [int(segment.direction) for segment in path.segments] == [1, -1]

@@ -59,7 +59,7 @@ def test_every_way_is_free_and_leads_from_the_start_into_the_dock_also_mirrored(
         assert np.all(clearance >= RULE.near_goal(to_goal) - 1e-6)
 
 
-def test_a_robot_in_motion_begins_in_its_gear():
+def test_robot_in_motion_begins_in_its_gear():
     found = offered(bent(start_speed=-0.3))
     assert found
     assert {int(path.segments[0].direction) for path in found} == {-1}
@@ -73,7 +73,7 @@ def test_nothing_is_offered_through_a_gap_that_is_too_narrow():
 
 
 @pytest.mark.parametrize("width", [1.6, 2.4])
-def test_the_band_finds_the_middle_of_a_corridor_and_keeps_its_ends(width):
+def test_band_finds_the_middle_of_a_corridor_and_keeps_its_ends(width):
     half = 0.5 * width
     walls = [box(-2.0, half, 12.0, half + 0.5), box(-2.0, -half - 0.5, 12.0, -half)]
     problem = DockingProblem(Pose2(0.0, 0.0, 0.0), Dock(Pose2(10.0, 0.0, 0.0)), ROBOT, walls, RULE)

@@ -36,7 +36,7 @@ def chains(problem):
 
 
 @pytest.mark.parametrize("gap", [0.01, 0.02, 0.04])
-def test_a_robot_along_a_wall_gets_away_from_it(gap):
+def test_robot_along_a_wall_gets_away_from_it(gap):
     tree, ends, space, effort = chains(beside(gap))
     full = 1.0 / effort.radius
     signs = set()
@@ -58,7 +58,7 @@ def test_a_robot_along_a_wall_gets_away_from_it(gap):
     assert 1.0 in signs  # backward the nose swings out, which is further from the axle
 
 
-def test_a_wall_on_the_other_side_gives_the_mirrored_arcs():
+def test_wall_on_the_other_side_gives_the_mirrored_arcs():
     (one, ends, _, _), (other, mirrored, _, _) = chains(beside(0.02)), chains(beside(0.02, side=-1.0))
     assert ends.size == mirrored.size > 0
 
@@ -74,7 +74,7 @@ def test_in_the_open_full_lock_is_free_at_once():
     assert np.allclose(np.abs(tree.curvatures[1:]), 1.0 / effort.radius)
 
 
-def test_where_nothing_is_left_no_chain_leads_out():
+def test_no_chain_leads_out_without_slack():
     tree, ends, _, _ = chains(beside(0.0))
     assert ends.size == 0
     assert len(tree) == 1
