@@ -274,11 +274,7 @@ class _Search:
         return bool(set.intersection(*found) - {0})
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
-        """Split the narrow tiles on the cheapest route until no route is left, or an open one.
-
-        Raises:
-            OutOfTime: If the deadline passed; a later call continues.
-        """
+        """Split the narrow tiles on the cheapest route until no route is left, or an open one; may be continued."""
         self.deadline = deadline
         while True:
             self.deadline.look()
@@ -471,9 +467,8 @@ class _Search:
     def _best_near(
         self, pose: FloatArray, reach: FloatArray, body: DiscCover
     ) -> tuple[tuple[float, float, float], float]:
-        """Return the pose of a body's centre with the largest distance of its discs from obstacles, and the distance.
-
-        `reach` are the half extents of the search around `pose` in x, y and yaw.
+        """Return the pose within `reach` (x, y, yaw) with the largest distance of discs from obstacles, and the
+        distance.
         """
         import shapely
 

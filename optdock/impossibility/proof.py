@@ -372,10 +372,7 @@ class _Rim:
         self.blocked = [np.zeros(cells.shape, dtype=np.bool_) for cells in self.inside]
 
     def fault(self, inner: FloatArray, outer: FloatArray) -> str:
-        """Find the rim, and return the fault of the set that is independent of blocked cells; empty if there is none.
-
-        `inner`, `outer`: the poses of the centre at the end that the set surrounds, and at the other end.
-        """
+        """Find the rim between the poses of both ends; return the fault of the set itself, empty if there is none."""
         within, is_covered = self._cells_at(inner)
         for k, cells in within:
             self.blocked[k][cells] |= ~self.inside[k][cells]
@@ -451,10 +448,7 @@ class _Rim:
 def _are_blocked(
     proof: ImpossibilityProof, problem: DockingProblem, tree: STRtree, tile: list[int], cells: BoolArray
 ) -> bool:
-    """Whether all selected cells of a tile, Shape (headings, rows, columns), are blocked, by exact distances.
-
-    `tree`: the obstacles relative to the origin of the tiles.
-    """
+    """Whether the selected cells of a tile, Shape (headings, rows, columns), are blocked by obstacles of `tree`."""
     import shapely
 
     (level, column, row), (layer, j, i) = tile, np.nonzero(cells)

@@ -102,11 +102,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, as for the costmap.
-
-    Raises:
-        NoValidPathCouldBeFound: If an obstacle does.
-    """
+    """Check that no obstacle lies on the path of the robot's origin, as for the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

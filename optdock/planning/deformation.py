@@ -113,10 +113,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """The nearest point of the robot, Shape (2,) [m], the unit normal away from the obstacle, and the missing distance.
-
-    `short` is below 0 if the distance is larger than required [m].
-    """
+    """The nearest point of the robot, Shape (2,) [m], the unit normal away from the obstacle, the missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -344,10 +341,7 @@ class _Program:
         end: FloatArray,
         until: tuple[int, float] = (_ALL, 1.0),
     ) -> FloatArray:
-        """Return the derivatives of a point fixed to the robot, at `end`, by all variables, Shape (3, variables).
-
-        `until`: the gear, and the share of it, that the robot has driven.
-        """
+        """Return derivatives of a point of the robot at a gear and share, by all variables, Shape (3, variables)."""
         columns = []
         for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
             if i > until[0]:

@@ -273,17 +273,14 @@ def _chosen(
     )
 
 
-# Longest times for which the machine suspended each of the last calls [s]; nearly 0 on an idle machine.
+# Longest times for which the machine suspended each of the last calls [s]; nearly 0 on an idle machine. A process that
+# shares a core may be suspended for some milliseconds just before its deadline; a single suspension is an exception.
 _WAITS: collections.deque[float] = collections.deque(maxlen=9)
 _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: longer suspensions are rare at the end of a call
 
 
 def _margin(budget: float) -> float:
-    """Return the time before the end of the budget at which a call stops working, on a machine with other load [s].
-
-    A process that shares a core may be suspended for some milliseconds just before its deadline. The second longest
-    suspension of the last calls counts; a single one is an exception.
-    """
+    """Return the time before the end of the budget at which a call stops, by the second longest suspension lately [s]."""
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
@@ -369,11 +366,7 @@ class _Portfolio:
             self._try(Guess(path, "fewer cusps"), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
-        """Yield every guess, and whether it is known to be the last one; then search for a proof that no motion exists.
-
-        Raises:
-            NoMotionExists: If that is proven.
-        """
+        """Yield every guess, and whether it is known to be the last one; then search for a proof that no motion exists."""
         for path in self.given:
             yield Guess(path, "given"), False
         last = self.planners[-1]
@@ -395,13 +388,7 @@ class _Portfolio:
         self._look_for_a_proof(0.5 if self.interrupted else 1.0)
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
-        """Yield the guesses of a planner; the last of several planners must leave time for a proof.
-
-        Raises:
-            PlannerException: If the planner has no guess, or no further one.
-            PlannerTimedOut: If its share of the time is used up.
-            NoMotionExists: If that was proven during a pause.
-        """
+        """Yield the guesses of a planner; the last of several planners must leave time for a proof."""
         share = 1.0 - _LAST_PROOF if is_last and len(self.planners) > 1 else 1.0
         until = self.deadline.elapsed + share * self.deadline.left
 
@@ -524,12 +511,7 @@ class _Portfolio:
         self.so_far.tried = tuple(self.tried)
 
     def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
-        """Search for a proof that no motion exists in a share of the remaining time.
-
-        Raises:
-            NoMotionExists: If that is proven.
-            PlannerCancelled: If the caller cancelled.
-        """
+        """Spend a share of the remaining time on a proof that no motion exists; raise `NoMotionExists` with the proof."""
         if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
         with self.work.timed("prove"):

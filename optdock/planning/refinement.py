@@ -241,8 +241,7 @@ class Refinement:
             begun: The smoother's path of an interrupted attempt.
 
         Raises:
-            OptdockError: As `plan_dock`, without errors of planners. If the smoother was interrupted, `partial` holds
-                its path so far, if known.
+            OptdockError: As `plan_dock`. If the smoother was interrupted, `partial` holds its path so far, if known.
         """
         so_far.raw_path = raw
         with self.timed("smooth"):
@@ -307,10 +306,7 @@ class Refinement:
         return result
 
     def _certified_motion(self, path: Path) -> tuple[ProvenMotion, TimingReport]:
-        """Return the motion of the chosen method, or of the fallback if that motion cannot be proven.
-
-        `FailedToTimePath` is a valid answer; any other error is a fault of the method.
-        """
+        """Return the motion of the chosen method, or of the fallback on any of its errors except `FailedToTimePath`."""
         chosen = self.timing
         try:
             return self._proven_motion(chosen, path)

@@ -283,13 +283,7 @@ class _Replanning:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
     def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
-        """Try a new plan in the gears of the old one, then the old plan, then a new plan in other gears.
-
-        `until`: the way until the joint; None: the robot is there.
-
-        Raises:
-            OptdockError: If none is certified in time.
-        """
+        """Try a new plan in the gears of the old one, then the old plan, then a new plan in other gears, or raise."""
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline = self.deadline.shortened(by=reserve)
         problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
@@ -381,10 +375,7 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """Return the old plan if it is still valid, else None.
-
-        Within the dock's tolerances the robot counts as docked, so the station is taken to be where the plan ends.
-        """
+        """Return the old plan if it is still valid, with the station where it ends, within the dock's tolerances."""
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None

@@ -151,11 +151,7 @@ class EndTrees:
         return rows if fresh.size else fresh, room
 
     def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
-        """Grow alternating arcs at full lock that turn the robot the same way, each as far as it is free.
-
-        A car leaves a slot that is little longer than itself by such strokes. They begin at the root; the last ones
-        come first; no rows are returned if they do not lead out.
-        """
+        """Grow alternating arcs at full lock that turn the robot the same way, by which a car leaves a short slot."""
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:

@@ -77,10 +77,7 @@ def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
 
 
 def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return signed lengths with neighbours of one gear added up, Shape (n, k), and gear changes, Shape (n,).
-
-    Lengths below a motion are left out, and rows are padded with 0.
-    """
+    """Return signed lengths with neighbours of one gear added up, padded with 0, (n, k), and gear changes, (n,)."""
     rows, gear = np.arange(len(lengths)), np.zeros(len(lengths), dtype=np.int64)
     gears, now = np.zeros(lengths.shape), np.zeros(len(lengths))
     for length in lengths.T:

@@ -39,10 +39,7 @@ _PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first st
 
 
 class _Edges(NamedTuple):
-    """Words between vertices in the order of their sources, Shape (m,); the gears in which they begin and end.
-
-    Lengths and curvatures: Shape (m, 5).
-    """
+    """Words between vertices in the order of their sources: Shape (m,), lengths and curvatures (m, 5)."""
 
     sources: IntArray
     targets: IntArray
@@ -81,10 +78,7 @@ def roadmap_ways(
 
 
 class _LazySearch:
-    """Best-first search over words that are checked when they are expanded.
-
-    Vertices are the exits, then poses along the route, then the entries.
-    """
+    """Best-first search over words; the vertices are the exits, then poses along the route, then the entries."""
 
     def __init__(
         self, exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, route: FloatArray

@@ -197,10 +197,7 @@ def turns_and_drives(
 
 
 class _Lines(NamedTuple):
-    """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m].
-
-    `rounded`: turns between drives in one gear are corners to be rounded.
-    """
+    """Lines between nodes: Shape (n,), turns before and after (n, 2) [rad]; whether corners are rounded."""
 
     prices: FloatArray
     exits: IntArray
@@ -257,10 +254,7 @@ def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effor
 def _saved_by_rounding(
     bend: FloatArray, legs: FloatArray, speed: FloatArray, space: FreeSpace, effort: Effort
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the time saved by rounding corners, with the price of the stop [s], and whether the legs are long enough.
-
-    An arc takes a tangent of both legs. A smoother may move the corner and turn more sharply than the search.
-    """
+    """Return the time saved by rounding corners [s], and whether the legs have room for the tangents of an arc."""
     limits = space.problem.robot.limits
     tangent = effort.radius * np.tan(0.5 * np.minimum(bend, _ROUNDED))
     saved = turning_times(bend, limits.turning) + stopping_cost(limits)

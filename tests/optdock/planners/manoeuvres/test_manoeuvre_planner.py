@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
