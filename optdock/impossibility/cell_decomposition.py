@@ -467,9 +467,7 @@ class _Search:
     def _best_near(
         self, pose: FloatArray, reach: FloatArray, body: DiscCover
     ) -> tuple[tuple[float, float, float], float]:
-        """Return the pose within `reach` (x, y, yaw) with the largest distance of discs from obstacles, and the
-        distance.
-        """
+        """Return the pose within `reach` with the largest distance of discs from obstacles, and that distance."""
         import shapely
 
         everything, (x, y, radius) = self.obstacles, body.discs.T

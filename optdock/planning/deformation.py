@@ -113,7 +113,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """The nearest point of the robot, Shape (2,) [m], the unit normal away from the obstacle, the missing distance [m]."""
+    """Nearest point of the robot, Shape (2,) [m], unit normal away from the obstacle, missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray

@@ -280,7 +280,7 @@ _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: longer suspensio
 
 
 def _margin(budget: float) -> float:
-    """Return the time before the end of the budget at which a call stops, by the second longest suspension lately [s]."""
+    """Return the time before the end of the budget at which a call stops: the second longest suspension [s]."""
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
@@ -366,7 +366,7 @@ class _Portfolio:
             self._try(Guess(path, "fewer cusps"), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
-        """Yield every guess, and whether it is known to be the last one; then search for a proof that no motion exists."""
+        """Yield every guess, and whether it is known to be the last one; then search for a proof."""
         for path in self.given:
             yield Guess(path, "given"), False
         last = self.planners[-1]
@@ -511,7 +511,7 @@ class _Portfolio:
         self.so_far.tried = tuple(self.tried)
 
     def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
-        """Spend a share of the remaining time on a proof that no motion exists; raise `NoMotionExists` with the proof."""
+        """Search for a proof that no motion exists in a share of the remaining time, and raise it."""
         if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
         with self.work.timed("prove"):
