@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from optdock.planners.manoeuvres.distance_field import Wavefront
     from optdock.planners.manoeuvres.turns import TurnSearch
 
-__all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters"]
+__all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters", "Stages"]
 
 _TIGHT = 0.5  # free share of the last arcs below which the dock is tight
 # A better plan is searched for where the price exceeds this multiple of the price of the cheapest word without
@@ -129,12 +129,12 @@ class ManoeuvrePlanner(GlobalPlanner):
         if start != problem.start or goal != problem.goal:
             problem = dataclasses.replace(problem, start=start, dock=dataclasses.replace(problem.dock, pose=goal))
 
-        def poll() -> None:
+        def _poll() -> None:
             if cancel_checker():
                 raise PlannerCancelled("cancelled while a manoeuvre was searched for")
 
-        poll()
-        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, poll, better_than)
+        _poll()
+        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, _poll, better_than)
         for guess in stages.guesses():
             if guess is not None:
                 count += 1
