@@ -29,21 +29,17 @@ from optdock.impossibility.connectivity_graph import (
     GOAL,
     OPEN,
     OUTSIDE,
+    ROOM,
     START,
     CellGrid,
     ConnectivityGraph,
+    PlaceGraph,
     Tile,
     by_certainty,
     by_margin,
 )
 from optdock.impossibility.footprint_discs import DiscCover, disc_cover
-from optdock.impossibility.proof import (
-    CELLS,
-    SLACK,
-    Bottleneck,
-    ImpossibilityProof,
-    least_required,
-)
+from optdock.impossibility.proof import CELLS, SLACK, Bottleneck, ImpossibilityProof, least_required
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
@@ -65,6 +61,8 @@ _NODES, _AROUND = 129, 6.0  # lattice of the first check; border around start an
 _STEP = 0.004  # [s]: longest time between two checks of the clock, on an idle machine
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # tolerance of the margin of the widest route, in halves of a cell
+_ROUNDS_OF_DISC = 10  # refinements for the bottleneck of a disc
+_CLOSE = 0.01  # [m]: half a cell; accuracy of the narrowest place of a disc
 _ROUNDS = 8  # refinements for the bottleneck: four are usual, more where a wall has the same thickness everywhere
 _PLACES = 5  # places on the widest route that are compared by exact distances
 _POLISHED = 2  # refinements of a place, by a factor of four each
@@ -286,7 +284,7 @@ class _Search:
                 return None
         proof = self._around_an_end()
         with contextlib.suppress(OutOfTime):
-            for bottleneck in self._bottlenecks():
+            for bottleneck in self._bottlenecks() if self.body.turns else self._bottlenecks_of_disc():
                 proof = dataclasses.replace(proof, bottleneck=bottleneck)
         return proof
 
@@ -333,6 +331,41 @@ class _Search:
             problem=self.problem.fingerprint,
         )
 
+    def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
+        """Yield the narrowest place of the widest route of a disc, in cells that are refined until it is known."""
+        graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
+        graph.add([self.graph.tiles[key] for key in self.graph.present()])
+        with contextlib.suppress(OutOfTime):
+            for _ in range(_ROUNDS_OF_DISC):
+                self.deadline.look()
+                route = graph.route()
+                found = max(route, key=lambda node: graph.cost[node])
+                dearest = graph.cost[found]
+                if dearest <= -ROOM:
+                    return
+                half = self.grid.half(graph.tiles[graph.tile_of[found]].level)
+                keys = {graph.tile_of[node] for node in route if graph.cost[node] >= dearest - _SHARP * half}
+                if not self._split(graph, {key for key in keys if self.grid.half(graph.tiles[key].level) > _CLOSE}):
+                    break
+        if found is not None:
+            bottleneck = self._at_place(graph, found)
+            if bottleneck is not None:
+                yield bottleneck
+
+    def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
+        """Return the bottleneck at a place of the disc, with the best heading of the body; None within an obstacle."""
+        tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
+        half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
+        middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
+        (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
+        if most + float(self.body.discs[0, 2]) <= 2.0 * half:
+            return None
+        body = disc_cover(self.problem.robot.footprint, self.deadline.look)
+        shift = self.body.centre - body.centre
+        whole = DiscCover(body.centre, body.discs - (*shift, 0.0), body.reach)
+        (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), whole)
+        return self._bottleneck((x, y, yaw), most, half)
+
     def _bottlenecks(self) -> Iterator[Bottleneck]:
         """Yield the narrowest place of the widest route, by margins at the centres of ever finer cells."""
         present, half = set(self.graph.present()), self.grid.cell
@@ -350,9 +383,7 @@ class _Search:
             if not narrow:
                 return
             some = narrow[:: -(-len(narrow) // _PLACES)]  # coarse cells may look as narrow as the narrowest
-            found = [place for place in (self._at_node(graph, node) for node in some) if place is not None]
-            if found:
-                yield max(found, key=lambda place: place.missing_width)
+            yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
@@ -434,8 +465,8 @@ class _Search:
         at = x0 + x - (c * mx - s * my), y0 + y - (s * mx + c * my)
         return least_required(self.problem, *at, reach, self.start_clearance)
 
-    def _at_node(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """Return the bottleneck at the widest cell of a node; None if a disc there lies within an obstacle."""
+    def _at_node(self, graph: ConnectivityGraph, node: int) -> Bottleneck:
+        """Return the bottleneck at the widest cell of a node."""
         key = graph.tile_of[node]
         tile = graph.tiles[key]
         assert tile.margin is not None
@@ -444,16 +475,8 @@ class _Search:
         half, turn = self.grid.half(tile.level), math.pi / margin.shape[0]
         yaw = turn * (2.0 * float(layer) + 1.0)
         x, y = (2.0 * half * (CELLS * first + k + 0.5) for first, k in ((tile.column, float(i)), (tile.row, float(j))))
-        reach = np.array([half, half, turn if self.body.turns else 0.0])
-        (x, y, yaw), most = self._best_near(np.array([x, y, yaw]), reach, self.body)
-        if not self.body.turns:  # a disc: find the heading at which the body has most room
-            if most + float(self.body.discs[0, 2]) <= 2.0 * half:
-                return None
-            body = disc_cover(self.problem.robot.footprint, self.deadline.look)
-            shift = self.body.centre - body.centre
-            body = DiscCover(body.centre, body.discs - (*shift, 0.0), body.reach)
-            (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), body)
-        return self._bottleneck((x, y, yaw), most, half)
+        at, most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]), self.body)
+        return self._bottleneck(at, most, half)
 
     def _bottleneck(self, at: tuple[float, float, float], most: float, half: float) -> Bottleneck:
         """Return the bottleneck at a pose of the centre at which the discs have the distance `most` from obstacles."""

@@ -29,16 +29,19 @@ __all__ = [
     "GOAL",
     "OPEN",
     "OUTSIDE",
+    "ROOM",
     "START",
     "CellGrid",
     "ConnectivityGraph",
     "Kinds",
+    "PlaceGraph",
     "Tile",
     "by_certainty",
     "by_margin",
 ]
 
 OPEN = 1e-6  # cost of an open node, or one outside: of two open routes the shorter one is taken
+ROOM = 1e3  # [m] of clearance: more than any place has
 FINEST = 4  # level of the finest tiles
 
 
@@ -254,6 +257,43 @@ class ConnectivityGraph:
         component = csgraph.connected_components(self._matrix(), directed=False)[1]
         found: BoolArray = component == component[node]
         return found
+
+
+class PlaceGraph(ConnectivityGraph):
+    """Graph with a node per place of a cell, whose cost is a lower bound of what a disc misses there.
+
+    Costs are negative if the disc fits. Unexamined tiles cost less than any other.
+    """
+
+    def _label(self, tile: Tile) -> None:
+        key, first = len(self.tiles), len(self.cost)
+        if tile.margin is None:
+            labels, cost = np.full((1, 1, 1), first), [-ROOM]
+        else:
+            best = tile.margin.max(axis=0) + math.sqrt(2.0) * self.grid.half(tile.level)
+            labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
+        self.cost += cost
+        self.tile_of += [key] * len(cost)
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=2)
+
+    def route(self) -> list[int]:
+        """Return the nodes of the route whose dearest node is cheapest, by a minimum spanning tree ([Hu1961])."""
+        from scipy import sparse
+        from scipy.sparse import csgraph
+
+        cost = np.maximum(np.array(self.cost), -ROOM)
+        cost[: GOAL + 1] = -ROOM
+        first, second = self._all_joints().T
+        dear = np.maximum(cost[first], cost[second]) + 2.0 * ROOM  # zero would be no joint
+        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
+        before = csgraph.breadth_first_order(tree, START, directed=False)[1]
+        route = [GOAL]
+        while route[-1] != START:
+            route.append(int(before[route[-1]]))
+        return route
 
 
 @functools.lru_cache(maxsize=4096)

@@ -326,7 +326,7 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
     every = np.concatenate((proof.tiles, proof.whole))
     counts = len(every), len(proof.discs), sum(cells.size for cells in proof.inside)
     if any(count > most for count, most in zip(counts, (2 * _MOST_TILES, _MOST_DISCS, _MOST_CELLS), strict=True)):
-        return "it is larger than any proof"
+        return "it exceeds the size of a proof"
     levels, far = proof.tiles[:, 0].tolist(), every[np.abs(every).max(axis=1, initial=0) > _FARTHEST]
     is_grid = (
         (proof.end in ("goal", "start") and math.isfinite(proof.cell) and proof.cell > 0.0 and far.size == 0)
@@ -336,7 +336,7 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
         and bool(np.isfinite([*proof.origin, *proof.centre]).all() and np.isfinite(proof.discs).all())
     )
     if not is_grid:
-        return "the tiles are none"
+        return "the tiles are invalid"
     shapes = [(proof.headings << level, CELLS, CELLS) for level in levels]
     if [cells.shape for cells in proof.inside] != shapes or any(cells.dtype != np.bool_ for cells in proof.inside):
         return "the cells do not fit the tiles"
@@ -387,7 +387,7 @@ class _Rim:
                 second[:-1] |= first[1:] & ~first[:-1]
             for turned in (-1, 1):
                 np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
-        return "" if self._is_closed_at_sides() else "the set goes on where no tile is"
+        return "" if self._is_closed_at_sides() else "the set continues beyond the tiles"
 
     def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
         """Return the cells that contain a pose of the centre, up to `SLACK`, and whether tiles surround it."""

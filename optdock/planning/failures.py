@@ -82,10 +82,10 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
     if not failures:
         if is_cut_off or is_late:
             return PlannerTimedOut(ran_out_of_time("the search for a first guess", work.budget))
-        return NoValidPathCouldBeFound("no planner offers a path")
+        return NoValidPathCouldBeFound("no planner returned a path")
     found, late = furthest(failures), [failure for failure in failures if isinstance(failure.error, TimedOut)]
     for_good = _reason_of_every_guess(failures, work.problem)
-    attempts = f"{len(failures)} attempts failed; that there is no way is not proven"
+    attempts = f"{len(failures)} attempts failed; that no way exists is not proven"
     if for_good is not None or not (late or is_cut_off):
         error = (for_good or found).error
         if len(failures) > 1:

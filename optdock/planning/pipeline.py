@@ -180,7 +180,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         instance(Path, warm_start, "warm_start")
     given = _paths(guesses, problem.frame)
     if not callable(cancel_checker):
-        raise InvalidValue(f"cancel_checker: must be a function that says whether to stop, got {cancel_checker!r}")
+        raise InvalidValue(f"cancel_checker: must be a function that returns whether to stop, got {cancel_checker!r}")
     so_far, began = PartialPlan(), time.monotonic()
     try:
         planners, smoothing, parameterizing = _chosen(planner, smoother, timing)
@@ -286,7 +286,7 @@ def _margin(budget: float) -> float:
 
 
 _END = object()  # of a planner's guesses
-_UNPROVEN = "{} says that no motion exists, without a proof that holds"
+_UNPROVEN = "{} reports that no motion exists, without a valid proof"
 
 
 class _Interrupted(NamedTuple):

@@ -84,8 +84,8 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
 _FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: reserved for the proofs of the old plan or a stop
-_ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
-_AT_THE_END = "nothing is left of the plan"
+_ON_THE_STRAIGHT = "the robot is on the final straight, which is not deformed"
+_AT_THE_END = "the robot is at the end of the plan"
 _PUSHES = 4  # most pushes off obstacles, two milliseconds each
 # Requirements of a dock for a path, in addition to its pose and its station.
 _DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
@@ -303,12 +303,7 @@ class _Replanning:
             return kept
         if deadline.left <= 0.0:
             raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
-        plan = plan_dock(
-            problem,
-            time_budget=deadline.left,
-            cancel_checker=self.cancelled,
-            **plugins._asdict(),
-        )
+        plan = plan_dock(problem, time_budget=deadline.left, cancel_checker=self.cancelled, **plugins._asdict())
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
             raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
         return self._new(joint, until, plan)

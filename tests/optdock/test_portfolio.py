@@ -224,7 +224,7 @@ def test_no_motion_exists_of_a_plugin_needs_a_valid_proof():
         planner.proof = claimed
         choices = {"first": {"planner": (planner, "DockPlanner")}}
         for chosen in (choices.get(role, {role: planner}) for role in roles):
-            with pytest.raises(PluginError, match="says that no motion exists, without a proof that holds"):
+            with pytest.raises(PluginError, match="reports that no motion exists, without a valid proof"):
                 plan_dock(problem(), time_budget=BUDGET, **chosen)
     holds = Prophet()
     holds.proof = proof
