@@ -256,7 +256,7 @@ def test_what_is_neither_found_nor_proven_claims_no_proof():
     assert len(caught.value.partial.tried) >= 2
 
 
-@pytest.mark.parametrize("budget", [1e-4, 1e-3, 2e-3])
+@pytest.mark.parametrize("budget", [1e-9, 2e-3])
 def test_budget_too_short_for_a_search_is_a_time_out(budget):
     with pytest.raises(TimedOut):
         plan_dock(problem((6.5, 1.0, math.pi)), time_budget=budget)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.model.problem import DockingProblem
-    from optdock.model.robot import Robot
     from optdock.planners.manoeuvres.arcs import ArcTree
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
@@ -77,14 +75,23 @@ class TreeNodes(NamedTuple):
 
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """Return the cheapest words of pairs of nodes, the same number of rows each; collisions are not checked."""
-    blocks = []
-    for k in range(0, exits.rows.size, _PAIRS):
-        space.poll()
-        some = slice(k, k + _PAIRS)
-        leaving, arriving = TreeNodes(exits.tree, exits.rows[some]), TreeNodes(entries.tree, entries.rows[some])
-        blocks.append(_cheapest(leaving, arriving, radius, space.problem, per_pair))
-    return Connections.merged(blocks)
+    """Return the cheapest words of pairs of nodes in gears that start and dock allow; collisions are not checked."""
+    problem, (leaving, i), (arriving, j) = space.problem, exits, entries
+    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
+    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
+    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
+    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
+    prices += stopping_cost(problem.robot.limits) * gear_changes(gears)
+    first, last = end_gears(gears)
+    allowed = first != 0.0
+    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
+    if wanted is not None:
+        allowed &= last * wanted > 0.0
+    if problem.start_speed != 0.0:
+        allowed &= first * problem.start_speed > 0.0
+    kept = np.flatnonzero(allowed)
+    kept = kept[np.argsort(prices[kept], kind="stable")]
+    return Connections(prices[kept], i[pair[kept]], j[pair[kept]], lengths[kept], curvatures[kept])
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
@@ -102,39 +109,21 @@ class PairWords(NamedTuple):
     curvatures: FloatArray
 
 
-def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
+def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, space: FreeSpace, per_pair: int) -> PairWords:
     """Return at most `per_pair` words that are cheapest at full speed of every pair of poses, Shape (n, 3) each."""
-    words = reeds_shepp_words(starts, ends, radius)
-    with np.errstate(invalid="ignore"):
-        driven = driving_prices(words, robot).sum(axis=2)
-    driven = np.where(np.isnan(driven), np.inf, driven)
-    few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
-    is_one = np.isfinite(driven[few, np.arange(len(starts))])
-    pair, form = np.broadcast_to(np.arange(len(starts)), few.shape)[is_one], few[is_one]
-    return PairWords(pair, driven[form, pair], words[form, pair], TURNS[form] / radius)
-
-
-def _cheapest(
-    exits: TreeNodes, entries: TreeNodes, radius: float, problem: DockingProblem, per_pair: int
-) -> Connections:
-    """Return the cheapest words of pairs of nodes in gears that start and dock allow."""
-    robot = problem.robot
-    (leaving, i), (arriving, j) = exits, entries
-    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, robot, per_pair)
-    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
-    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
-    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
-    prices += stopping_cost(robot.limits) * gear_changes(gears)
-    first, last = end_gears(gears)
-    allowed = first != 0.0
-    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
-    if wanted is not None:
-        allowed &= last * wanted > 0.0
-    if problem.start_speed != 0.0:
-        allowed &= first * problem.start_speed > 0.0
-    kept = np.flatnonzero(allowed)
-    pair = pair[kept]
-    return Connections(prices[kept], i[pair], j[pair], lengths[kept], curvatures[kept])
+    blocks = [PairWords(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 5)), np.zeros((0, 5)))]
+    for k in range(0, len(starts), _PAIRS):
+        space.poll()
+        words = reeds_shepp_words(starts[k : k + _PAIRS], ends[k : k + _PAIRS], radius)
+        with np.errstate(invalid="ignore"):
+            driven = driving_prices(words, space.problem.robot).sum(axis=2)
+        driven = np.where(np.isnan(driven), np.inf, driven)
+        few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
+        columns = np.arange(driven.shape[1])
+        is_one = np.isfinite(driven[few, columns])
+        pair, form = np.broadcast_to(columns, few.shape)[is_one], few[is_one]
+        blocks.append(PairWords(k + pair, driven[form, pair], words[form, pair], TURNS[form] / radius))
+    return PairWords(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
 
 
 def end_gears(lengths: FloatArray) -> tuple[FloatArray, FloatArray]:

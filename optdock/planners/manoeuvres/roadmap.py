@@ -32,7 +32,7 @@ _SPACING, _MOST_STATIONS = 0.75, 120  # spacing of stations in turning radii, la
 _AHEAD = 3  # most stations that a word advances
 _NEAR_ENDS = 6  # stations joined to the start, and to the dock
 _MOST_ENDS = 8  # nodes of each end's tree
-_PAIRS, _WORDS_PER_PAIR = 128, 3
+_WORDS_PER_PAIR = 3
 _BATCH = 16  # words per collision check
 _MOST_CHECKS, _MORE_CHECKS = 3000, 200  # words checked before the search ends, and after the first way
 _PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first step size, factor of the last one
@@ -107,16 +107,9 @@ class _LazySearch:
         wanted = np.where(leaves, station[j] < _NEAR_ENDS, station[i] >= self._count - _NEAR_ENDS)
         wanted = np.where(leaves | arrives, wanted & (leaves != arrives), (on >= 0) & (on <= _AHEAD) & (i != j))
         i, j = i[wanted], j[wanted]
-        robot, blocks = self._space.problem.robot, []
-        for k in range(0, i.size, _PAIRS):
-            self._space.poll()
-            ends = self._poses[i[k : k + _PAIRS]], self._poses[j[k : k + _PAIRS]]
-            block = cheapest_words(*ends, self._effort.radius, robot, _WORDS_PER_PAIR)
-            blocks.append(block._replace(pair=block.pair + k))
-        if not blocks:  # a route without a station
-            none = np.zeros(0)
-            return _Edges(i, j, none, none, none, np.zeros((0, 5)), np.zeros((0, 5)))
-        pair, driven, lengths, curvatures = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        ends = self._poses[i], self._poses[j]
+        words = cheapest_words(*ends, self._effort.radius, self._space, _WORDS_PER_PAIR)
+        pair, driven, lengths, curvatures = words
         begins, ends_in = end_gears(lengths)
         prices = driven + self._stop * gear_changes(lengths)
         speed = self._space.problem.start_speed

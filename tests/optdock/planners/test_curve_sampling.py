@@ -32,14 +32,6 @@ def test_neighbours_are_never_farther_apart_than_the_resolution(points, resoluti
     assert spacing(poses).max() <= resolution
 
 
-def test_mean_speed_alone_would_space_poses_too_far():
-    # Why the step is not resolution / length, as in the source: the control legs are longer than the arc.
-    curve = Nurbs(ARC)
-    length = np.hypot(*np.diff(curve.points_at(np.linspace(0.0, 1.0, 10_001)), axis=0).T).sum()
-    u = np.linspace(0.0, 1.0, math.ceil(length / 0.05) + 1)
-    assert np.hypot(*np.diff(curve.points_at(u), axis=0).T).max() > 0.05 * 1.1
-
-
 def test_straight_curve_is_sampled_at_resolution_over_length():
     poses = sampler().poses(np.array([[0.0, 0.0], [1.9995, 0.0], [3.999, 0.0]]), Direction.FORWARD, "a curve")
     np.testing.assert_allclose(poses, np.column_stack((np.linspace(0.0, 3.999, 81), np.zeros((81, 2)))), atol=1e-12)
