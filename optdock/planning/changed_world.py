@@ -93,7 +93,7 @@ def still_holds(
     exactly(DockPlan, plan, "plan")
     from_time, known = finite_number(from_time, "from_time"), plan.problem
     obstacles, costmap, later = known.obstacles, known.costmap, known
-    # No subclasses, as in a problem: what overrides its outline or its digest is another world than it says.
+    # Subclasses are refused, as in a problem: they may override the outline or the digest.
     if isinstance(world, Costmap):
         costmap = exactly(Costmap, world, "world")
     elif isinstance(world, ObstacleSet):

@@ -94,7 +94,7 @@ class DockPlan:
     def __post_init__(self) -> None:
         exactly(ProvenMotion, self.motion, "plan.motion")
         exactly(Path, self.raw_path, "plan.raw_path")
-        _ = self.motion.trajectory  # raises where no proof was made of it
+        _ = self.motion.trajectory  # raises without a proof
 
     @property
     def problem(self) -> DockingProblem:

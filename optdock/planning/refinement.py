@@ -84,8 +84,8 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-PLAIN_TIMING = "Windowed"  # needs no repair
-# Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
+PLAIN_TIMING = "Windowed"  # its motions need no repair
+# Share of the budget, its least and most [s], reserved for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 # Clearance below which the robot touches; spacing of the samples on the way; tolerance of a straight line [m, m, rad].
 _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
@@ -94,7 +94,7 @@ _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
 _SAME_BEND, _MOST_BENDS = 1e-5, 12
 _JOINED_SPACING = 0.02  # [m] between the poses of gears that are joined
 _LONGEST_LEFT_OUT = 0.5  # of the robot's length: longer gears cannot be replaced
-_PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
+_PROOF = 0.001  # [s], reserved for the proof of the motion
 
 _T = TypeVar("_T")
 
@@ -400,7 +400,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         plugin.configure(PluginContext(name=plugin.name, problem=problem))
         try:
             yield
-        except (InvalidValue, InvalidPath) as error:  # nothing that the caller gave: the problem is valid
+        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, as the problem is valid
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()
@@ -412,7 +412,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         if isinstance(error, OptdockError) or not isinstance(error, Exception):
             raise
         raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-    if cancelled.raised is not None:  # swallowed by the plugin
+    if cancelled.raised is not None:  # suppressed by the plugin
         raise cancelled.raised
 
 

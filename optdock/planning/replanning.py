@@ -164,7 +164,7 @@ class Replanned:
         return f"<Replanned {self.outcome.value}{unproven}, from {self.starts_at:.3f} s{why}>"
 
 
-def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
+def replan(  # noqa: PLR0913 - every choice is a keyword
     plan: DockPlan,
     target: DockingProblem | Pose2,
     state: DriveState,
@@ -305,7 +305,7 @@ class _Replanning:
             raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
         plan = plan_dock(problem, time_budget=deadline.left, cancel_checker=self.cancelled, **plugins._asdict())
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
-            raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
+            raise FailedToSmoothPath("the wheels are turned for the other gear")
         return self._new(joint, until, plan)
 
     def _new(self, joint: BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive", "braking"]
 
-_AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
-_REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as in the certificate
+_REST_SOON = 0.1  # [s]: a rest that follows the joint within this time becomes the joint
 NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 
 
@@ -129,7 +129,7 @@ class RunningDrive:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
-        if s > length - NO_WAY:  # its last micrometre is a millisecond
+        if s > length - NO_WAY:  # the last micrometre takes a millisecond
             time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
@@ -177,7 +177,7 @@ class RunningDrive:
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
         """Return the problem of a robot at the joint."""
         limits = self.world.robot.limits
-        turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
+        turning = self._steered(joint.time) > joint.time  # with a standing clock the wheels stay turned
         free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
         curvature = None
         if not free and joint.gear != 0:
@@ -185,9 +185,9 @@ class RunningDrive:
         return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
 
 
-# Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
+# Shares of the deceleration to try: in a bend the yaw acceleration may allow no more.
 _BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
-_STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
+_STILL = 0.1  # [s]: duration of the motion of a standing robot
 
 
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
@@ -211,12 +211,12 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
             bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
         phases = np.array(full_stop(state, bounds))
         if state.a < 0.0 < state.v and state.a**2 > 2.0 * state.v * bounds.jerk:
-            jerk = state.a**2 / (2.0 * state.v)  # with less it would roll back; with this both end together
+            jerk = state.a**2 / (2.0 * state.v)  # the least jerk without rolling back
             phases = np.array([[-state.a / jerk, jerk]])
         law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
         length = float(law.states[-1, 0])
         segment = joint.rest.segments[0]
-        if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
+        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a jump is not certified
             motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
             return still, motion
         if length > segment.length - NO_WAY:  # the braking ends at the cusp

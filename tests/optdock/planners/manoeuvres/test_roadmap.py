@@ -1,6 +1,7 @@
 """The roadmap along a route: what it offers is free, begins and ends where it must; the band finds the middle."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -38,9 +39,9 @@ def bent(mirror=1.0, robot=ROBOT, **start):
     return DockingProblem(pose, dock, robot, obstacles, RULE, **start)
 
 
-def offered(problem):
+def offered(problem, most=2):
     stages = Stages(problem, 1.25, lambda: None, lambda: math.inf)
-    return [guess.path for guess in stages._along_routes()]
+    return [guess.path for guess in itertools.islice(stages._along_routes(), most)]
 
 
 def test_every_way_is_free_and_leads_from_the_start_into_the_dock_also_mirrored():
@@ -69,7 +70,7 @@ def test_nothing_is_offered_through_a_gap_that_is_too_narrow():
     problem = bent()
     shut = [box(9.2, 5.0, 11.2, 5.2)]  # 0.4 m are left
     obstacles = [*(np.array(one) for one in problem.obstacles.vertices), *shut]
-    assert offered(dataclasses.replace(problem, obstacles=obstacles)) == []
+    assert offered(dataclasses.replace(problem, obstacles=obstacles), most=None) == []
 
 
 @pytest.mark.parametrize("width", [1.6, 2.4])
