@@ -6,8 +6,8 @@ between two vertices, so the maximum over these axes is the exact distance and i
 
 If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
 `min_A n.a' - max_B n.b <= n.a - max_B n.b`, so an edge whose bound is below a known gap cannot win. Vertex directions
-are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one maximum, and
-no edge normal lies between it and the better of its two neighbours, so both have the same nearest vertices.
+are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one maximum,
+and no edge normal lies between it and the better of its two neighbours, so both have the same nearest vertices.
 """
 
 from __future__ import annotations

@@ -1,17 +1,28 @@
-"""Proofs that no motion exists: what is proven, the check that a reader needs to trust, and the searches for proofs.
+"""Proofs that no motion exists, their searches, and the checker, which is independent of the searches.
 
 - `blocked_straight`: every motion ends with a straight line into the dock, and that line is blocked.
-- `proof`: why blocked cells that separate start from goal prove that no motion exists, and their check.
-- `cell_decomposition`: the search for such cells; `footprint_discs`: what they are blocked by; `connectivity_graph`:
-  which of them hang together.
-- `no_motion`: either proof, from a file too.
+- `proof`: blocked cells that separate start from goal prove that no motion exists, and the checker.
+- `cell_decomposition`: the search for such cells, with `footprint_discs` and `connectivity_graph`.
 """
 
-from optdock.impossibility.blocked_straight import BlockedPose, BlockedStraight, prove_straight_blocked
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+from optdock.impossibility.blocked_straight import (
+    BlockedPose,
+    BlockedStraight,
+    check_blocked_straight,
+    prove_straight_blocked,
+)
 from optdock.impossibility.cell_decomposition import ImpossibilitySearch, prove_impossible
 from optdock.impossibility.footprint_discs import prepare_footprint
-from optdock.impossibility.no_motion import NoMotionProof, check_impossibility, impossibility_from_dict
-from optdock.impossibility.proof import Bottleneck, ImpossibilityProof, ImpossibilityVerdict
+from optdock.impossibility.proof import Bottleneck, ImpossibilityProof, ImpossibilityVerdict, check_cells
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optdock.model.problem import DockingProblem
 
 __all__ = [
     "BlockedPose",
@@ -27,3 +38,28 @@ __all__ = [
     "prove_impossible",
     "prove_straight_blocked",
 ]
+
+NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight
+
+
+def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> ImpossibilityVerdict:
+    """Check a proof from any source for `problem`; everything it rests on is computed again.
+
+    Args:
+        proof: Proof to be checked.
+        problem: The planning problem.
+    """
+    if type(proof) is BlockedStraight:
+        return check_blocked_straight(proof, problem)
+    if type(proof) is ImpossibilityProof:
+        return check_cells(proof, problem)
+    return ImpossibilityVerdict(proven=False, reason=f"it is not a proof but a {type(proof).__name__}", cells=0)
+
+
+def impossibility_from_dict(values: Mapping[str, object]) -> NoMotionProof:
+    """Read a proof of either kind from the result of its `as_dict`.
+
+    Raises:
+        InvalidFile: If something is missing, or of another kind.
+    """
+    return BlockedStraight.from_dict(values) if "straight" in values else ImpossibilityProof.from_dict(values)

@@ -1,22 +1,22 @@
-"""A proof that no motion exists: the straight before the dock, which every certified path ends with, is blocked.
+"""Proof that no motion exists because the straight before the dock, with which every certified path ends, is blocked.
 
 **Theorem.** Let `check_blocked_straight(proof, problem)` be proven. Then no path to the dock is certified for the
 problem: a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear that the
-dock allows (`path_rules`). So a path has every pose on one of these straights, but for what the certificate tolerates,
-and for each of them the proof names a pose that is closer to an obstacle than the least that any certificate requires
-there (`least_required`), by more than is tolerated, or overlaps one.
+dock allows (`path_rules`). Up to the tolerance of the certificate a path therefore has every pose on one of these
+straights, and for each of them the proof names a pose that overlaps an obstacle, or is closer to it, by more than the
+tolerance, than the least clearance that any certificate requires there (`least_required`).
 
-The check of a proof measures the poses again, by distances of shapely.
+The checker measures the poses again, by distances of shapely.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, Strict
 
 from optdock.errors import InvalidFile
 from optdock.geometry.obstacles import in_words
@@ -35,32 +35,35 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockedPose", "BlockedStraight", "check_blocked_straight", "prove_straight_blocked"]
 
-_SPACING = 0.01  # [m] between the poses looked at
+_SPACING = 0.01  # [m] between the poses
+_Number: TypeAlias = Annotated[float, Strict()]
 _GEARS = {DockDirection.FORWARD: (1,), DockDirection.BACKWARD: (-1,), DockDirection.AUTO: (1, -1)}
 
 
 @dataclass(frozen=True)
 class BlockedPose:
-    """Where the straight of one gear is blocked.
+    """A blocked pose on the straight of one gear.
 
     Args:
-        gear: In which the dock is entered, 1 or -1.
-        before: How far before the dock [m].
-        x: Where the robot's origin is [m].
+        gear: Gear in which the dock is entered, 1 or -1.
+        before: Distance before the dock [m].
+        x: Position of the robot's origin [m].
         y: Likewise [m].
-        yaw: Its heading [rad].
-        clearance: What the robot has there, negative where it overlaps something [m].
-        required: The least that any certificate requires there [m].
-        obstacle: The name of what is nearest.
+        yaw: Heading [rad].
+        clearance: Clearance of the robot, negative for an overlap [m].
+        required: The least clearance that any certificate requires there [m].
+        obstacle: Name of the nearest obstacle.
     """
 
-    gear: int
-    before: float
-    x: float
-    y: float
-    yaw: float
-    clearance: float
-    required: float
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    gear: Annotated[int, Strict(), Field(ge=-1, le=1)]
+    before: _Number
+    x: _Number
+    y: _Number
+    yaw: _Number
+    clearance: _Number
+    required: _Number
     obstacle: str
 
     def __str__(self) -> str:
@@ -75,8 +78,8 @@ class BlockedStraight:
     """A blocked pose on each straight by which the dock may be entered.
 
     Args:
-        poses: One for every gear that the dock allows.
-        problem: Digests of what it was proven for.
+        poses: One pose for every gear that the dock allows.
+        problem: Digests of the problem.
     """
 
     poses: tuple[BlockedPose, ...]
@@ -84,17 +87,17 @@ class BlockedStraight:
 
     @property
     def message(self) -> str:
-        """One sentence for people."""
+        """The result in one sentence."""
         blocked = "; ".join(map(str, self.poses))
-        told = f"no motion ends in the dock: its final straight is blocked: {blocked}"
+        message = f"no motion ends in the dock: its final straight is blocked: {blocked}"
         if all(pose.clearance >= 0.0 for pose in self.poses):
             kept = max(pose.clearance for pose in self.poses)
-            told += f"; up to {kept:.4f} m can be kept there, see clearance.dock_run"
-        return told
+            message += f"; up to {kept:.4f} m can be kept there, see clearance.dock_run"
+        return message
 
     @property
     def where(self) -> dict[str, object]:
-        """What a refusal says of it: the pose that is least blocked, its obstacle, clearance and requirement."""
+        """The details of the error: the least blocked pose, its obstacle, clearance and required clearance."""
         least = min(self.poses, key=lambda pose: pose.required - pose.clearance)
         measured = {"clearance": least.clearance, "required": least.required}
         pose = [least.x, least.y, least.yaw]
@@ -102,52 +105,38 @@ class BlockedStraight:
 
     @property
     def bottleneck(self) -> None:
-        """None: where it is blocked its poses say."""
+        """None: the poses hold the place."""
         return
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for a plan file."""
+        """Return plain values for a plan file."""
         return {"straight": [vars(pose) for pose in self.poses], "problem": self.problem._asdict()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> BlockedStraight:
-        """What `as_dict` gave.
+        """Read the result of `as_dict`.
 
         Raises:
-            InvalidFile: Something is missing, or of another kind.
+            InvalidFile: If something is missing, or of another kind.
         """
         try:
             document = _Document.model_validate(values)
-            poses = tuple(BlockedPose(**pose.model_dump()) for pose in document.straight)
-            return cls(poses, ProblemFingerprint(**document.problem))
+            return cls(document.straight, ProblemFingerprint(**document.problem))
         except (ValueError, TypeError) as error:  # pydantic's errors are ValueErrors
             raise InvalidFile(f"impossibility: {error}") from error
-
-
-class _PoseDocument(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, strict=True)
-
-    gear: Annotated[int, Field(ge=-1, le=1)]
-    before: float
-    x: float
-    y: float
-    yaw: float
-    clearance: float
-    required: float
-    obstacle: str
 
 
 class _Document(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
-    straight: Annotated[tuple[_PoseDocument, ...], Field(max_length=2)]
+    straight: Annotated[tuple[BlockedPose, ...], Field(max_length=2)]
     problem: dict[str, str]
 
 
 def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
-    """The proof that the final straight is blocked, in every gear that the dock allows; None where it is not.
+    """Return the proof that the final straight is blocked in every gear that the dock allows; None if it is not.
 
-    It looks at poses a centimetre apart, all of them in about a millisecond.
+    Poses one centimetre apart are measured, in about a millisecond.
     """
     straight, slack = problem.dock.final_straight, _slack(problem)
     if straight <= 0.0 or len(problem.all_obstacles) == 0:
@@ -169,14 +158,14 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
 
 
 def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Judge a proof from any source for `problem`; everything that counts is measured again.
+    """Check a proof from any source for `problem`; everything it rests on is measured again.
 
     Args:
-        proof: To be checked.
-        problem: What the robot must do.
+        proof: Proof to be checked.
+        problem: The planning problem.
 
     Returns:
-        The verdict; its `cells` are the poses judged.
+        The verdict; its `cells` are the checked poses.
     """
     import shapely
 
@@ -184,7 +173,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
     if not 0.0 < problem.dock.final_straight < math.inf:
         fault = "the dock asks for no final straight"
     elif set(_GEARS[problem.dock.direction]) - {pose.gear for pose in proof.poses}:
-        fault = "it says nothing of a gear that the dock allows"
+        fault = "a gear that the dock allows is missing"
     elif not all(0.0 <= pose.before <= problem.dock.final_straight for pose in proof.poses):
         fault = "a pose is not on the final straight"
     if fault:
@@ -195,7 +184,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
         pose = _poses(blocked.gear, np.array([blocked.before]), problem)
         required = least_required(problem, pose[:, 0], pose[:, 1], slack, start_clearance)[0]
         outline = shapely.Polygon(transform_points(pose, problem.robot.footprint.vertices)[0])
-        # Grown by what is required, or shrunk where that is less than what is tolerated.
+        # Grown by the required clearance, or shrunk if that is less than the tolerance.
         within = float(required) - slack
         body = outline if within > 0.0 else outline.buffer(within, join_style="mitre")
         met = tree.query(body, predicate="dwithin", distance=within) if within > 0.0 else tree.query(body, "intersects")
@@ -206,7 +195,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
 
 
 def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Poses so far before the dock, Shape (n,) [m] to (n, 3)."""
+    """Return poses at distances before the dock, Shape (n,) [m] to (n, 3)."""
     goal, back = problem.goal, -gear * before
     x, y = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
     poses: FloatArray = np.column_stack((x, y, np.full(before.size, goal.yaw)))
@@ -214,5 +203,5 @@ def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray
 
 
 def _slack(problem: DockingProblem) -> float:
-    """How far a point of the robot may be from where the exact straight has it, on a certified path [m]."""
+    """Return the largest distance [m] of a point of the robot from its place on the exact straight."""
     return STRAIGHT_TOLERANCE * (1.0 + problem.robot.footprint.circumscribed_radius) + SLACK

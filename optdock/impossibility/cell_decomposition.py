@@ -1,15 +1,15 @@
-"""The search for a proof that no motion exists: approximate cell decomposition, refined where a route is left.
+"""Search for a proof that no motion exists: approximate cell decomposition ([Brooks1985], [Zhang2008]).
 
-What such a proof is, and why it is one, stands in `impossibility`. Here tiles of cells are made until no route from
-start to goal is left, one is found that is wide open, or time is up ([Brooks1985], [Zhang2008]):
+`proof` defines such proofs. Tiles of cells are refined until no route from start to goal is left, an open route is
+found, or the time is up:
 
-    1. The plane is a quadtree of tiles. Of a tile that was not looked at everything counts as free.
-    2. A tile that was looked at falls into blocked cells, cells that look open, and narrow ones between. Connected
-       cells of one kind are one node of a graph.
-    3. The cheapest route through the graph is the one through the fewest narrow and unseen tiles. These are split.
+1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
+2. An examined tile has blocked cells, cells that look open, and narrow ones. Connected cells of one kind are one node
+   of a graph.
+3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These are split.
 
-How a tile looks is a matter of a few milliseconds: its cells share one lattice of distances from the obstacles, and
-every disc of the body at every heading reads it shifted by whole nodes.
+A tile takes a few milliseconds: its cells share one lattice of distances from the obstacles, which every disc of the
+body reads at every heading, shifted by whole nodes.
 """
 
 from __future__ import annotations
@@ -39,13 +39,7 @@ from optdock.impossibility.connectivity_graph import (
     by_margin,
 )
 from optdock.impossibility.footprint_discs import DiscCover, disc_cover
-from optdock.impossibility.proof import (
-    CELLS,
-    SLACK,
-    Bottleneck,
-    ImpossibilityProof,
-    least_required,
-)
+from optdock.impossibility.proof import CELLS, SLACK, Bottleneck, ImpossibilityProof, least_required
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
@@ -58,75 +52,74 @@ if TYPE_CHECKING:
 
 __all__ = ["ImpossibilitySearch", "prove_impossible"]
 
-_REACH = 0.7  # of a cell's turn: points at this share of the body's reach move as far by it as by half a cell's side
-# Half a cell of level 0, as a share of the largest disc's radius: cells of level 0 must be able to close a thin wall.
+_REACH = 0.7  # share of the body's reach at which half a cell's turn moves a point by half a cell's side
+# Half a cell of level 0 as a share of the largest disc's radius: cells of level 0 must be able to close a thin wall.
 _CELL = 0.27
-_LARGEST = 6  # levels of unseen tiles above level 0
-_GATHERED = 250_000  # distances read in one go, less than a millisecond
-_NODES, _AROUND = 129, 6.0  # of the lattice for a first look; [largest discs] around start and goal
-_STEP = 0.004  # [s]: the longest steps between two looks at the clock take about so long, on a quiet machine
+_LARGEST = 6  # levels of unexamined tiles above level 0
+_GATHERED = 250_000  # distances per vectorized read, less than a millisecond
+_NODES, _AROUND = 129, 6.0  # lattice of the first check; border around start and goal in radii of the largest disc
+_STEP = 0.004  # [s]: longest time between two checks of the clock, on an idle machine
 _FEWEST_HEADINGS = 8  # of level 0
-_SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
-_ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
-_ROUNDS_OF_DISC = 10  # likewise, for a disc
-_PLACES = 5  # on the widest route that are compared by exact distances
-_POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
-_POLISHED_AT = (33, 9, 5)  # places along each axis, where one, two or three of them are open
-_FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
-_CLOSE = 0.01  # [m]: half a cell; so much and a little more a narrow place of a disc may be off
-_SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
+_SHARP = 0.25  # tolerance of the margin of the widest route, in halves of a cell
+_ROUNDS_OF_DISC = 10  # refinements for the bottleneck of a disc
+_CLOSE = 0.01  # [m]: half a cell; accuracy of the narrowest place of a disc
+_ROUNDS = 8  # refinements for the bottleneck: four are usual, more where a wall has the same thickness everywhere
+_PLACES = 5  # places on the widest route that are compared by exact distances
+_POLISHED = 2  # refinements of a place, by a factor of four each
+_POLISHED_AT = (33, 9, 5)  # places along each axis with one, two or three free axes
+_FINE = 0.08  # [m]: twice the side of a cell; the place within smaller cells is found by exact distances
+_SEEN_FROM = 30.0  # [m]: obstacles farther from start and goal do not enlarge the tiles
 
 
 def prove_impossible(
     problem: DockingProblem, *, time_budget: float = 1.0, cancel_checker: Callable[[], bool] = never_late
 ) -> ImpossibilityProof | None:
-    """Try to prove that no motion of any kind joins start and goal, reversing and turning in place included.
+    """Try to prove that no motion of any kind joins start and goal, including reversing and turning in place.
 
     Args:
-        problem: From where, to where, with what, among what.
+        problem: The planning problem.
         time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
-        cancel_checker: Asked as often; True ends the search.
+        cancel_checker: Polled as often; True ends the search.
 
     Returns:
-        The proof; or None: there may be a motion, or the time was too short. `check_impossibility` judges it.
+        The proof; or None: there may be a motion, or the time was too short. `check_impossibility` checks the proof.
     """
     return ImpossibilitySearch(problem).proof(time_budget, cancel_checker)
 
 
 class ImpossibilitySearch:
-    """A search for a proof that can go on where it was interrupted.
+    """A search for a proof that can be continued after an interruption.
 
-    At first it looks at the largest disc within the robot alone. Whatever that cannot pass the robot cannot pass at any
-    heading, and without headings there are a hundred times fewer cells.
+    The first search is for the largest disc within the robot. A gap too narrow for the disc is too narrow for the robot
+    at any heading, and without headings there are a hundred times fewer cells.
 
     Args:
-        problem: From where, to where, with what, among what.
+        problem: The planning problem.
     """
 
     def __init__(self, problem: DockingProblem) -> None:
         self.problem = problem
-        self._left: list[DiscCover] | None = (
-            None if len(problem.all_obstacles) else []
-        )  # the next one last; None: not made
+        # Bodies still to be searched, the next one last; None: not computed yet.
+        self._left: list[DiscCover] | None = None if len(problem.all_obstacles) else []
         self._search: _Search | None = None
 
     @property
     def ended(self) -> bool:
-        """Whether there is no use in going on."""
+        """Whether the search has no further steps."""
         return self._left == []
 
     def proof(
         self, time_budget: float, cancel_checker: Callable[[], bool] = never_late, *, only_disc: bool = False
     ) -> ImpossibilityProof | None:
-        """Go on.
+        """Continue the search.
 
         Args:
             time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
-            cancel_checker: Asked as often; True interrupts it.
-            only_disc: Stop where the largest disc alone proves nothing.
+            cancel_checker: Polled as often; True interrupts the search.
+            only_disc: Stop if the largest disc alone proves nothing.
 
         Returns:
-            The proof, with the bottleneck as far as there was time for it; or None, where there is none, or none yet.
+            The proof, with the bottleneck as far as the time allows; None if there is none, or none yet.
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
@@ -146,7 +139,7 @@ class ImpossibilitySearch:
 
 
 class _Obstacles:
-    """Obstacles in the frame of the tiles, for distances of lattice nodes from them."""
+    """Obstacles in the frame of the tiles."""
 
     def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
         everything, self.look = problem.all_obstacles, look
@@ -159,14 +152,10 @@ class _Obstacles:
         self.low, self.high = np.minimum(starts, ends)[kept], np.maximum(starts, ends)[kept]
 
     def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
-        """Upper bounds of the distances of nodes from the obstacles, Shape (count, count), rows along y [m].
+        """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
 
-        Every node is measured against a point of an obstacle near the node that is nearest among those near obstacles.
-
-        Args:
-            corner: The first node [m].
-            step: Between nodes [m].
-            count: Nodes along each side; what lies further out is left out.
+        Rows run along y. Every node is measured against a point of an obstacle near the lattice node that is its
+        nearest one at an obstacle; obstacles beyond the last node are ignored.
         """
         from scipy import ndimage
 
@@ -191,7 +180,7 @@ class _Obstacles:
         return single
 
     def _inside(self, corner: FloatArray, step: float, count: int) -> BoolArray:
-        """Which nodes lie in an obstacle: of every piece and row from which node to which."""
+        """Return which nodes lie in an obstacle, from the interval of nodes of every piece and row."""
         low, high = (self.lower - corner) / step, (self.upper - corner) / step
         met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
         first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
@@ -199,7 +188,7 @@ class _Obstacles:
         piece = np.repeat(np.arange(met.size), number)
         row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
         (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
-        # A normal along y bounds no x: it lets a whole row through, or nothing of it.
+        # A normal along y admits a whole row, or nothing of it.
         room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
         steep, is_along = step * nx[piece], nx[piece] == 0.0
         bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
@@ -213,7 +202,7 @@ class _Obstacles:
         return inside
 
     def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
-        """Points of the outlines, clipped to a square ([Liang1984]), at most `spacing` apart. Shape (n, 2) [m]."""
+        """Return points of the outlines clipped to a square ([Liang1984]), at most `spacing` apart, Shape (n, 2)."""
         rows = np.flatnonzero(((self.low <= corner + extent) & (self.high >= corner)).all(axis=1))
         start, along = self.starts[rows] - corner, self.along[rows]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -232,7 +221,7 @@ class _Obstacles:
 
 
 class _Search:
-    """The tiles so far, and the graph of what may be free in them."""
+    """The tiles so far, and the graph of their cells that may be free."""
 
     def __init__(self, problem: DockingProblem, body: DiscCover, deadline: Deadline) -> None:
         self.problem, self.body, self.deadline = problem, body, deadline
@@ -245,7 +234,7 @@ class _Search:
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
     def _grid(self) -> CellGrid:
-        """Tiles that cover both ends, and obstacles as far as they may matter."""
+        """Return tiles that cover both ends, and obstacles as far as they may matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -264,7 +253,7 @@ class _Search:
         self.deadline.look()
 
     def looks_open(self, deadline: Deadline) -> bool:
-        """Whether nodes of one coarse lattice around start and goal join them for a disc: a first look, no proof."""
+        """Whether free nodes of one coarse lattice join start and goal for a disc: a heuristic, no proof."""
         from scipy import ndimage
 
         self.deadline = deadline
@@ -275,7 +264,7 @@ class _Search:
         x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
         required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
         is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
-        # What lies outside was not looked at.
+        # Nodes near the border are not valid: obstacles outside were not examined.
         kept = slice(math.ceil(border / step), -math.ceil(border / step))
         labels = np.zeros(is_free.shape, dtype=np.int32)
         ndimage.label(is_free[kept, kept], output=labels[kept, kept])
@@ -283,11 +272,7 @@ class _Search:
         return bool(set.intersection(*found) - {0})
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
-        """Split what is narrow on the cheapest route, until no route is left, or one that is open.
-
-        Raises:
-            OutOfTime: The deadline came first; a later call goes on with what is known.
-        """
+        """Split the narrow tiles on the cheapest route until no route is left, or an open one; may be continued."""
         self.deadline = deadline
         while True:
             self.deadline.look()
@@ -304,7 +289,7 @@ class _Search:
         return proof
 
     def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
-        """Look at tiles, or at their quarters, as far as they can be split; whether any could."""
+        """Examine tiles, or their quarters, as far as they can be split; return whether any could."""
         keys = {key for key in keys if graph.tiles[key].level < FINEST}
         new: list[Tile] = []
         for key in sorted(keys):
@@ -318,7 +303,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """The proof, once no route is left: around the goal, or around the start where the goal is in the open."""
+        """Return the proof once no route is left: around the goal, or around the start if the goal is in the open."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
@@ -347,10 +332,7 @@ class _Search:
         )
 
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
-        """The narrowest place of the widest route of a disc, in cells that are made finer until it is known.
-
-        Cells promise what their widest place may have, so that every other gap is narrower than what is found.
-        """
+        """Yield the narrowest place of the widest route of a disc, in cells that are refined until it is known."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
         graph.add([self.graph.tiles[key] for key in self.graph.present()])
         with contextlib.suppress(OutOfTime):
@@ -371,10 +353,7 @@ class _Search:
                 yield bottleneck
 
     def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """What is known of a place of the disc, at the heading at which the body has most room.
-
-        None where it is in an obstacle, or as near to one as that the cell reaches beyond: then there is no gap at all.
-        """
+        """Return the bottleneck at a place of the disc, with the best heading of the body; None within an obstacle."""
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
@@ -388,8 +367,13 @@ class _Search:
         return self._bottleneck((x, y, yaw), most, half)
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
-        """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
-        tiles, half = self._coarse_tiles(), self.grid.cell
+        """Yield the narrowest place of the widest route, by margins at the centres of ever finer cells."""
+        present, half = set(self.graph.present()), self.grid.cell
+        tiles = [  # the examined ones of level 0, and all that were not examined
+            tile
+            for key, tile in enumerate(self.graph.tiles)
+            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
+        ]
         low, high = -self.problem.path_clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
         for _ in range(_ROUNDS):
             low, high = self._widest(tiles, low, high, _SHARP * half)
@@ -398,12 +382,12 @@ class _Search:
             narrow = [node for node in route if graph.cost[node] > OPEN]
             if not narrow:
                 return
-            some = narrow[:: -(-len(narrow) // _PLACES)]  # rough cells may look as narrow as the narrowest
+            some = narrow[:: -(-len(narrow) // _PLACES)]  # coarse cells may look as narrow as the narrowest
             yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
-            # What was not looked at counts as wide, and hides how thick a wall is.
+            # Unexamined tiles count as wide and hide the thickness of a wall.
             passed = {graph.tile_of[node] for node in route if node > GOAL}
             keys |= {key for key in passed if graph.tiles[key].margin is None}
             if not self._split(graph, keys):
@@ -412,7 +396,7 @@ class _Search:
             low, high = low - half, high + half
 
     def _widest(self, tiles: list[Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
-        """Margins that leave a route and that leave none, at most `sharp` apart [m]: first found, then bisected."""
+        """Bracket and bisect the margin: return one that leaves a route and one that leaves none [m]."""
         step = high - low
         while self._by_margin(tiles, high, high).route():
             low, high = high, high + step
@@ -423,15 +407,6 @@ class _Search:
             low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
         return low, high
 
-    def _coarse_tiles(self) -> list[Tile]:
-        """The tiles that were looked at first, and those that never were."""
-        present = set(self.graph.present())
-        return [
-            tile
-            for key, tile in enumerate(self.graph.tiles)
-            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
-        ]
-
     def _by_margin(self, tiles: list[Tile], low: float, high: float) -> ConnectivityGraph:
         self.deadline.look()
         graph = ConnectivityGraph(self.grid, self.ends, by_margin(low, high))
@@ -439,7 +414,7 @@ class _Search:
         return graph
 
     def _seen(self, level: int, column: int, row: int) -> Tile:
-        """A tile that was looked at, once."""
+        """Examine a tile, once."""
         self.deadline.look()
         known = self.known.get((level, column, row))
         if known is not None:
@@ -454,7 +429,7 @@ class _Search:
         middle = halo + 1 + 2 * np.arange(CELLS)
         at = (middle[:, None] * nodes + middle).ravel()
         x, y, radius = body.discs.T
-        # Of a disc's place: within the cell, and to the nearest node; the middles of cells are nodes.
+        # Displacement of a disc: within the cell, and to the nearest node; the middles of cells are nodes.
         off = np.hypot(x, y)
         to_node = np.where(off > 0.0, math.sqrt(0.5) * half, 0.0)
         moved = math.sqrt(2.0) * half + 2.0 * off * math.sin(0.5 * turn) + to_node + SLACK
@@ -481,7 +456,7 @@ class _Search:
     def _required(
         self, corner: FloatArray, half: float, turned: tuple[FloatArray, FloatArray], turn: float
     ) -> FloatArray:
-        """The least clearance required in each cell, Shape (headings, cells) [m]."""
+        """Return the least clearance required in each cell, Shape (headings, cells) [m]."""
         (mx, my), (c, s) = self.body.centre, turned
         along = half * (2.0 * np.arange(CELLS) + 1.0)
         y, x = (axis.ravel() for axis in np.meshgrid(along, along, indexing="ij"))
@@ -491,7 +466,7 @@ class _Search:
         return least_required(self.problem, *at, reach, self.start_clearance)
 
     def _at_node(self, graph: ConnectivityGraph, node: int) -> Bottleneck:
-        """What is known of the widest cell of a node."""
+        """Return the bottleneck at the widest cell of a node."""
         key = graph.tile_of[node]
         tile = graph.tiles[key]
         assert tile.margin is not None
@@ -504,7 +479,7 @@ class _Search:
         return self._bottleneck(at, most, half)
 
     def _bottleneck(self, at: tuple[float, float, float], most: float, half: float) -> Bottleneck:
-        """What is missing at a pose of the centre at which the discs have so much room."""
+        """Return the bottleneck at a pose of the centre at which the discs have the distance `most` from obstacles."""
         (x, y, yaw), (x0, y0), (mx, my) = at, self.grid.origin, self.body.centre
         c, s = math.cos(yaw), math.sin(yaw)
         pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
@@ -515,13 +490,7 @@ class _Search:
     def _best_near(
         self, pose: FloatArray, reach: FloatArray, body: DiscCover
     ) -> tuple[tuple[float, float, float], float]:
-        """The pose near one of a body's centre that is farthest from obstacles, and how far its discs are there [m].
-
-        Args:
-            pose: Shape (3,).
-            reach: How far around it to look, in x, y and yaw, Shape (3,).
-            body: Its discs.
-        """
+        """Return the pose within `reach` with the largest distance of discs from obstacles, and that distance."""
         import shapely
 
         everything, (x, y, radius) = self.obstacles, body.discs.T
@@ -545,12 +514,12 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """The obstacle nearest to the robot at a pose, and the nearest on its other side."""
+        """Return the names of the obstacle nearest to the robot at a pose, and the nearest one on its other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])
         rows = obstacles.rows_in_box(at - reach, at + reach)
-        if rows.size == 0:  # of a first guess, in a cell that is larger than the robot
+        if rows.size == 0:  # in a cell larger than the robot
             return ()
         found = [
             separation(body, np.tile(pose.as_array(), (rows.size, 1)), obstacles.pieces(rows))
@@ -566,5 +535,5 @@ class _Search:
 
 
 def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
-    """Where a point of the robot is at a pose, seen from an origin, and the heading. Shape (3,)."""
+    """Return the position of a point of the robot at a pose relative to an origin, and the heading. Shape (3,)."""
     return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)

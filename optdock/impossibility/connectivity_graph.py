@@ -1,7 +1,7 @@
-"""The connectivity graph of a cell decomposition: connected cells of one kind are a node, cells that touch join two.
+"""Connectivity graph of a cell decomposition: its nodes are connected cells of one kind in one tile.
 
 Cells lie in tiles of a quadtree of the plane, with all headings ([Brooks1985], [Zhang2008]). A tile that was not
-looked at is one cell.
+examined is one cell.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = [
     "by_margin",
 ]
 
-OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+OPEN = 1e-6  # cost of an open node, or one outside: of two open routes the shorter one is taken
 ROOM = 1e3  # [m] of clearance: more than any place has
 FINEST = 4  # level of the finest tiles
 
@@ -54,23 +54,23 @@ class CellGrid(NamedTuple):
     above: int
 
     def half(self, level: int) -> float:
-        """Half the side of a cell [m]."""
+        """Return half the side of a cell [m]."""
         return self.cell * 0.5**level
 
     def side(self, level: int) -> float:
-        """Of a tile [m]."""
+        """Return the side of a tile [m]."""
         return 2.0 * CELLS * self.half(level)
 
     def count(self, level: int) -> int:
-        """How many headings its cells have."""
+        """Return the number of headings."""
         return self.headings << level
 
 
 class Tile(NamedTuple):
-    """One tile of the quadtree; one that was not looked at has neither `blocked` nor `margin`.
+    """One tile of the quadtree; a tile that was not examined has neither `blocked` nor `margin`.
 
-    `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
-    their middles, likewise [m].
+    `blocked`: which cells are blocked, Shape (headings, rows, columns). `margin`: approximate clearance above the
+    required one at their centres, same shape [m].
     """
 
     level: int
@@ -80,7 +80,7 @@ class Tile(NamedTuple):
     margin: NDArray[np.float32] | None = None
 
     def split(self) -> list[tuple[int, int, int]]:
-        """Level, column and row of its quarters."""
+        """Return level, column and row of its quarters."""
         return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
 
 
@@ -90,7 +90,7 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Cells that look open, and others that are not blocked; what was not looked at may be anything."""
+    """Return the kinds of cells: those that look open, and others that are not blocked. Unexamined tiles are narrow."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.blocked is None or tile.margin is None:
@@ -102,7 +102,7 @@ def by_certainty(grid: CellGrid) -> Kinds:
 
 
 def by_margin(low: float, high: float) -> Kinds:
-    """Cells with a margin of at least `high`, and others with at least `low`."""
+    """Return the kinds of cells: those with a margin of at least `high`, and others with at least `low`."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.margin is None:
@@ -116,12 +116,9 @@ OUTSIDE, START, GOAL = range(3)  # nodes
 
 
 class ConnectivityGraph:
-    """Tiles beside each other; its nodes are connected cells of one kind in one tile.
+    """Graph of adjacent tiles; `kinds` returns the open and the narrow cells of a tile, the others are left out.
 
-    Args:
-        grid: How cells lie.
-        ends: Poses of the centre at start and goal.
-        kinds: Which cells of a tile are open, and which narrow; the others are left out.
+    `ends`: poses of the centre at start and goal.
     """
 
     def __init__(self, grid: CellGrid, ends: list[FloatArray], kinds: Kinds) -> None:
@@ -133,7 +130,7 @@ class ConnectivityGraph:
         self.joints: dict[tuple[int, int], IntArray] = {}
 
     def add(self, tiles: Iterable[Tile]) -> None:
-        """Put tiles into the plane, instead of what was there, and join them to what is beside them."""
+        """Add tiles to the plane in place of removed ones, and join them to their neighbours."""
         first = len(self.tiles)
         for tile in tiles:
             self._label(tile)
@@ -145,11 +142,11 @@ class ConnectivityGraph:
             self._join(key, 1, -1, rows.stop, columns)
 
     def remove(self, keys: set[int]) -> None:
-        """Take tiles out; others must be put where they were."""
+        """Remove tiles; others must be added in their place."""
         self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
 
     def present(self) -> list[int]:
-        """The keys of the tiles that are there."""
+        """Return the keys of the tiles that are present."""
         return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
 
     def _label(self, tile: Tile) -> None:
@@ -191,7 +188,7 @@ class ConnectivityGraph:
                 self.joints[pair] = self._met_over(key, other, axis, edge)
 
     def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
-        """Nodes that meet over a side of a tile, Shape (n, 2)."""
+        """Return pairs of nodes that share a face on a side of a tile, Shape (n, 2)."""
         if self.labels[key].size == self.labels[other].size == 1:
             met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
             return met if met.min() >= 0 else _NONE
@@ -203,13 +200,13 @@ class ConnectivityGraph:
         return _pairs(first, second, len(self.cost))
 
     def _place(self, key: int) -> tuple[slice, slice]:
-        """Rows and columns of a tile in `tile_at`."""
+        """Return rows and columns of a tile in `tile_at`."""
         tile = self.tiles[key]
         size = 2 ** (FINEST - tile.level)
         return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
 
     def _nodes_at(self, pose: FloatArray) -> list[int]:
-        """The nodes of the cells that a pose of the centre is in, or less than `SLACK` from."""
+        """Return the nodes of the cells that contain a pose of the centre, up to `SLACK`."""
         found: set[int] = set()
         size, near = self.grid.side(FINEST), (-SLACK, SLACK)
         for dx, dy, turned in itertools.product(near, near, near):
@@ -227,14 +224,14 @@ class ConnectivityGraph:
         return sorted(found - {-1})
 
     def _all_joints(self) -> NDArray[np.int32]:
-        """Every two nodes that meet, Shape (n, 2)."""
+        """Return all pairs of adjacent nodes, Shape (n, 2)."""
         ends = [
             np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
         ]
         return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
 
     def _matrix(self) -> csr_matrix:
-        """Of every two nodes that meet what it costs to go over to the second."""
+        """Return the adjacency matrix with the cost of the node that is entered."""
         from scipy import sparse
 
         joints, cost = self._all_joints(), np.array(self.cost)
@@ -242,7 +239,7 @@ class ConnectivityGraph:
         return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
 
     def route(self) -> list[int]:
-        """The nodes of the cheapest route from goal to start; empty where there is none."""
+        """Return the nodes of the cheapest route from goal to start; empty if there is none."""
         from scipy.sparse import csgraph
 
         spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([START]), return_predecessors=True)
@@ -254,7 +251,7 @@ class ConnectivityGraph:
         return route
 
     def reached(self, node: int) -> BoolArray:
-        """Which nodes are joined to a node."""
+        """Return which nodes are connected to a node."""
         from scipy.sparse import csgraph
 
         component = csgraph.connected_components(self._matrix(), directed=False)[1]
@@ -263,9 +260,9 @@ class ConnectivityGraph:
 
 
 class PlaceGraph(ConnectivityGraph):
-    """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
+    """Graph with a node per place of a cell, whose cost is a lower bound of what a disc misses there.
 
-    Costs are negative where it fits. What was not looked at costs less than anything.
+    Costs are negative if the disc fits. Unexamined tiles cost less than any other.
     """
 
     def _label(self, tile: Tile) -> None:
@@ -283,7 +280,7 @@ class PlaceGraph(ConnectivityGraph):
         self.joints[key, key] = _met_within(labels, kinds=2)
 
     def route(self) -> list[int]:
-        """The nodes of the route whose dearest node is cheapest: the one through a minimum spanning tree ([Hu1961])."""
+        """Return the nodes of the route whose dearest node is cheapest, by a minimum spanning tree ([Hu1961])."""
         from scipy import sparse
         from scipy.sparse import csgraph
 
@@ -301,11 +298,9 @@ class PlaceGraph(ConnectivityGraph):
 
 @functools.lru_cache(maxsize=4096)
 def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
-    """Flat indices of cells of two tiles that share a face, Shape (n,) each.
+    """Return flat indices of cells of two tiles that share a face across an axis (0: x), Shape (n,) each.
 
-    Args:
-        sides: Of each level, column, row, cells along a side, headings, and which side: 0 the lower, -1 the upper.
-        axis: Across the side, 0 for x.
+    `sides`: per tile level, column, row, cells along a side, headings, and the side: 0 the lower, -1 the upper.
     """
     finest = max(side[0] for side in sides)
     size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
@@ -323,7 +318,7 @@ def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, In
 
 
 def _met_within(labels: IntArray, kinds: int) -> IntArray:
-    """Nodes of one tile that meet, Shape (n, 2); those of one kind meet over the full turn only."""
+    """Return adjacent nodes of one tile, Shape (n, 2); nodes of one kind are adjacent only over the full turn."""
     most = int(labels.max()) + 1
     found = [_pairs(labels[0], labels[-1], most)]
     if kinds > 1:
@@ -336,7 +331,7 @@ def _met_within(labels: IntArray, kinds: int) -> IntArray:
 
 
 def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
-    """Different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
+    """Return different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
     met = (first >= 0) & (second >= 0) & (first != second)
     codes = first[met] * most + second[met]
     changes = np.ones(codes.size, dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""A footprint as few discs within it: what blocks them blocks the footprint at every heading that is asked."""
+"""Approximation of a footprint by few discs within it: an obstacle that overlaps a disc overlaps the footprint."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ if TYPE_CHECKING:
 
 __all__ = ["DiscCover", "disc_cover", "prepare_footprint"]
 
-_FIT = 0.03  # of the largest disc's radius: how far the body may stick out of its discs
-_SMALLER = 0.6  # from one disc in a corner to the next
+_FIT = 0.03  # largest distance of the outline from the discs, in radii of the largest disc
+_SMALLER = 0.6  # ratio of the radii of successive discs in a corner
+_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
+_SOME = 64  # samples of the outline per step
+_ROWS = 8192  # pairs of a point and an edge per step, half a millisecond
 
 
 class DiscCover(NamedTuple):
-    """A footprint as discs within it: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
+    """Discs within a footprint: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
 
     centre: FloatArray
     discs: FloatArray
@@ -30,31 +33,26 @@ class DiscCover(NamedTuple):
 
     @property
     def largest_disc(self) -> DiscCover:
-        """The largest of the discs alone, which looks the same at every heading."""
+        """The largest of the discs alone, which does not depend on the heading."""
         x, y, radius = self.discs[0].tolist()
         return DiscCover(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
 
     @property
     def turns(self) -> bool:
-        """Whether a heading matters."""
+        """Whether the heading matters."""
         return bool(self.discs[:, :2].any())
-
-
-_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
 
 
 @functools.lru_cache(maxsize=16)
 def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
-    """A cache cell per footprint: a list with its discs; empty until they are made, also after an interruption."""
+    """Return the cached list of a footprint's discs; empty until they are computed."""
     return []
 
 
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
-    """The discs of a footprint, made once.
+    """Return the discs of a footprint, computed once.
 
-    Args:
-        footprint: Of the robot.
-        look: Called every few milliseconds; what it raises is passed on, and nothing is kept.
+    `look` is called every few milliseconds; its exceptions are passed on, and nothing is kept.
     """
     kept = _bodies(footprint)
     if not kept:
@@ -63,12 +61,12 @@ def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
 
 
 def prepare_footprint(footprint: Footprint) -> None:
-    """Make the discs of a footprint now, so that no search for a proof has to: 6 to 40 ms, once per footprint."""
+    """Compute the discs of a footprint before a search for a proof needs them: 6 to 40 ms, once per footprint."""
     disc_cover(footprint, lambda: None)
 
 
 def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
-    """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
+    """Return few discs that fill a footprint up to `_FIT`, chosen greedily by the outline that they cover."""
     outline = footprint.vertices
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     outline = outline - centre
@@ -82,7 +80,7 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
         points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
         radius = _depth(points, outline, look)
     largest = radius.max()
-    # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
+    # Ever smaller discs in every corner, along the line from the corner on which the depth grows fastest.
     inward = np.empty_like(outline)
     for i, corner in enumerate(outline):
         look()
@@ -108,7 +106,7 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
 
 
 def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
-    """Columns that together are true in every row, greedily: each in as many of the rows that are left as it can be."""
+    """Return columns that together are true in every row, chosen greedily by the number of new rows."""
     chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
     while True:
         newly = np.flatnonzero(left & covers[:, chosen[-1]])
@@ -121,28 +119,20 @@ def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]
         chosen.append(int(gains.argmax()))
 
 
-_SOME = 64  # samples of the outline in one go
-_ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
-
-
 def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
-    """How deep points lie in a polygon, Shape (n,) [m]; not above 0 outside."""
-    blocks, step = [], max(1, _ROWS // len(outline))
+    """Return the depth of points in a polygon, Shape (n,) [m]; not above 0 outside."""
+    found, step = np.empty(len(points)), max(1, _ROWS // len(outline))
+    start, end = outline, np.roll(outline, -1, axis=0)
+    edge = end - start
     for k in range(0, len(points), step):
         look()
-        blocks.append(_depth_of_some(points[k : k + step], outline))
-    return np.concatenate(blocks)
-
-
-def _depth_of_some(points: FloatArray, outline: FloatArray) -> FloatArray:
-    start, edge = outline, np.roll(outline, -1, axis=0) - outline
-    to = points[:, None] - start
-    along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
-    distance = np.hypot(*(to - along[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
-    end = np.roll(outline, -1, axis=0)
-    crosses = (start[:, 1] > points[:, 1:]) != (end[:, 1] > points[:, 1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = start[:, 0] + (points[:, 1:] - start[:, 1]) / edge[:, 1] * edge[:, 0]
-    inside = (crosses & (points[:, :1] < at)).sum(axis=1) % 2 == 1
-    found: FloatArray = np.where(inside, distance - 1e-9, -distance)
+        some = points[k : k + step]
+        to = some[:, None] - start
+        along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
+        distance = np.hypot(*(to - along[..., None] * edge).transpose(2, 0, 1)).min(axis=1)
+        crosses = (start[:, 1] > some[:, 1:]) != (end[:, 1] > some[:, 1:])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = start[:, 0] + (some[:, 1:] - start[:, 1]) / edge[:, 1] * edge[:, 0]
+        inside = (crosses & (some[:, :1] < at)).sum(axis=1) % 2 == 1
+        found[k : k + step] = np.where(inside, distance - 1e-9, -distance)
     return found

@@ -1,28 +1,28 @@
 """A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
 
-**Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start
-to the goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in
-place, however curved. It is one-sided: no proof does not mean that there is a motion.
+**Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start to the
+goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in place,
+however curved. The converse does not hold: without a proof there may or may not be a motion.
 
 *Cells.* Poses are cut into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are those of one point of the
 robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has an obstacle nearer
-than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than
-e = sqrt(2) h + 2 |p| sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it
-something lies nearer to the footprint than required, or inside it where no clearance is.
+than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than e = sqrt(2) h + 2 |p|
+sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it an obstacle lies nearer to
+the footprint than required, or inside it if no clearance is required.
 
-*The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with one of them and is none of them
-is blocked; so is every cell at the inner end, the goal or the start, that is none of them; and no cell at the other end
-is one of them. Let a motion keep the clearance. No cell that holds any of its poses is blocked, so it begins in the
-set, and ends outside. Where it leaves the set it has a pose in a cell of it and in one that is none of it; of the cells
-around that pose, which are joined by faces, one in the set shares a face with one that is not: a blocked one, which
-contradicts. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading,
-each level with cells half as large.
+*The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with a cell of the set and is not in
+the set is blocked; so is every cell at the inner end, the goal or the start, that is not in the set; and no cell at the
+other end is in the set. Let a motion keep the clearance. No cell that holds any of its poses is blocked, so it begins
+in the set and ends outside. Where it leaves the set it has a pose in a cell of the set and in one outside; of the cells
+around that pose, which are joined by faces, one in the set shares a face with one that is not: a blocked one, which is
+a contradiction. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every
+heading, each level with cells half as large.
 
 *Certified paths.* A certificate accepts a micrometre less than required, and two micrometres of depth at a contact. A
-cell is blocked only if it is so with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as
-well. Near the start the weakest relief counts that a certificate may grant.
+cell is blocked only with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as well. Near the
+start the weakest relief counts that a certificate may grant.
 
-The check of a proof judges the rim again, by exact distances of its own.
+The checker examines the rim again, by exact distances.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import base64
 import math
 import zlib
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -44,6 +44,8 @@ from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from shapely import STRtree
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.pose import Pose2
@@ -68,6 +70,7 @@ _LEVELS = 12  # above and below 0 that tiles in a file may have
 # A proof that is made within a second has hundreds of tiles, some dozen discs, and packed cells of 1 MB.
 _MOST_TILES, _MOST_DISCS, _MOST_HEADINGS = 10_000, 500, 10_000
 _MOST_CELLS = 1 << 26
+_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 
 
 @dataclass(frozen=True)
@@ -75,26 +78,28 @@ class Bottleneck:
     """The narrowest place of the widest route.
 
     Args:
-        x: Where the robot's origin is [m].
+        x: Position of the robot's origin [m].
         y: Likewise [m].
-        yaw: Its heading [rad].
-        missing_width: By how much the robot, with the clearance required on both sides, is too wide for it [m].
-        missing_without_clearance: Likewise where no clearance is required [m]; not above 0 where the body itself fits.
-        accuracy: How far the two may be from the truth [m].
+        yaw: Heading [rad].
+        missing_width: Width that is missing for the robot with the required clearance on both sides [m].
+        missing_without_clearance: Width that is missing for the body alone [m]; not above 0 if the body fits.
+        accuracy: Largest error of the two widths [m].
         between: Names of the nearest obstacles on both sides, one or two.
     """
 
-    x: float
-    y: float
-    yaw: float
-    missing_width: float
-    missing_without_clearance: float
-    accuracy: float
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    x: _Number
+    y: _Number
+    yaw: _Number
+    missing_width: _Number
+    missing_without_clearance: _Number
+    accuracy: _Number
     between: tuple[str, ...]
 
     @property
     def body_fits(self) -> bool:
-        """Whether the body fits, but for a millimetre, and the required clearance does not."""
+        """Whether the body fits, up to a millimetre, and the body with the required clearance does not."""
         return self.missing_without_clearance <= 0.001 < self.missing_width
 
     def __str__(self) -> str:
@@ -112,20 +117,20 @@ class Bottleneck:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpossibilityProof(FrozenArrays):
-    """Cells around one end of a problem, whose rim is blocked, and where the widest way out is too narrow.
+    """Cells around one end of a problem whose rim is blocked, and the bottleneck of the widest way out.
 
     Args:
-        end: Which end they are around, `goal` or `start`.
+        end: The end that they surround, `goal` or `start`.
         origin: Lower left corner of the tile (0, 0) of every level [m].
         cell: Half the side of a cell of level 0 [m]; of level k it is 2^-k of that.
-        headings: How many cells of level 0 make a full turn; of level k 2^k times as many.
-        centre: The point of the robot whose place the cells speak of, in the robot's frame [m].
+        headings: Number of headings of level 0; of level k 2^k times as many.
+        centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
         tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
-        inside: Of each which cells are in the set, Shape (headings, rows, columns).
+        inside: Cells of each tile that are in the set, Shape (headings, rows, columns).
         whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
-        bottleneck: Where it is too narrow; None where an end itself is blocked, or time was up.
-        problem: Digests of what it was proven for.
+        bottleneck: The bottleneck; None if an end itself is blocked, or the time was up.
+        problem: Digests of the problem.
     """
 
     end: str
@@ -145,13 +150,13 @@ class ImpossibilityProof(FrozenArrays):
 
     @property
     def message(self) -> str:
-        """One sentence for people."""
+        """The result in one sentence."""
         why = self.bottleneck or f"the {self.end} is shut in"
         return f"no motion joins start and goal, reversing and turning in place included: {why}"
 
     @property
     def where(self) -> dict[str, object]:
-        """What a refusal says of it: pose, missing width and obstacle of the bottleneck, if it is known."""
+        """The details of the error: pose, missing width and obstacle of the bottleneck, if it is known."""
         found = self.bottleneck
         if found is None:
             return {}
@@ -160,7 +165,7 @@ class ImpossibilityProof(FrozenArrays):
         return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
 
     def squares(self) -> list[FloatArray]:
-        """The places of the centre that some cell of the set has, as squares of corners, Shape (4, 2) each [m]."""
+        """Return the positions of the centre with a cell in the set, as corners of squares, Shape (4, 2) each [m]."""
         found = []
         corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
         for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):
@@ -172,7 +177,7 @@ class ImpossibilityProof(FrozenArrays):
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for a plan file; the cells as bits, packed by zlib and written in base 64."""
+        """Return plain values for a plan file; the cells as bits, packed by zlib, in base 64."""
         bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
         return {
             "end": self.end,
@@ -190,14 +195,13 @@ class ImpossibilityProof(FrozenArrays):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> ImpossibilityProof:
-        """What `as_dict` gave.
+        """Read the result of `as_dict`.
 
         Raises:
-            InvalidFile: Something is missing, or of another kind.
+            InvalidFile: If something is missing, or of another kind.
         """
         try:
-            document = _ProofDocument.model_validate(values)
-            return cls._read(document)
+            return cls._read(_ProofDocument.model_validate(values))
         except (ValueError, TypeError, zlib.error) as error:  # pydantic's errors are ValueErrors
             raise InvalidFile(f"impossibility: {error}") from error
 
@@ -223,31 +227,18 @@ class ImpossibilityProof(FrozenArrays):
             tiles,
             tuple(part.astype(np.bool_).reshape(shape) for part, shape in zip(parts, shapes, strict=True)),
             np.array(document.whole, dtype=np.int64).reshape(-1, 3),
-            None if document.bottleneck is None else Bottleneck(**document.bottleneck.model_dump()),
+            document.bottleneck,
             ProblemFingerprint(**document.problem),
         )
 
 
-_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 _Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
 _Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
-class _ProofModel(BaseModel):
+class _ProofDocument(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-
-class _BottleneckDocument(_ProofModel):
-    x: _Number
-    y: _Number
-    yaw: _Number
-    missing_width: _Number
-    missing_without_clearance: _Number
-    accuracy: _Number
-    between: tuple[str, ...]
-
-
-class _ProofDocument(_ProofModel):
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]
     cell: Annotated[float, Field(gt=0.0, le=1e6)]
@@ -259,38 +250,38 @@ class _ProofDocument(_ProofModel):
     ]
     inside: str
     whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST_TILES)]
-    bottleneck: _BottleneckDocument | None = None
+    bottleneck: Bottleneck | None = None
     problem: dict[str, str]
 
 
 def least_required(
     problem: DockingProblem, x: FloatArray, y: FloatArray, reach: FloatArray | float, start_clearance: float
 ) -> FloatArray:
-    """The least clearance that any certificate requires of a robot whose origin is within `reach` of a place [m].
+    """Return the least clearance [m] that any certificate requires of a robot within `reach` of a place.
 
-    The rule grows with the distance from the goal and from the start. Where that is too close to something a
-    certificate may go by the weaker rule.
+    The required clearance grows with the distance from the goal and from the start. For a start that is too close to an
+    obstacle a certificate may use the weaker rule.
 
     Args:
-        problem: Its rule.
-        x: Places, any shape [m].
+        problem: The planning problem.
+        x: Places of the robot's origin, any shape [m].
         y: Likewise.
-        reach: How far around each [m].
+        reach: Radius around each place [m].
         start_clearance: Clearance of the start pose [m].
     """
     from_goal, from_start = (
         np.maximum(np.hypot(x - end.x, y - end.y) - (reach + SLACK), 0.0) for end in (problem.goal, problem.start)
     )
-    # A start with enough clearance has no relief, but for what the certificate's own distances round.
+    # A start with enough clearance has no relief, up to the rounding of the certificate's distances.
     rule, is_too_close = problem.path_clearance, start_clearance < problem.path_clearance.required + SLACK
     relief = 4.0 * problem.robot.footprint.circumscribed_radius if is_too_close else 0.0
     return rule.required_at(from_goal, from_start, start_clearance, relief)
 
 
 class ImpossibilityVerdict(NamedTuple):
-    """Whether a proof holds, and if not why; it counts as true where it does.
+    """Verdict on a proof; true if it holds.
 
-    `proven`: it does. `reason`: why not, empty if it does. `cells`: how many are on the rim and were judged.
+    `proven`: whether it holds. `reason`: why not, empty if it does. `cells`: number of checked cells of the rim.
     """
 
     proven: bool
@@ -302,37 +293,40 @@ class ImpossibilityVerdict(NamedTuple):
 
 
 def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Judge a proof from any source for `problem`; everything that counts is computed again.
+    """Check a proof from any source for `problem`; everything it rests on is computed again.
 
     Args:
-        proof: To be checked.
-        problem: What the robot must do.
+        proof: Proof to be checked.
+        problem: The planning problem.
     """
+    import shapely
+
     fault = _fault(proof, problem)
     if fault:
         return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
     rim = _Rim(proof)
     inner, outer = (problem.goal, problem.start) if proof.end == "goal" else (problem.start, problem.goal)
     fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
-    judge = _CellTest(proof, problem)
+    # Floats have the highest resolution near the origin of the tiles.
+    tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
     count = 0
     for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
         if fault:
             break
         count += int(cells.sum())
-        if not judge.are_blocked(tile, cells):
+        if not _are_blocked(proof, problem, tree, tile, cells):
             fault = "a cell on the rim is not blocked"
     return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
 
 
 def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
-    """What is wrong with a proof before any cell is looked at; empty where nothing is."""
+    """Return the fault of a proof that shows without examining cells; empty if there is none."""
     import shapely
 
     every = np.concatenate((proof.tiles, proof.whole))
     counts = len(every), len(proof.discs), sum(cells.size for cells in proof.inside)
     if any(count > most for count, most in zip(counts, (2 * _MOST_TILES, _MOST_DISCS, _MOST_CELLS), strict=True)):
-        return "it is larger than any proof"
+        return "it exceeds the size of a proof"
     levels, far = proof.tiles[:, 0].tolist(), every[np.abs(every).max(axis=1, initial=0) > _FARTHEST]
     is_grid = (
         (proof.end in ("goal", "start") and math.isfinite(proof.cell) and proof.cell > 0.0 and far.size == 0)
@@ -342,7 +336,7 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
         and bool(np.isfinite([*proof.origin, *proof.centre]).all() and np.isfinite(proof.discs).all())
     )
     if not is_grid:
-        return "the tiles are none"
+        return "the tiles are invalid"
     shapes = [(proof.headings << level, CELLS, CELLS) for level in levels]
     if [cells.shape for cells in proof.inside] != shapes or any(cells.dtype != np.bool_ for cells in proof.inside):
         return "the cells do not fit the tiles"
@@ -357,18 +351,14 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
 
 
 def _middle(pose: Pose2, proof: ImpossibilityProof) -> FloatArray:
-    """Where the robot's centre is at a pose, in the frame of the tiles, and its heading. Shape (3,)."""
+    """Return the position of the robot's centre at a pose, in the frame of the tiles, and its heading. Shape (3,)."""
     (x, y), c, s = proof.centre, math.cos(pose.yaw), math.sin(pose.yaw)
     at = pose.x - proof.origin[0] + (c * x - s * y), pose.y - proof.origin[1] + (s * x + c * y)
     return np.array([*at, pose.yaw])
 
 
 class _Rim:
-    """The cells that must be blocked, of every tile, Shape (headings, rows, columns) each.
-
-    Args:
-        proof: Whose set of cells; its tiles do not overlap.
-    """
+    """The cells of a proof that must be blocked, of every tile, Shape (headings, rows, columns) each."""
 
     def __init__(self, proof: ImpossibilityProof) -> None:
         self.cell = proof.cell
@@ -382,12 +372,7 @@ class _Rim:
         self.blocked = [np.zeros(cells.shape, dtype=np.bool_) for cells in self.inside]
 
     def fault(self, inner: FloatArray, outer: FloatArray) -> str:
-        """Find the rim; what is wrong with the set, whatever is blocked: empty where nothing is.
-
-        Args:
-            inner: The pose of the centre at the end around which the set is.
-            outer: That at the other end.
-        """
+        """Find the rim between the poses of both ends; return the fault of the set itself, empty if there is none."""
         within, is_covered = self._cells_at(inner)
         for k, cells in within:
             self.blocked[k][cells] |= ~self.inside[k][cells]
@@ -402,10 +387,10 @@ class _Rim:
                 second[:-1] |= first[1:] & ~first[:-1]
             for turned in (-1, 1):
                 np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
-        return "" if self._is_closed_at_sides() else "the set goes on where no tile is"
+        return "" if self._is_closed_at_sides() else "the set continues beyond the tiles"
 
     def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
-        """The cells that a pose of the centre is in, or closer to than `SLACK`; and whether tiles are all around it."""
+        """Return the cells that contain a pose of the centre, up to `SLACK`, and whether tiles surround it."""
         unit = 2.0 * self.cell / 2**self.finest
         near = 2.0 * SLACK / unit
         at = pose[:2] / unit
@@ -423,7 +408,7 @@ class _Rim:
         return found, bool(is_in.all(axis=2).any(axis=0).all())
 
     def _is_closed_at_sides(self) -> bool:
-        """Whether tiles are wherever the set reaches the side of one; what is beyond and not in it is rim."""
+        """Whether tiles are wherever the set reaches the side of a tile; cells beyond that are not in it become rim."""
         for axis in (0, 1):
             lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
             low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
@@ -442,7 +427,7 @@ class _Rim:
         return all(cells.size > 1 or not cells.any() for cells in self.blocked)
 
     def _meet(self, first: int, second: int, axis: int) -> None:
-        """Over the upper side of the first along an axis, which is the lower side of the second."""
+        """Mark the rim over the upper side of the first tile along an axis, which is the lower side of the second."""
         both = (first, second)
         low, high = max(self.boxes[k, 1 - axis] for k in both), min(self.boxes[k, 3 - axis] for k in both)
         sizes = [(self.boxes[k, 2] - self.boxes[k, 0]) // self.inside[k].shape[1] for k in both]
@@ -455,52 +440,34 @@ class _Rim:
             spans = (layer * count // len(layer), *((across, face) if axis == 0 else (face, across)))
             places.append(np.ix_(*spans))
         here, there = (self.inside[k][place] for k, place in zip(both, places, strict=True))
-        self._mark(first, places[0], there & ~here)
-        self._mark(second, places[1], here & ~there)
-
-    def _mark(self, k: int, place: tuple[IntArray, ...], must: BoolArray) -> None:
-        """Cells of a tile that must be blocked; where it has the larger ones each may be asked for several times."""
-        np.logical_or.at(self.blocked[k], place, must)
+        # A larger cell may be marked several times.
+        np.logical_or.at(self.blocked[first], places[0], there & ~here)
+        np.logical_or.at(self.blocked[second], places[1], here & ~there)
 
 
-class _CellTest:
-    """Whether cells are blocked, by exact distances of discs from obstacles."""
+def _are_blocked(
+    proof: ImpossibilityProof, problem: DockingProblem, tree: STRtree, tile: list[int], cells: BoolArray
+) -> bool:
+    """Whether the selected cells of a tile, Shape (headings, rows, columns), are blocked by obstacles of `tree`."""
+    import shapely
 
-    def __init__(self, proof: ImpossibilityProof, problem: DockingProblem) -> None:
-        import shapely
-
-        self.proof, self.problem = proof, problem
-        # Near the origin of the tiles floats are finest.
-        self.tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
-        self.start_clearance = end_clearances(problem).start
-        self.discs = proof.discs[np.argsort(-proof.discs[:, 2])].tolist()
-
-    def are_blocked(self, tile: list[int], cells: BoolArray) -> bool:
-        """Whether all of some cells of a tile are, Shape (headings, rows, columns)."""
-        import shapely
-
-        (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
-        half = self.proof.cell / 2**level
-        turn = math.pi / cells.shape[0]
-        x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
-        yaw = turn * (2.0 * layer + 1.0)
-        c, s = np.cos(yaw), np.sin(yaw)
-        required = self._required(x, y, (c, s), half, turn)
-        left = np.ones(yaw.size, dtype=np.bool_)
-        for px, py, radius in self.discs:
-            moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
-            within = radius + required - moved - SLACK
-            asked = np.flatnonzero(left & (within > 0.0))
-            if asked.size:
-                at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
-                met = self.tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
-                left[asked[met]] = False
-        return not left.any()
-
-    def _required(
-        self, x: FloatArray, y: FloatArray, turned: tuple[FloatArray, FloatArray], half: float, turn: float
-    ) -> FloatArray:
-        (mx, my), (ox, oy), (c, s) = self.proof.centre, self.proof.origin, turned
-        reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
-        at = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
-        return least_required(self.problem, *at, reach, self.start_clearance)
+    (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
+    half = proof.cell / 2**level
+    turn = math.pi / cells.shape[0]
+    x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
+    yaw = turn * (2.0 * layer + 1.0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    (mx, my), (ox, oy) = proof.centre, proof.origin
+    reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
+    place = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
+    required = least_required(problem, *place, reach, end_clearances(problem).start)
+    left = np.ones(yaw.size, dtype=np.bool_)
+    for px, py, radius in proof.discs[np.argsort(-proof.discs[:, 2])].tolist():
+        moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
+        within = radius + required - moved - SLACK
+        asked = np.flatnonzero(left & (within > 0.0))
+        if asked.size:
+            at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
+            met = tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
+            left[asked[met]] = False
+    return not left.any()

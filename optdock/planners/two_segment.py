@@ -1,12 +1,11 @@
-"""The two-segment docking path as a pure function: steps 5 to 8 of the dock planner.
+"""Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
 
-Segment 1 takes the robot from the start to the approach axis, segment 2 runs along the axis into the dock. Both are
-NURBS curves through three control points. The result is a raw path: its first tangent ignores the yaw of the start,
-curvature is unbounded where the control legs are short and jumps at the joint, there is a corner for `dir` 0, and the
-robot's outline is not checked. Making it drivable is the smoother's work.
+Both segments are NURBS curves through three control points. The path is a raw one: its first tangent ignores the yaw
+of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
 
-Told in the order of the method: the plan, how its curves are sampled (step 5), where and how segment 1 joins the axis
-(step 6), and how the parts become a path (steps 7 and 8).
+F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
+         D
+         A                          start A, its foot D
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from optdock.errors import (
     GoalOccupied,
@@ -28,11 +28,13 @@ from optdock.errors import (
     StartOutsideMapBounds,
 )
 from optdock.geometry.arrays import FrozenArrays
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import unwrap_yaw
+from optdock.model.dock import DockDirection
 from optdock.model.path import Direction, Path, PolylineSegment
-from optdock.planners.approach_axis import ApproachAxis, DockGeometry, approach_axis
 from optdock.plugins.interfaces import never_cancelled
+from optdock.plugins.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,14 +42,17 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
-    from optdock.planners.dock_parameters import DockPlannerParameters
 
 __all__ = [
     "MAX_SAMPLES",
+    "ApproachAxis",
     "CurveSampler",
+    "DockGeometry",
+    "DockPlannerParameters",
     "Joint",
     "JointKind",
     "TwoSegmentPlan",
+    "approach_axis",
     "find_joint",
     "interior_angles",
     "plan_two_segment",
@@ -58,39 +63,187 @@ _SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
 _SAME_ANGLE = 1e-9  # [rad]
 _ON_AXIS = 1e-6  # [m]
 _REVERSE_SLACK = 0.05  # [rad], of the source
-MAX_SAMPLES = 200_000  # of one curve; a path of 1 km at 5 mm
-_CHUNK = 5_000  # samples between two looks at the cancel checker, about 2 ms
+MAX_SAMPLES = 200_000  # per curve; a path of 1 km at 5 mm
+_CHUNK = 5_000  # samples between two calls of the cancel checker, about 2 ms
+
+
+class DockPlannerParameters(PluginParameters):
+    """Parameters of the two-segment planner; `alpha` to `resolution` are not in the source."""
+
+    cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
+    calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")
+    check_free_space: bool = Field(
+        default=False, description="the costmap must be free under the robot's centre; needs one"
+    )
+    degree: int = Field(2, ge=1, le=2, description="NURBS degree; three control points carry at most 2")
+    step: float = Field(0.02, gt=0.0, le=1.0, description="coarsest sampling step of u")
+    footprint_dock: tuple[tuple[float, float], ...] | None = Field(
+        None, description="outline of the dock, Nav2's string or points [m]; null: the problem's dock, or no length"
+    )
+    alpha: float = Field(1.0, ge=0.0, description="threshold angle of a start on the axis, in units of beta * pi")
+    beta: float = Field(0.5, gt=0.0, le=1.0, description="slope of the threshold angle over the scale, in units of pi")
+    gamma: float = Field(0.667, gt=0.0, lt=1.0, description="largest threshold angle, in units of pi")
+    direction: DockDirection = Field(DockDirection.AUTO, description="gear of the last motion: auto, forward, backward")
+    resolution: float = Field(0.05, gt=0.0, description="largest spacing of poses where there is no costmap [m]")
+
+    @field_validator("footprint_dock", mode="before")
+    @classmethod
+    def _points(cls, value: object) -> object:
+        return [tuple(row) for row in Footprint.from_string(value).vertices] if isinstance(value, str) else value
+
+    @field_validator("footprint_dock")
+    @classmethod
+    def _is_a_polygon(cls, value: tuple[tuple[float, float], ...] | None) -> tuple[tuple[float, float], ...] | None:
+        if value is not None:
+            Footprint(np.array(value))
+        return value
+
+    @property
+    def dock_outline(self) -> Footprint | None:
+        """`footprint_dock` as a polygon; None where it is null."""
+        return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
+
+
+_SAME_POSITION = 1e-9  # [m]
+
+
+class DockGeometry(NamedTuple):
+    """Sizes of robot and dock [m].
+
+    `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius.
+    """
+
+    robot_length: float
+    robot_radius: float
+    dock_length: float = 0.0
+
+    @classmethod
+    def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
+        """Return the sizes of two outlines; without a dock its length is 0."""
+        return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
 
 
 @dataclass(frozen=True, eq=False)
-class TwoSegmentPlan(FrozenArrays):
-    """A raw docking path and how it came about.
+class ApproachAxis(FrozenArrays):
+    """The line on which the robot enters the dock, and the position of the start relative to it.
 
     Args:
-        path: From the start pose to the goal pose; a cusp where `dir` is -1.
-        axis: Where the robot enters: C, D, F, distances, threshold angle, gear of the last motion.
-        joint: How segment 1 reaches the axis.
-        centreline: Samples of the axis from C to F, Shape (n, 3) [m, m, rad].
-        control_points_1: Of segment 1, Shape (3, 2) [m].
-        control_points_2: Of segment 2, Shape (3, 2) [m].
+        goal: Position G, Shape (2,) [m].
+        outward: Unit vector from G away from the dock, Shape (2,).
+        direction: Gear of the last motion.
+        distance_min_c: Distance from G to C [m].
+        along: Distance from G to D [m].
+        distance_ad: Distance from the start to the axis [m].
+        safety_distance: Twice the padded radius of the robot [m].
+        angle_threshold: Smallest interior angle at which segment 1 may turn onto the axis [rad].
     """
+
+    goal: FloatArray
+    outward: FloatArray
+    direction: Direction
+    distance_min_c: float
+    along: float
+    distance_ad: float
+    safety_distance: float
+    angle_threshold: float
+
+    def _at(self, distance: float) -> FloatArray:
+        return self.goal + distance * self.outward
+
+    @property
+    def point_c(self) -> FloatArray:
+        """The point before the dock, Shape (2,) [m]."""
+        return self._at(self.distance_min_c)
+
+    @property
+    def point_d(self) -> FloatArray:
+        """The foot of the perpendicular from the start, Shape (2,) [m]."""
+        return self._at(self.along)
+
+    @property
+    def point_f(self) -> FloatArray:
+        """The far end of the centreline, Shape (2,) [m].
+
+        Its distance from D, which the source does not define, is the safety distance, or the distance of the start from
+        the axis if that is longer: room for a turn away from the dock up to about 0.6 safety distances off the axis.
+        """
+        return self._at(
+            self.distance_min_c + (self.along - self.distance_min_c) + max(self.safety_distance, self.distance_ad)
+        )
+
+
+def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters: DockPlannerParameters) -> ApproachAxis:
+    """Return the axis of a docking manoeuvre, on the side of the goal from which the robot comes.
+
+    Raises:
+        NoValidPathCouldBeFound: If the robot has no length or no safety distance, if the start is not beyond C, or if
+            it lies on the side that `direction` forbids.
+    """
+    safety_distance = 2.0 * (geometry.robot_radius + parameters.calib_safety_distance)
+    _check_geometry(geometry, safety_distance)
+    distance_min_c = 0.5 * (geometry.robot_length + geometry.dock_length)
+    heading = np.array([math.cos(goal.yaw), math.sin(goal.yaw)])
+    from_goal = np.array([start.x - goal.x, start.y - goal.y])
+    ahead = float(from_goal @ heading)
+    # The robot comes from behind the docked pose when it drives in forward.
+    direction = Direction.REVERSE if ahead > 0.0 else Direction.FORWARD
+    _check_direction(direction, parameters.direction, ahead)
+    along = abs(ahead)
+    if not along > distance_min_c + _SAME_POSITION:
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the start is {round(along, 3):g} m from the docked pose along the axis of the dock, and "
+            f"must be more than {round(distance_min_c, 3):g} m from it, half the lengths of robot and dock; start "
+            "farther out along the axis",
+            where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
+        )
+    distance_ad = abs(float(heading[0] * from_goal[1] - heading[1] * from_goal[0]))
+    scale = distance_ad / (distance_ad + safety_distance)
+    threshold = min((parameters.alpha + abs(scale)) * parameters.beta * math.pi, parameters.gamma * math.pi)
+    return ApproachAxis(
+        goal=np.array([goal.x, goal.y]),
+        outward=-int(direction) * heading,
+        direction=direction,
+        distance_min_c=distance_min_c,
+        along=along,
+        distance_ad=distance_ad,
+        safety_distance=safety_distance,
+        angle_threshold=threshold,
+    )
+
+
+def _check_geometry(geometry: DockGeometry, safety_distance: float) -> None:
+    if not geometry.robot_length > 0.0:
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the robot's length must be > 0 m, got {geometry.robot_length:.6g} m; "
+            "check the robot's footprint",
+            where={"step": "geometry", "robot_length": geometry.robot_length},
+        )
+    if not safety_distance > 0.0:
+        raise NoValidPathCouldBeFound(
+            "dock planner: the safety distance, 2 * (robot radius + calib_safety_distance), must be > 0 m, got "
+            f"{safety_distance:.6g} m with a radius of {geometry.robot_radius:.6g} m; raise calib_safety_distance",
+            where={"step": "geometry", "safety_distance": safety_distance},
+        )
+
+
+def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) -> None:
+    possible = DockDirection.FORWARD if direction is Direction.FORWARD else DockDirection.BACKWARD
+    if wanted in (DockDirection.AUTO, possible):
+        return
+    side = "in front of" if ahead > 0.0 else "behind"
+    raise NoValidPathCouldBeFound(
+        f"dock planner: the start is {round(abs(ahead), 3):g} m {side} the docked robot, so it can only dock "
+        f"{possible.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
+        where={"step": "direction", "wanted": wanted.value, "possible": possible.value, "ahead": ahead},
+    )
+
+
+class TwoSegmentPlan(NamedTuple):
+    """A raw docking path, its approach axis, and how segment 1 reaches the axis."""
 
     path: Path
     axis: ApproachAxis
     joint: Joint
-    centreline: FloatArray
-    control_points_1: FloatArray
-    control_points_2: FloatArray
-
-    @property
-    def direction(self) -> Direction:
-        """Gear of the last motion: REVERSE docks backward."""
-        return self.axis.direction
-
-    @property
-    def dir(self) -> JointKind:
-        """1 turns toward the dock, -1 away from it with a cusp, 0 drives to the axis and turns there."""
-        return self.joint.dir
 
 
 def plan_two_segment(
@@ -101,45 +254,39 @@ def plan_two_segment(
     costmap: Costmap | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> TwoSegmentPlan:
-    """The raw docking path from `start` to `goal`.
+    """Compute the raw docking path from `start` to `goal`.
 
-    Args:
-        start: Where the robot is.
-        goal: Where it must end, nose along the yaw.
-        geometry: Sizes of robot and dock.
-        parameters: Of the dock planner.
-        costmap: Its resolution bounds the spacing of poses (without one, `parameters.resolution` does), and with
-            `parameters.check_free_space` the cells under start, goal and curves must be free. Off the map nothing is.
-        cancel_checker: Polled at least every 5 ms.
+    The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
+    `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
+    `cancel_checker` is polled at least every 5 ms.
 
     Raises:
-        PlannerException: `parameters.check_free_space` is on, and there is no costmap to check.
-        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: an end is not free.
-        NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
-        PlannerCancelled: `cancel_checker` returned True.
+        PlannerException: If `parameters.check_free_space` is set and there is no costmap.
+        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: if an end is not free.
+        NoValidPathCouldBeFound: If a rule of the method is broken; the message names the step and the amount.
+        PlannerCancelled: If `cancel_checker` returned True.
     """
     if cancel_checker():
         raise PlannerCancelled("dock planner: cancelled before it began")
     if parameters.check_free_space:
         _check_free_ends(start, goal, costmap, parameters.cost_threshold)
     axis = approach_axis(start, goal, geometry, parameters)
-    sampler = _sampler(parameters, costmap, cancel_checker)
+    sampler = CurveSampler(
+        degree=parameters.degree,
+        step=parameters.step,
+        resolution=parameters.resolution if costmap is None else costmap.resolution,
+        costmap=costmap if parameters.check_free_space else None,
+        cost_threshold=parameters.cost_threshold,
+        cancel_checker=cancel_checker,
+    )
     middle = 0.5 * (axis.point_c + axis.point_f)
     centreline = sampler.poses(np.array([axis.point_c, middle, axis.point_f]), Direction.FORWARD, "the centreline")
     joint = find_joint(np.array([start.x, start.y]), centreline[:, :2], axis.angle_threshold)
     gear = Direction(-axis.direction) if joint.dir is JointKind.AWAY else axis.direction
     first = sampler.poses(joint.control_points, gear, "segment 1")
     last = first[-1, :2]
-    control_points_2 = np.array([last, 0.5 * (last + axis.goal), axis.goal])
-    second = sampler.poses(control_points_2, axis.direction, "segment 2")
-    return TwoSegmentPlan(
-        path=_assembled(start, goal, (first, second), (gear, axis.direction)),
-        axis=axis,
-        joint=joint,
-        centreline=centreline,
-        control_points_1=joint.control_points,
-        control_points_2=control_points_2,
-    )
+    second = sampler.poses(np.array([last, 0.5 * (last + axis.goal), axis.goal]), axis.direction, "segment 2")
+    return TwoSegmentPlan(_assembled(start, goal, (first, second), (gear, axis.direction)), axis, joint)
 
 
 def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, threshold: int) -> None:
@@ -166,30 +313,12 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
             )
 
 
-def _sampler(
-    parameters: DockPlannerParameters, costmap: Costmap | None, cancel_checker: Callable[[], bool]
-) -> CurveSampler:
-    return CurveSampler(
-        degree=parameters.degree,
-        step=parameters.step,
-        resolution=parameters.resolution if costmap is None else costmap.resolution,
-        costmap=costmap if parameters.check_free_space else None,
-        cost_threshold=parameters.cost_threshold,
-        cancel_checker=cancel_checker,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class CurveSampler:
-    """Samples curves through control points.
+    """Sampling of curves through control points.
 
-    Args:
-        degree: NURBS degree.
-        step: Coarsest step of u.
-        resolution: Largest distance of neighbouring poses [m].
-        costmap: Where every sample must be free, or None to check nothing.
-        cost_threshold: A cost at or above this blocks.
-        cancel_checker: Polled while sampling.
+    `degree`: of the NURBS. `step`: coarsest step of u. `resolution`: largest distance of neighbouring poses [m].
+    `costmap`: map on which every sample must cost less than `cost_threshold`; None: no check.
     """
 
     degree: int
@@ -200,23 +329,16 @@ class CurveSampler:
     cancel_checker: Callable[[], bool]
 
     def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
-        """Poses from u = 0 to 1, yaw along the tangent, or against it in reverse.
+        """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
-        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source takes the
-        mean of |dC/du|, the length, and so spaces poses up to twice too far where the curve is fast. As in the source
-        the last pose takes the yaw of the one before it. Samples that are not finite are skipped.
-
-        Args:
-            control_points: Shape (n, 2) [m], n > degree; unit weights.
-            direction: Gear.
-            name: What to call the curve in a message.
-
-        Returns:
-            Shape (m, 3) [m, m, rad], m >= 2.
+        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
+        of |dC/du|, which spaces poses up to twice too far where the curve is fast. As in the source the last pose has
+        the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2) [m], n >
+        degree, of unit weight.
 
         Raises:
-            NoValidPathCouldBeFound: A sample is blocked, too few are finite, or it would take over MAX_SAMPLES.
-            PlannerCancelled: The cancel checker returned True.
+            NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
+            PlannerCancelled: If the cancel checker returned True.
         """
         curve = Nurbs(control_points, degree=self.degree)
         u = np.linspace(0.0, 1.0, self._count(curve, name) + 1, dtype=np.float64)
@@ -267,7 +389,7 @@ class CurveSampler:
 
 
 class JointKind(IntEnum):
-    """The source's `dir`."""
+    """The variable `dir` of the source."""
 
     TOWARD = 1  # turns onto the axis toward the dock, tangent at the end
     AWAY = -1  # turns onto the axis away from the dock, then changes gear
@@ -277,8 +399,8 @@ class JointKind(IntEnum):
 class Joint(NamedTuple):
     """How segment 1 reaches the axis.
 
-    `dir`, the index `middle` on the centreline where its middle control point lies (-1 for none), and its three control
-    points, Shape (3, 2) [m].
+    `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
+    [m].
     """
 
     dir: JointKind
@@ -287,14 +409,11 @@ class Joint(NamedTuple):
 
 
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
-    """The joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
+    """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
 
-    A start on the axis needs no turn and goes straight to C even where C is too near for the sampled search.
-
-    Args:
-        start: Position A, Shape (2,) [m].
-        centreline: Samples of the straight line from C to F, Shape (n, 2) [m], n >= 2.
-        angle_threshold: Smallest interior angle between the rays from the joint to A and along the axis [rad].
+    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search. `start`:
+    position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m]. `angle_threshold`:
+    smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))
@@ -311,7 +430,7 @@ def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float
 
 
 def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 where a ray has no length.
+    """Return angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 for a ray of no length.
 
     >>> interior_angles(np.zeros((1, 2)), np.array([0.0, 2.0]), np.array([-1.0, 0.0])) / np.pi
     array([0.5])
@@ -325,7 +444,7 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 def _first_wide(
     start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """The first of `indices` whose angle between the rays to start and to `end` reaches the threshold."""
+    """Return the first of `indices` with an angle between the rays to start and `end` that reaches the threshold."""
     at = centreline[indices]
     real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
     wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
@@ -333,12 +452,12 @@ def _first_wide(
 
 
 def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
-    """Whether the run-in from the joint to `end` is at least as long as the way to the joint."""
+    """Whether the distance from the joint to `end` is at least the distance to the joint."""
     return bool(np.hypot(*(end - joint)) >= leg - _SAME_DISTANCE)
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
-    """Equal legs, to one sample: an arc that ends tangent to the axis."""
+    """Return the joint with equal legs, to one sample: an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
     end = ahead[int(np.argmax(far))]
@@ -358,7 +477,7 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
-    """Start + segment 1 + segment 2 + goal; of poses in one place the first stays, and always the goal's."""
+    """Join start, both segments and goal; of repeated positions the first pose stays, and always the goal."""
     head = _without_repeats(np.vstack((start.as_array(), parts[0])))
     tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
     apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION

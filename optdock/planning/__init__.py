@@ -1,1 +1,1 @@
-"""From a problem to a certified plan: the portfolio of guesses, their refinement, plans, replanning."""
+"""Planning and replanning: from a docking problem to a certified plan."""

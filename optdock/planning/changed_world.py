@@ -1,8 +1,7 @@
-"""`still_holds`: whether what is left of a running plan keeps its clearance in a world that has changed, every cycle.
+"""`still_holds`: whether the rest of a running plan keeps its clearance in a changed world, for use in every cycle.
 
-What the plan was proven against does not need to be proven again. While its rule stays what it was, the proof is made
-against what is new only: the cells that are blocked now and were not, and the polygons that were not there; and of
-these only what is near enough to the rest of the path to matter. The rule is the plan's own, as it was certified.
+The proof of the plan need not be repeated. While the clearance rule is the same, only new obstacles near the rest of
+the path are examined: cells that have become blocked, and new polygons. The rule is that of the plan's certificate.
 """
 
 from __future__ import annotations
@@ -29,32 +28,31 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.model.dock import Dock
     from optdock.model.trajectory import Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
 __all__ = ["StillHolds", "still_holds"]
 
-_NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
-_SPACING = 0.1  # [m] between the places by which what is near is found
+_NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
+_SPACING = 0.1  # [m] between the places by which near obstacles are found
 _HALVINGS = 30  # of a phase: below a microsecond
 _RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
 
 
 @dataclass(frozen=True)
 class StillHolds:
-    """What `still_holds` says; it counts as true where the clearance of the rest is proven.
+    """Result of `still_holds`; true if the clearance of the rest is proven.
 
     Args:
-        holds: Whether it is.
-        changed: What differs from the world that the plan was proven in: of `obstacles`, `costmap`, `dock`,
-            `clearance`, `footprint`, `limits`, `frame`.
-        at_s: Where on the plan's path the first conflict was found [m]; None: there is none.
-        at_time: When that is on the plan's trajectory [s].
-        obstacle: What is too close there; empty where the proof was not finished.
-        clearance: To it [m].
-        required: There [m].
-        reason: All that in a sentence; empty where it holds.
+        holds: Whether it is proven.
+        changed: Differences from the world of the plan's proof: of `obstacles`, `costmap`, `dock`, `clearance`,
+            `footprint`, `limits`, `frame`.
+        at_s: Place of the first conflict on the plan's path [m]; None: no conflict.
+        at_time: Time of that place on the plan's trajectory [s].
+        obstacle: The obstacle that is too close; empty if the proof was not completed.
+        clearance: Clearance to it [m].
+        required: Required clearance there [m].
+        reason: The result in a sentence; empty if it holds.
     """
 
     holds: bool
@@ -77,25 +75,25 @@ def still_holds(
     *,
     is_late: Callable[[], bool] = never_late,
 ) -> StillHolds:
-    """Whether the rest of a running path keeps its clearance in a new world.
+    """Check whether the rest of a running path keeps its clearance in a new world.
 
-    Proven is clearance alone. Whether the plan ends where the dock is now, and whether the robot still has the limits
-    that its motion keeps, is for the caller to judge where `changed` says `dock` or `limits`.
+    Only clearance is proven. If `changed` contains `dock` or `limits`, the caller must check whether the plan ends at
+    the dock and whether its motion keeps the limits.
 
     Args:
         plan: The running plan.
-        world: A costmap, which takes the place of the plan's own, its border included; obstacles, which take the place
-            of the plan's; or a whole problem, whose start does not count.
-        from_time: How far the robot is on the plan's trajectory [s].
-        is_late: Asked between the rounds of the proof; what is open once it is True does not hold.
+        world: A costmap, which replaces the plan's costmap with its border; obstacles, which replace the plan's; or a
+            whole problem, whose start is not used.
+        from_time: Progress of the robot on the plan's trajectory [s].
+        is_late: Polled between the rounds of the proof; parts that are still open when it returns True do not hold.
 
     Raises:
-        InvalidValue: An argument is of another class, or of a subclass, or not finite.
+        InvalidValue: If an argument is of another class, or of a subclass, or not finite.
     """
     exactly(DockPlan, plan, "plan")
     from_time, known = finite_number(from_time, "from_time"), plan.problem
     obstacles, costmap, later = known.obstacles, known.costmap, known
-    # No subclasses, as in a problem: what overrides its outline or its digest is another world than it says.
+    # Subclasses are refused, as in a problem: they may override the outline or the digest.
     if isinstance(world, Costmap):
         costmap = exactly(Costmap, world, "world")
     elif isinstance(world, ObstacleSet):
@@ -109,14 +107,14 @@ def still_holds(
         return StillHolds(holds=False, changed=changed, reason=reason)
     if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)
-    # Where nothing is left to drive the robot stands at the end, which must be clear as well.
+    # At the end of the plan the pose of the standing robot must be clear as well.
     begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
     return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
 
 
 @dataclass(frozen=True)
 class _Change:
-    """A running plan, and what differs from the world that it was proven in."""
+    """A running plan, and the differences from the world of its proof."""
 
     plan: DockPlan
     later: DockingProblem
@@ -125,7 +123,7 @@ class _Change:
     changed: tuple[str, ...]
 
     def judged(self, begin: float, is_late: Callable[[], bool]) -> StillHolds:
-        """Whether the rest of the path, from `begin` on [m], keeps the plan's rule against what is near."""
+        """Check the rest of the path, from `begin` on [m], against the obstacles that matter."""
         known, later = self.plan.problem, self.later
         rest = self.plan.path.piece(begin)
         count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)
@@ -138,13 +136,13 @@ class _Change:
         begun, relief = Begun(known.start, end_clearances(known).start), self.plan.certificate.start_relief
         proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         if proof.holds and proof.proven < 0.0 and not is_ruled_anew:
-            # What is new is touched; together with what was there before it may hide an overlap.
+            # A new obstacle is touched; together with known ones it may hide an overlap.
             near = near + known.all_obstacles.near(places, reach)
             proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
 
     def _new(self, places: FloatArray, reach: float) -> ObstacleSet:
-        """What was not there when the plan was proven, and is near."""
+        """Return the obstacles near the path that were not there when the plan was proven."""
         known, later, found = self.plan.problem, self.later, list[ObstacleSet]()
         if "obstacles" in self.changed:
             found.append(_without(self.obstacles.near(places, reach), known.obstacles))
@@ -156,7 +154,7 @@ class _Change:
         return functools.reduce(operator.add, found) if found else ObstacleSet.empty()
 
     def _conflict(self, proof: ClearanceProof, begin: float, near: ObstacleSet) -> StillHolds:
-        """What stands in the way of a proof."""
+        """Return the first conflict of a proof that failed."""
         found = StillHolds(holds=False, changed=self.changed)
         if len(proof.violations):
             s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
@@ -173,7 +171,7 @@ class _Change:
 def _changed(
     known: DockingProblem, later: DockingProblem, obstacles: ObstacleSet, costmap: Costmap | None
 ) -> tuple[str, ...]:
-    """The names of what differs, in the order of `StillHolds.changed`."""
+    """Return the names of the differences, in the order of `StillHolds.changed`."""
     differs = {
         "obstacles": obstacles is not known.obstacles and obstacles.digest != known.obstacles.digest,
         "costmap": _is_another(costmap, known.costmap)
@@ -181,17 +179,14 @@ def _changed(
     }
     if later is not known:
         before, after = known.dock, later.dock
-        differs["dock"] = before is not after and (before.pose != after.pose or _outline(before) != _outline(after))
+        outlines = [dock.footprint and dock.footprint.vertices.tobytes() for dock in (before, after)]
+        differs["dock"] = before is not after and (before.pose != after.pose or outlines[0] != outlines[1])
         differs["clearance"] = known.path_clearance != later.path_clearance  # with the tube
         if known.robot is not later.robot:
             was, now = known.robot.fingerprint, later.robot.fingerprint
             differs |= {"footprint": was.footprint != now.footprint, "limits": was.limits != now.limits}
         differs["frame"] = known.frame != later.frame
     return tuple(name for name, differ in differs.items() if differ)
-
-
-def _outline(dock: Dock) -> bytes | None:
-    return None if dock.footprint is None else dock.footprint.vertices.tobytes()
 
 
 def _is_another(first: Costmap | None, second: Costmap | None) -> bool:
@@ -201,7 +196,7 @@ def _is_another(first: Costmap | None, second: Costmap | None) -> bool:
 
 
 def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
-    """The pieces that are none of the known ones, corner for corner."""
+    """Return the pieces that are not among the known ones, by their corners."""
     if obstacles.vertices.shape[1] != known.vertices.shape[1]:
         return obstacles
     pieces = {piece.tobytes() for piece in known.vertices}
@@ -209,7 +204,7 @@ def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
 
 
 def _time_at(trajectory: Trajectory, s: float) -> float:
-    """When a trajectory first comes to a place on its path [s]."""
+    """Return the time at which a trajectory first reaches a place on its path [s]."""
     law = trajectory.time_law
     phase = int(np.clip(np.searchsorted(law.states[:, 0], s) - 1, 0, law.durations.size - 1))
     low, high = 0.0, float(law.durations[phase])

@@ -1,18 +1,15 @@
-"""The rest of a path, deformed onto another start and another goal: the least change of its curvature that closes it.
+"""Deform the rest of a path to another start and goal, with the least change of its curvature.
 
-What is left of a plan is drivable and smooth, and passes between the obstacles; a dock that turns out to be some
-centimetres aside asks for a small change of it. Let a path have curvature k(s) in its gears. To first order a change
-dk ds at s turns all that comes after about the point p(s), so that it moves the end by
+Let a path have curvature k(s) in its gears. To first order a change dk ds at s turns the rest of the path about the
+point p(s), and moves the end by
 
     d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
 
-a longer gear moves it along, and a turn in place turns it about where the robot stands. Gauss-Newton: the change of
-least weighted norm that closes the gap in this linear model, then the exact path, until nothing is left. What is least
-is the curvature rate, which is what drivers feel and what the drive's yaw acceleration pays for; bounds of curvature
-and of its rate are kept by holding what has reached one.
+a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton: the change of least weighted
+norm that closes the gap in this linear model within the bounds of curvature and curvature rate, then the exact path,
+until the gap is closed. The norm weights the curvature rate, which determines the yaw acceleration.
 
-A path that comes too close to something is pushed off it in the same way: to where a point of the robot is on the way,
-a shorter path leads.
+A path that comes too close to an obstacle is pushed away in the same way, by constraints on points of the robot.
 """
 
 from __future__ import annotations
@@ -43,31 +40,31 @@ if TYPE_CHECKING:
 
 __all__ = ["Push", "deformed", "push_off"]
 
-_ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
+_ROOM = 0.005  # [m]: additional distance of a push, as the nearest place moves along the path
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
-_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
-_PUSHED = 1e-4  # [m]: pushes leave more room than that
+_FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
+_PUSHED = 1e-4  # [m]: tolerance of pushes
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
-_LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
-_SHORTEST_PIECE = 0.01  # [m]: shorter ones are not cut any further
-_LENGTH_PRICE = 0.5  # of a gear's relative change of length, where one of the curvature by its limit over 1 m costs 1
-_BEND_PRICE = 0.3  # of curvature, likewise, beside its rate
+_LEAST_PIECES = 12  # of a gear
+_SHORTEST_PIECE = 0.01  # [m]: shorter pieces are not divided
+_LENGTH_PRICE = 0.5  # of a relative change of length; a change of curvature by its limit over 1 m costs `_BEND_PRICE`
+_BEND_PRICE = 0.3
 _ALL = 1_000_000  # gears
-_USED = 0.999  # share of the bounds that is taken where one is reached
-_SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
-_USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
-_LEAST_TURN = 1e-3  # [rad]: a turn in place that shrinks to less is none
-_MOST_STRETCH = 0.3  # of a gear in one step, relative: beyond it the linear model knows nothing
-_USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is thought to swing by all it has
-# Three Gauss points on [0, 1] integrate what is linear in a hat, and quadratic in between, exactly.
+_USED = 0.999  # share of the bounds that the program uses
+_SLOW = 0.3  # least speed in a bend as share of the speed at the start
+_USED_BY_BENDS = 0.8  # share of the yaw acceleration for bends; the rest is for acceleration in them
+_LEAST_TURN = 1e-3  # [rad]: smaller turns in place vanish
+_MOST_STRETCH = 0.3  # largest relative change of length per step, for the validity of the linear model
+_USUAL_SWING = 0.25  # [m]: length over which the curvature changes by its bound, without a limit of its rate
+# Three Gauss points on [0, 1]: exact for a hat function times a quadratic.
 _NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.leggauss(3)) / 2.0 + [[0.5], [0.0]])
 
 
 class _GearPiece(NamedTuple):
-    """One gear, or turn, that is bent.
+    """One gear, or turn, to be deformed.
 
-    `knots`: of the free part, Shape (n,) [m], first 0. `curvature`: there, Shape (n,) [1/m]. `tail`: length of the
-    straight run after it [m]. `sign`: 1, -1, or 0 for a turn in place, of `turn` [rad].
+    `knots`: of the free part, Shape (n,) [m], first 0. `curvature`: at the knots, Shape (n,) [1/m]. `tail`: length of
+    the straight run after it [m]. `sign`: 1, -1, or 0 for a turn in place, of `turn` [rad].
     """
 
     knots: FloatArray
@@ -78,17 +75,17 @@ class _GearPiece(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers shape it: curvatures and the length, or the turn."""
+        """Number of variables: curvatures and the length, or the turn."""
         return self.curvature.size + 1 if self.sign else 1
 
     def changed(self, change: FloatArray) -> _GearPiece:
-        """The gear with its numbers changed by so much; a length by its logarithm."""
+        """Return the gear with changed variables; the length changes by its logarithm."""
         if self.sign == 0:
             return self._replace(turn=self.turn + float(change[0]))
         return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])
 
     def segment(self, start: Pose2) -> Segment:
-        """The exact curve from a pose."""
+        """Return the exact curve from a pose."""
         if self.sign == 0:
             return TurnSegment(start, self.turn)
         knots, curvature = self.knots, self.curvature
@@ -98,14 +95,14 @@ class _GearPiece(NamedTuple):
 
 
 class Push(NamedTuple):
-    """An obstacle that the robot must keep a distance from at a place of the path.
+    """A distance to be kept from an obstacle at a place of the path.
 
     Attributes:
-        gear: Index of the segment on which the robot is then.
-        share: How far it is along it, 0 to 1.
+        gear: Index of the segment.
+        share: Place along the segment, 0 to 1.
         body: The convex piece of the robot that comes too close.
-        piece: The convex obstacle, alone.
-        distance: That they must keep [m].
+        piece: The convex obstacle.
+        distance: Distance to be kept [m].
     """
 
     gear: int
@@ -116,17 +113,14 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Where robot and obstacle are nearest: a point of the robot, the axis away from the obstacle, and what is short.
-
-    `place`: in the world, Shape (2,) [m]. `normal`: Shape (2,). `short`: [m], below 0 where there is more than enough.
-    """
+    """Nearest point of the robot, Shape (2,) [m], unit normal away from the obstacle, missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray
     short: float
 
 
-def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
+def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     path: Path,
     start: Pose2,
     goal: Pose2,
@@ -137,20 +131,20 @@ def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
     speed: float = 0.0,
     pushes: Sequence[Push] = (),
 ) -> Path | None:
-    """A path near `path` from `start` to `goal`, with its gears; or None where the bounds leave no room for one.
+    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow none.
 
-    Clearance is none of its business: the certificate decides.
+    Clearance is not checked.
 
     Args:
-        path: What is left of a path, of clothoids and turns in place.
-        start: Where it is to begin.
-        goal: Where it is to end.
-        limits: Its curvature and curvature rate are kept.
+        path: The rest of a path, of clothoids and turns in place.
+        start: New start.
+        goal: New goal.
+        limits: Bounds of curvature and curvature rate.
         final_straight: Length of the straight run at the end [m].
-        steers: Whether the curvature at the start must stay what it is: the robot is in motion, or steers its wheels.
-        speed: At the start, >= 0 [m/s]: until it is braked off, the yaw acceleration and the steering rate bound the
-            curvature rate as well.
-        pushes: Off what it is pushed, by just so much each.
+        steers: Whether the curvature at the start is fixed: the robot is in motion, or has a steering rate.
+        speed: Speed at the start, >= 0 [m/s]: while braking, yaw acceleration and steering rate bound the curvature
+            rate.
+        pushes: Distances to be kept.
     """
     gears = _gears(path, final_straight)
     if gears is None:
@@ -174,7 +168,7 @@ def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
 
 
 def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
-    """The gears of a path with knots enough to be bent; None where it is made of something else, or has no room."""
+    """Return the gears with enough knots; None for other segments, or too short ones."""
     gears = []
     for segment in path.segments:
         if isinstance(segment, TurnSegment):
@@ -192,9 +186,9 @@ def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
 
 
 def _refined(knots: FloatArray, length: float) -> FloatArray:
-    """The knots before `length`, that one, and more between those that are far apart."""
+    """Return the knots before `length`, `length` itself, and more between distant ones."""
     kept = knots[(knots > 0.0) & (knots < length)]
-    apart = 0.1 * _SHORTEST_PIECE  # what is nearer to another knot bends nothing, and would ask for a rate of its own
+    apart = 0.1 * _SHORTEST_PIECE  # closer knots add a rate constraint without a degree of freedom
     kept = kept[(kept > apart) & (kept < length - apart)]
     ends = np.concatenate(([0.0], kept, [length]))
     steps = np.diff(ends)
@@ -204,10 +198,7 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
 
 
 def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None:
-    """The exact curves from a pose.
-
-    None where a turn has vanished or changed its side, or a curve turns so often that it cannot be evaluated.
-    """
+    """Return the exact curves from a pose; None if a turn has vanished, or a curve cannot be evaluated."""
     segments: list[Segment] = []
     for gear in gears:
         if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
@@ -221,7 +212,7 @@ def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None
 
 
 def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
-    """The contact of a push as the path is now."""
+    """Return the contact of a push on the current path."""
     segment = segments[push.gear]
     pose = segment.poses_at(push.share * segment.length)
     found = separation(push.body, pose, push.piece)
@@ -230,7 +221,7 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
     heights = corners @ normal
     nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
     place = corners[nearest[0]]
-    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+    if nearest.size > 1:  # an edge: the point next to the nearest corner of the obstacle
         outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
         corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
         place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
@@ -238,7 +229,7 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
 
 
 def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> FloatArray:
-    """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
+    """Return the largest curvature rate over every piece of a gear while braking from `speed`, Shape (n - 1,)."""
     left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
     speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
     turning = _USED_BY_BENDS * limits.max_yaw_acceleration / speeds**2
@@ -248,14 +239,7 @@ def _rates_at_speed(gear: _GearPiece, limits: MotionLimits, speed: float) -> Flo
 
 
 class _Program:
-    """The quadratic program of a step: the least change that closes the gap within the bounds.
-
-    Args:
-        gears: As they are at first.
-        limits: Their bounds.
-        speed: See `deformed`.
-        steers: See `deformed`.
-    """
+    """The quadratic program of a step: the least change that closes the gap within the bounds."""
 
     def __init__(self, gears: list[_GearPiece], limits: MotionLimits, speed: float, *, steers: bool) -> None:
         sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
@@ -289,7 +273,7 @@ class _Program:
         return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
 
     def _bounded(self, gears: list[_GearPiece]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """All curvatures, all rates, and the rows of the rates over all numbers."""
+        """Return all curvatures, all rates, and the derivatives of the rates."""
         curvature = np.concatenate([gear.curvature for gear in gears])
         rates, rows = [], np.zeros((self.most_rates.size, self.size))
         count = 0
@@ -312,7 +296,7 @@ class _Program:
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
-        """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
+        """Return the cheapest change that closes the gap, keeps pushes and bounds, by gears; None if there is none."""
         end = segments[-1].poses_at(segments[-1].length)[0]
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:
@@ -339,7 +323,7 @@ class _Program:
         return np.split(change, self.starts[1:-1])
 
     def _price(self, gear: _GearPiece) -> FloatArray:
-        """Of a change of a gear's numbers: the squared norm of what it does, as a matrix."""
+        """Return the matrix of the quadratic cost of a change of a gear's variables."""
         if gear.sign == 0:
             return np.array([[1.0]])
         steps, n = np.diff(gear.knots), gear.curvature.size
@@ -357,14 +341,7 @@ class _Program:
         end: FloatArray,
         until: tuple[int, float] = (_ALL, 1.0),
     ) -> FloatArray:
-        """How a point that is fixed to the robot, at `end`, moves with every number, Shape (3, all numbers).
-
-        Args:
-            gears: As they are.
-            segments: Their curves.
-            end: Where the point is.
-            until: The gear, and the share of it, on which the robot is then; later ones do not move it.
-        """
+        """Return derivatives of a point of the robot at a gear and share, by all variables, Shape (3, variables)."""
         columns = []
         for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
             if i > until[0]:
@@ -385,14 +362,14 @@ class _Program:
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
             first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
-            # As long again, with the same curvatures: as much turn more everywhere, and the way itself.
+            # Derivative by the logarithm of the length: the turns grow in proportion, and so does the way.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))
         return np.concatenate(columns, axis=1)
 
 
 def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
-    """What moves the robot off an obstacle that it comes too close to."""
+    """Return the push that moves the robot off an obstacle of a clearance violation."""
     pose = path.poses_at(violation.s)[0]
     reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
     near = problem.all_obstacles.near(pose[None, :2], reach)

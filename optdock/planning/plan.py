@@ -1,4 +1,4 @@
-"""Plans: what `plan_dock` returns, and what exists of one when it fails. They print, save and draw themselves."""
+"""Results of planning: the certified plan, and the partial plan of a failed call."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ __all__ = ["Attempt", "DockPlan", "PartialPlan"]
 
 
 class Attempt(NamedTuple):
-    """A guess, and what became of it.
+    """A guess and its result.
 
     Attributes:
-        stage: Where the guess came from: the stage of a planner, `given` by the caller, or a planner that had none.
-        guess: The guess; None where a planner had none.
-        seconds: What smoothing, proof and timing took.
-        price: Of the plan that was made of it [s], see `DockPlan.price`; inf where none was.
-        reason: Why none was; empty where one was.
+        stage: Source of the guess: the stage of a planner, `given` by the caller, or a planner without a guess.
+        guess: The guess; None if a planner had none.
+        seconds: Time for smoothing, proof and timing.
+        price: Price of the plan [s], see `DockPlan.price`; inf without a plan.
+        reason: Reason of the failure; empty with a plan.
     """
 
     stage: str
@@ -54,7 +54,7 @@ class Attempt(NamedTuple):
     reason: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for a plan file."""
+        """Return plain values for a plan file."""
         shape = {} if self.guess is None else {"length": self.guess.driven, "cusps": len(self.guess.cusps)}
         found = {"reason": self.reason} if self.reason else {"price": self.price}
         return {"stage": self.stage, **shape, "seconds": self.seconds, **found}
@@ -70,18 +70,17 @@ class DockPlan:
     """A certified plan.
 
     Args:
-        motion: What is proven: path and time law, for what problem, from which pose. `prove_motion` makes it.
-        raw_path: What the planner made; not certified, kept for comparison.
-        completed: False when the deadline stopped the smoothing early; the result is certified all the same.
-        timing_ms: Wall-clock milliseconds per stage, over all guesses: plan, smooth, certify, time, prove; the first
-            certified plan was there after `first`, all was done after `total`.
-        smoothing_report: What the smoother says about its work.
-        timing_report: What the time parameterizer says about its work.
-        tried: Every guess that was tried, in this order, and what became of it; this plan is the one of the lowest
-            price.
+        motion: The proven path and time law, with problem and start pose; made by `prove_motion`.
+        raw_path: The guess; not certified, for comparison.
+        completed: False if the deadline ended the smoothing early; the result is certified in any case.
+        timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; the first
+            certified plan was found after `first`, the call took `total`.
+        smoothing_report: Report of the smoother.
+        timing_report: Report of the time parameterizer.
+        tried: Every guess in order, with its result; this plan has the lowest price.
 
     Raises:
-        InvalidValue: `motion` is not a proven motion, or `raw_path` not a path.
+        InvalidValue: If `motion` is not a proven motion, or `raw_path` not a path.
     """
 
     motion: ProvenMotion
@@ -95,11 +94,11 @@ class DockPlan:
     def __post_init__(self) -> None:
         exactly(ProvenMotion, self.motion, "plan.motion")
         exactly(Path, self.raw_path, "plan.raw_path")
-        _ = self.motion.trajectory  # raises where no proof was made of it
+        _ = self.motion.trajectory  # raises without a proof
 
     @property
     def problem(self) -> DockingProblem:
-        """What was asked for, and what path and motion are proven for."""
+        """The problem for which path and motion are proven."""
         return self.motion.problem
 
     @property
@@ -109,17 +108,17 @@ class DockPlan:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The certified motion along it."""
+        """The certified motion along the path."""
         return self.motion.trajectory
 
     @property
     def certificate(self) -> Certificate:
-        """The proof of the path."""
+        """The certificate of the path."""
         return self.motion.certificate
 
     @property
     def trajectory_certificate(self) -> TrajectoryCertificate:
-        """The proof of the motion limits."""
+        """The certificate of the motion limits."""
         return self.motion.trajectory_certificate
 
     def __str__(self) -> str:
@@ -136,24 +135,24 @@ class DockPlan:
 
     @property
     def price(self) -> float:
-        """What plans are chosen by [s], see `price_of`."""
+        """The price by which plans are compared [s], see `price_of`."""
         return price_of(self.path, self.trajectory.duration, self.motion.problem.robot)
 
     @property
     def stage(self) -> str:
-        """Where the guess of this plan came from; empty where it was not given."""
+        """Source of the guess of this plan; empty if unknown."""
         return next((attempt.stage for attempt in self.tried if attempt.guess is self.raw_path), "")
 
     @property
     def frame(self) -> str:
-        """Name of the coordinate frame that every pose of the plan stands in."""
+        """Name of the coordinate frame of all poses."""
         return self.path.frame
 
     def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
-        """The content of its plan file, the trajectory sampled at most every `period` [s].
+        """Return the content of the plan file, with the trajectory sampled at most every `period` [s].
 
         Raises:
-            InvalidValue: The period is not > 0, or far too small.
+            InvalidValue: If the period is not > 0, or far too small.
         """
         return PlanFile(
             status=CERTIFIED,
@@ -172,44 +171,44 @@ class DockPlan:
         """Write a plan file, format `optdock-plan/1`.
 
         Args:
-            target: Where.
+            target: File name.
             spacing: Largest distance between path samples [m].
             period: Largest time between trajectory samples [s].
 
         Raises:
-            InvalidFile: The file cannot be written.
-            InvalidValue: Spacing or period is not > 0, or far too small.
+            InvalidFile: If the file cannot be written.
+            InvalidValue: If spacing or period is not > 0, or far too small.
         """
         save_plan(target, self.as_file(period), spacing=spacing)
 
     def save_csv(self, target: str | FilePath, *, period: float = DEFAULT_PERIOD) -> None:
-        """Write the trajectory as a table, a row per sample; the first row names columns and units.
+        """Write the trajectory as a table, one row per sample; the first row has column names and units.
 
         Args:
-            target: Where.
+            target: File name.
             period: Largest time between samples [s]; ends and cusps are among them.
 
         Raises:
-            InvalidFile: The file cannot be written.
-            InvalidValue: The period is not > 0, or far too small.
+            InvalidFile: If the file cannot be written.
+            InvalidValue: If the period is not > 0, or far too small.
         """
         save_columns_csv(target, TrajectoryColumns.from_trajectory(self.trajectory, period))
 
     @classmethod
     def load(cls, source: str | FilePath, problem: DockingProblem) -> DockPlan:
-        """Read a plan file and prove its path and its motion anew, for `problem`; what the file claims plays no part.
+        """Read a plan file and prove its path and motion for `problem`; claims in the file are not used.
 
-        `load_plan` reads a file without judging it.
+        `load_plan` reads a file without a check.
 
         Args:
-            source: The file, with the exact time law that `save` writes.
-            problem: What the plan must solve now.
+            source: File with the exact time law that `save` writes.
+            problem: Problem that the plan must solve.
 
         Raises:
-            InvalidFile: The file cannot be read, breaks its format, or holds no path, raw path or time law.
-            InvalidPath: It stands in another frame than the problem.
-            CertificationFailed: It does not solve `problem`, or not any more.
-            InvalidValue: `problem` is none.
+            InvalidFile: If the file cannot be read, breaks its format, or holds no path, raw path or time law.
+            InvalidPath: If the path is in another frame than the problem.
+            CertificationFailed: If the plan does not solve `problem`.
+            InvalidValue: If `problem` is no problem.
         """
         instance(DockingProblem, problem, "problem")
         found = load_plan(source)
@@ -228,30 +227,30 @@ class DockPlan:
         """Draw map, obstacles, dock, paths, the swept footprint, and the tightest place.
 
         Args:
-            target: Where; the suffix chooses the format.
-            title: Above the picture; empty: the plan in a line.
+            target: File name; the suffix selects the format.
+            title: Title; empty: the plan in one line.
 
         Raises:
-            MissingExtra: Matplotlib is not installed.
-            InvalidFile: The file cannot be written.
-            InvalidValue: The suffix names no picture format.
+            MissingExtra: If Matplotlib is not installed.
+            InvalidFile: If the file cannot be written.
+            InvalidValue: If the suffix names no picture format.
         """
         from optdock.plotting import save_plan_picture
 
         save_plan_picture(target, **self._drawing(title))
 
     def show(self) -> None:
-        """Open a window with the picture that `plot` draws; a notebook shows it below a cell that ends with the plan.
+        """Open a window with the picture of `plot`; a notebook displays it for a cell that ends with the plan.
 
         Raises:
-            MissingExtra: Matplotlib is not installed.
+            MissingExtra: If Matplotlib is not installed.
         """
         from optdock.plotting import PlanDrawing, show_plan_picture
 
         show_plan_picture(PlanDrawing(**self._drawing()))
 
     def _repr_png_(self) -> bytes | None:
-        """The picture, as notebooks ask for it; None without Matplotlib."""
+        """Return the picture for notebooks; None without Matplotlib."""
         from optdock.plotting import PlanDrawing, plan_picture_png
 
         with suppress(MissingExtra):
@@ -270,16 +269,15 @@ class DockPlan:
 
 @dataclass(eq=False, repr=False)
 class PartialPlan:
-    """Whatever exists of a plan so far; hangs as `partial` on the error that ended it.
+    """The results of a failed call so far; attribute `partial` of its error.
 
     Args:
         raw_path: The planner's path, or None.
-        path: The smoothed path; or, on a smoother's refusal, the best path that it found, which breaks the bound that
-            the error names: it is for looking at, and may end beside the goal. Certified only where `certificate` says
-            so. None: there is none.
-        certificate: The verdict on `path`, or None.
-        timing_ms: Wall-clock milliseconds of the stages that ran.
-        tried: Every guess that was tried, and what became of it.
+        path: The smoothed path; or, after an error of the smoother, its best path, which breaks the bound that the
+            error names and may miss the goal. It is certified only if `certificate` says so. None: no path.
+        certificate: The certificate of `path`, or None.
+        timing_ms: Wall-clock milliseconds per stage.
+        tried: Every guess and its result.
     """
 
     raw_path: Path | None = None
@@ -290,7 +288,7 @@ class PartialPlan:
 
     @classmethod
     def left_by(cls, error: OptdockError) -> PartialPlan:
-        """What a call had finished when it failed; nothing where the error does not say."""
+        """Return the partial plan of an error; an empty one if it has none."""
         return error.partial if isinstance(error.partial, cls) else cls()
 
     def __repr__(self) -> str:

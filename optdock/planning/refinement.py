@@ -1,4 +1,8 @@
-"""How a plan is made of one guess: smoothed, proven, timed, and its motion proven; every step may refuse it."""
+"""From one guess to a plan: smooth, certify, time, and prove the motion; and edits of guesses.
+
+The edits: a straight line out of a contact is kept, a guess is driven with a stop at every bend, and short gears are
+left out.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import itertools
 import logging
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -59,6 +63,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.deadline import Deadline
+    from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
     from optdock.model.segments import Segment
     from optdock.plugins.lifecycle import Plugin
@@ -67,9 +72,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Cancellation",
     "Refinement",
-    "Stopwatch",
     "at_work",
     "begun_straight",
+    "fewer_cusps",
     "plain",
     "ran_out_of_time",
     "returned",
@@ -79,74 +84,44 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-PLAIN_TIMING = "Windowed"  # needs no repair
-# Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
+PLAIN_TIMING = "Windowed"  # its motions need no repair
+# Share of the budget, its least and most [s], reserved for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
-# A robot that has no more clearance touches; spacing of the looks at it on the way; what is still straight [m, m, rad].
+# Clearance below which the robot touches; spacing of the samples on the way; tolerance of a straight line [m, m, rad].
 _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
-# The steps of a sampled arc have the same curvature but for rounding [1/m]. A path with more bends than this within its
-# gears is a curve, or would stop too often to be of use.
+# Rounding of the curvature of a sampled arc [1/m]; with more bends than this within its gears a path is a curve, or
+# would stop too often.
 _SAME_BEND, _MOST_BENDS = 1e-5, 12
-_PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
+_JOINED_SPACING = 0.02  # [m] between the poses of gears that are joined
+_LONGEST_LEFT_OUT = 0.5  # of the robot's length: longer gears cannot be replaced
+_PROOF = 0.001  # [s], reserved for the proof of the motion
 
 _T = TypeVar("_T")
 
 
 class Cancellation:
-    """The caller's cancel checker: what it raises is the caller's own, in whatever stage; once True it stays True."""
+    """The caller's cancel checker: its exceptions are passed on from every stage, and True is final."""
 
     def __init__(self, checker: Callable[[], bool]) -> None:
-        self._checker, self._said_yes = checker, False
+        self._checker, self._cancelled = checker, False
         self.raised: BaseException | None = None
 
     def __call__(self) -> bool:
-        """Whether the caller asked to stop."""
+        """Whether the caller cancelled."""
         try:
-            self._said_yes = self._said_yes or bool(self._checker())
-            return self._said_yes
+            self._cancelled = self._cancelled or bool(self._checker())
+            return self._cancelled
         except BaseException as error:
             self.raised = error
             raise
 
 
-@dataclass
-class Stopwatch:
-    """What the stages of a call took.
-
-    Attributes:
-        timing_ms: Wall-clock milliseconds of every stage, over all guesses.
-        longest_wait: Longest time for which the machine kept a stage waiting [s].
-    """
-
-    deadline: Deadline
-    timing_ms: dict[str, float]
-    longest_wait: float = 0.0
-
-    @contextlib.contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Count what is done within as `stage`."""
-        began, worked = self.deadline.elapsed, time.thread_time()
-        try:
-            yield
-        finally:
-            took = self.deadline.elapsed - began
-            self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
-            self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
-
-
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """How far a path leads straight on until a robot that touches something at the start is clear of it [m].
+    """Return how far a path leads straight until a robot that touches an obstacle at the start is clear of it [m].
 
-    Along a wall that it touches, a robot can only go straight. Smoothers, which search among curves, do not end up at
-    just that line; so it is kept as it is.
-
-    Args:
-        path: From the start.
-        problem: Where the robot stands, and among what.
-
-    Returns:
-        0 where the robot does not touch anything, moves or has its wheels turned, and where the path begins elsewhere
-        or does not lead out of the contact straight on.
+    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. 0 if
+    the robot touches nothing, moves or has its wheels turned, and if the path begins elsewhere or does not lead
+    straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -156,7 +131,7 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     poses = path.poses_at(stations)
     along = np.array([math.cos(start[2]), math.sin(start[2])]) * stations[:, None] * int(first.direction)
     is_straight = np.abs(poses - start - np.column_stack((along, np.zeros(len(poses))))).max(axis=1) < _STRAIGHT
-    if not is_straight[0]:  # a guess may begin elsewhere
+    if not is_straight[0]:
         return 0.0
     poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
     clearances, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
@@ -165,13 +140,9 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
 
 
 def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
-    """A path with a straight line before it, which ends where the path begins.
+    """Return a path with a straight line of some length [m] before it, from `start` to the beginning of the path.
 
-    Args:
-        start: Where the line begins.
-        gear: In which it is driven, 1 or -1.
-        length: Of the line [m].
-        path: Of any kind; a clothoid spline in the same gear goes on with the line.
+    A clothoid spline in the same gear, 1 or -1, is joined to the line.
     """
     first, segments = path.segments[0], path.segments
     knots, curvature = np.array([0.0, length]), np.zeros(2)
@@ -183,16 +154,11 @@ def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
 
 
 def stopping_at_bends(path: Path) -> Path | None:
-    """The same way as clothoid segments of constant curvature, with a stop wherever the curvature jumps.
+    """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
 
-    A robot that stands may turn its wheels, so a sequence of arcs needs no smoothing to be driven: where room is too
-    short for a transition between two curvatures, it can be the only way.
-
-    Args:
-        path: Sampled arcs and straight lines, and turns in place.
-
-    Returns:
-        None where the path is no such sequence, or a long one.
+    A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. If
+    the room is too short for a transition between two curvatures, this can be the only way. None if the path is no such
+    sequence, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -216,17 +182,18 @@ def stopping_at_bends(path: Path) -> Path | None:
 
 @dataclass(eq=False)
 class Refinement:
-    """What one call of `plan_dock` does with every guess.
+    """The stages that one call of `plan_dock` applies to every guess.
 
     Args:
-        problem: What must hold.
+        problem: The planning problem.
         smoother: Makes a guess drivable.
-        timing: Gives it its time law.
-        warm_start: An earlier path for a problem much like this one, or None.
-        cancelled: The caller's wish.
-        budget: Of the whole call [s], for messages and shares.
-        deadline: When it ends.
-        watch: Counts what the stages take.
+        timing: Computes the time law.
+        warm_start: Earlier path of a similar problem, or None.
+        cancelled: The caller's cancel checker.
+        budget: Time budget of the call, for messages and shares [s].
+        deadline: Deadline of the call.
+        timing_ms: Wall-clock milliseconds per stage, over all guesses; updated.
+        longest_wait: Longest time for which the machine suspended a stage [s].
     """
 
     problem: DockingProblem
@@ -236,30 +203,48 @@ class Refinement:
     cancelled: Cancellation
     budget: float
     deadline: Deadline
-    watch: Stopwatch
-    reserve: float = field(init=False)
+    timing_ms: dict[str, float]
+    longest_wait: float = 0.0
 
     def __post_init__(self) -> None:
         self.reserve = min(max(_RESERVED_SHARE * self.budget, _RESERVED_LEAST), _RESERVED_MOST)
 
+    @contextlib.contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of the block to `stage`."""
+        began, worked = self.deadline.elapsed, time.thread_time()
+        try:
+            yield
+        finally:
+            took = self.deadline.elapsed - began
+            self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
+            self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
+
+    def is_late(self) -> bool:
+        """Whether the remaining time is too short for another guess."""
+        return self.deadline.left <= self.reserve
+
+    def asked_to_stop(self) -> bool:
+        """Whether the caller cancelled, or the time is up."""
+        return self.cancelled() or self.deadline.passed()
+
     def refined(
         self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False, begun: Path | None = None
     ) -> DockPlan:
-        """The certified plan near a guess; `so_far` holds what exists of it when a stage raises.
+        """Return the certified plan near a guess.
 
         Args:
             raw: The guess.
-            so_far: Filled in on the way.
-            most: Seconds that smoothing may take.
-            is_given: Whether the guess is the caller's, so that a wrong one is not a plugin's fault.
-            begun: How far the smoother came with it before it was cut short.
+            so_far: Filled on the way, for the case that a stage raises.
+            most: Most seconds for smoothing.
+            is_given: Whether the guess is the caller's, so that an error in it is not a plugin's fault.
+            begun: The smoother's path of an interrupted attempt.
 
         Raises:
-            OptdockError: As `plan_dock`, but for what planners raise. Where the smoother was cut short `partial` holds
-                how far it came, if it says so.
+            OptdockError: As `plan_dock`. If the smoother was interrupted, `partial` holds its path so far, if known.
         """
         so_far.raw_path = raw
-        with self.watch.timed("smooth"):
+        with self.timed("smooth"):
             kept = straight_along_contact(raw, self.problem)
             result = self._smoothed(raw, kept, most, so_far, begun, is_given=is_given)
             path = plain(result.path, self.smoother, self.problem.frame)
@@ -269,32 +254,24 @@ class Refinement:
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 
     def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
-        """The certified plan along a path that needs no smoothing; `so_far` as of `refined`.
+        """Return the certified plan along a path that needs no smoothing, made of a guess; arguments as in `refined`.
 
-        Args:
-            raw: What the path was made of.
-            path: In the problem's frame.
-            so_far: Filled in on the way.
-            is_late: Asked within the certificate of the path; `asked_to_stop` by default.
+        `is_late` is polled during the certificate of the path; `asked_to_stop` by default.
 
         Raises:
             OptdockError: As `refined`.
         """
         so_far.raw_path, so_far.path = raw, path
-        with self.watch.timed("certify"):
+        with self.timed("certify"):
             certificate = so_far.certificate = certify_path(path, self.problem, is_late=is_late or self.asked_to_stop)
             self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
         motion, report = self._certified_motion(path)
         return DockPlan(motion, raw, timing_report=report)
 
-    def asked_to_stop(self) -> bool:
-        """Whether the caller asked to stop, or the time is over."""
-        return self.cancelled() or self.deadline.passed()
-
     def _smoothed(
         self, raw: Path, kept: float, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
     ) -> SmoothingResult:
-        """What the smoother makes of a guess, but for the straight line at its begin that is `kept` [m]."""
+        """Smooth a guess without the straight line of length `kept` [m] at its beginning."""
         smoother, left, problem, earlier = self.smoother, self.deadline.left, self.problem, self.warm_start
         if left <= self.reserve:
             raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
@@ -317,8 +294,7 @@ class Refinement:
                         raise FailedToSmoothPath(f"the given {error}") from error
                     raise
         except SmootherTimedOut as error:
-            message = ran_out_of_time(type(smoother).__name__, self.budget)
-            late = SmootherTimedOut(message, where=error.where)
+            late = SmootherTimedOut(ran_out_of_time(type(smoother).__name__, self.budget), where=error.where)
             late.partial = error.partial
             raise late from error
         except SmootherException as error:
@@ -330,10 +306,7 @@ class Refinement:
         return result
 
     def _certified_motion(self, path: Path) -> tuple[ProvenMotion, TimingReport]:
-        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
-
-        That the path cannot be timed is an answer; any other error of the method is its own mistake.
-        """
+        """Return the motion of the chosen method, or of the fallback on any of its errors except `FailedToTimePath`."""
         chosen = self.timing
         try:
             return self._proven_motion(chosen, path)
@@ -351,20 +324,20 @@ class Refinement:
             return motion, replace(report, replaced=f"{chosen.name}: {error}")
 
     def _proven_motion(self, method: TimeParameterizer, path: Path) -> tuple[ProvenMotion, TimingReport]:
-        with self.watch.timed("time"):
+        with self.timed("time"):
             result = self._timing(method, path)
         if result.status is TimingStatus.TIMED_OUT:
             failure = result.failure()
-            message = ran_out_of_time(type(method).__name__, self.budget)
-            raise TimingTimedOut(message, where=failure.where) from failure
+            raise TimingTimedOut(ran_out_of_time(type(method).__name__, self.budget), where=failure.where) from failure
         if result.status is not TimingStatus.OK:
             raise result.failure()
         trajectory = returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
-            message = f"{method.name} timed another path than the certified one"
-            raise CertificationFailed(message, where={"kind": "path"})
+            raise CertificationFailed(
+                f"{method.name} timed another path than the certified one", where={"kind": "path"}
+            )
         trajectory = Trajectory(path, trajectory.time_law)
-        with self.watch.timed("certify"):
+        with self.timed("certify"):
             proof = certify_motion(trajectory, self.problem, is_late=self.asked_to_stop)
             self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
             return prove_motion(trajectory, self.problem, is_late=self.asked_to_stop), result.report
@@ -400,7 +373,7 @@ class Refinement:
         cancelled: type[Cancelled],
         late: type[OptdockError],
     ) -> None:
-        """Raise what stands in the way of a proof; where nothing is broken as far as it went, that is the clock."""
+        """Raise the violation of a certificate, or the time-out or cancellation that left it unproven."""
         if verdict.certified:
             return
         where = where_broken(verdict)
@@ -414,16 +387,11 @@ class Refinement:
 
 @contextlib.contextmanager
 def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """A plugin, configured for the problem; an error that its interface does not name becomes a PluginError.
-
-    Args:
-        plugin: Not configured yet.
-        problem: What it is configured for.
-        cancelled: What the caller's cancel checker raises goes to the caller as it is.
+    """Configure a plugin for the problem; an error that its interface does not name becomes a PluginError.
 
     Raises:
-        PluginError: With what it raised as the cause.
-        LifecycleError: It is configured already.
+        PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
+        LifecycleError: If the plugin is configured already.
     """
     name = type(plugin).__name__
     if plugin.state is not LifecycleState.UNCONFIGURED:
@@ -432,11 +400,11 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         plugin.configure(PluginContext(name=plugin.name, problem=problem))
         try:
             yield
-        except (InvalidValue, InvalidPath) as error:  # nothing that the caller gave: the problem is valid
+        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, as the problem is valid
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()
-    except GeneratorExit:  # the planner's next guess is not wanted
+    except GeneratorExit:  # the generator of guesses was closed
         raise
     except BaseException as error:
         if cancelled.raised is not None:
@@ -444,12 +412,12 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         if isinstance(error, OptdockError) or not isinstance(error, Exception):
             raise
         raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-    if cancelled.raised is not None:  # swallowed by the plugin
+    if cancelled.raised is not None:  # suppressed by the plugin
         raise cancelled.raised
 
 
 def ran_out_of_time(what: str, budget: float) -> str:
-    """The message of a time-out: which stage needed more, and which option gives it.
+    """Return the message of a time-out: the stage that needed more time, and the option that gives it.
 
     >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
     'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'
@@ -458,10 +426,10 @@ def ran_out_of_time(what: str, budget: float) -> str:
 
 
 def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:
-    """What a plugin returned, or a part of it, of the type that its interface promises.
+    """Check that a result of a plugin, or a part of it, has the type that its interface requires, and return it.
 
     Raises:
-        PluginError: It is of another type.
+        PluginError: If the type is another one.
     """
     if not isinstance(value, kind):
         promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
@@ -470,12 +438,64 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
 
 
 def plain(path: Path, plugin: Plugin, frame: str) -> Path:
-    """The path, of no subclass: one could have other poses than the segments that are proven.
+    """Return the path without a subclass, which could have other poses than the certified segments.
 
     Raises:
-        PluginError: It stands in another frame than the problem.
+        PluginError: If the path is in another frame than the problem.
     """
     try:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
     except InvalidPath as error:
         raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
+
+
+def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
+    """Yield guesses with one stop less each: two segments of one gear joined, then a gear left out, shortest first.
+
+    Searches over arcs often return short gears that can be left out. Every stop takes time; a jump of the curvature is
+    left to the smoother. A gear between two in the other direction is left out together with the stretch that is then
+    driven twice, and the smoother closes the gap. The first gear can be left out if the next one may begin at the
+    start. Turns in place stay.
+    """
+    segments = path.segments
+    for k, (one, following) in enumerate(itertools.pairwise(segments)):
+        if one.direction == following.direction and not isinstance(one, TurnSegment):
+            poses = np.concatenate((_poses(one, 0.0, one.length)[:-1], _poses(following, 0.0, following.length)))
+            yield _joined(path, segments[:k], poses, following, segments[k + 2 :])
+    yield from _without_a_gear(path, problem)
+
+
+def _without_a_gear(path: Path, problem: DockingProblem) -> Iterator[Path]:
+    segments = path.segments
+    longest = _LONGEST_LEFT_OUT * problem.robot.footprint.length
+    rows = [k for k, one in enumerate(segments[:-1]) if not isinstance(one, TurnSegment) and one.length <= longest]
+    for k in sorted(rows, key=lambda row: float(segments[row].length)):
+        following = segments[k + 1]
+        if following.direction != -segments[k].direction:
+            continue
+        if k == 0:
+            after = _poses(following, segments[0].length, following.length)
+            if problem.start_speed * following.direction >= 0.0 and len(after):
+                first = np.concatenate((problem.start.as_array()[None], after))
+                yield _joined(path, (), first, following, segments[2:])
+        elif segments[k - 1].direction == following.direction:
+            left_out, previous = segments[k].length, segments[k - 1]
+            before = _poses(previous, 0.0, previous.length - left_out)
+            after = _poses(following, left_out, following.length)
+            if len(before) and len(after):
+                yield _joined(path, segments[: k - 1], np.concatenate((before, after)), following, segments[k + 2 :])
+
+
+def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
+    """Return poses of a segment between two arc lengths [m], empty for an empty interval. Shape (n, 3)."""
+    if end <= begin:
+        return np.zeros((0, 3))
+    return segment.poses_at(np.linspace(begin, end, 2 + int((end - begin) / _JOINED_SPACING)))
+
+
+def _joined(
+    path: Path, before: tuple[Segment, ...], poses: FloatArray, gear: Segment, after: tuple[Segment, ...]
+) -> Path:
+    """Return segments, a polyline in the direction of another segment, and segments, with continuous headings."""
+    poses = np.column_stack((poses[:, :2], np.unwrap(poses[:, 2])))
+    return Path((*before, PolylineSegment(poses, gear.direction), *after), path.frame)

@@ -1,18 +1,16 @@
-"""`replan`: another plan for a robot under way, which takes over from the running one without a jump; `still_holds`.
+"""`replan`: another plan for a moving robot, which takes over from the running plan without a jump.
 
-Planning takes time, and so does the drive until it does what it is told. So the new plan begins where the robot will be
-by then, the *joint*: on the running trajectory, with its pose, heading, curvature, speed and acceleration there. The
-joint is the start of a docking problem like any other, and its rules of a moving start are the proof of continuity.
+A new plan begins at the *joint*: the state on the running trajectory that the robot will have when planning is finished
+and the drive responds. The joint is the start of an ordinary docking problem, and its rules of a moving start prove
+continuity. These are tried in order until a plan is certified:
 
-What is tried, until something is certified:
+1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
+2. The smoother from the joint, with the rest of the running path as warm start.
+3. `plan_dock` from the joint.
 
-1. The rest of the running path, deformed onto the new goal (`deformation`): a millisecond, and enough for most.
-2. The smoother, from there, with the rest of the running path as its warm start.
-3. Whatever `plan_dock` does, from the joint.
-
-Where nothing is certified in time the old plan goes on, if what is left of it is certified in the new world and ends at
-the new dock within the dock's tolerances; otherwise the robot brakes along its path. The way until the joint is driven
-in any case and proven first: where that fails the robot brakes at once.
+If nothing is certified in time, the old plan continues if its rest is certified in the new world and ends at the new
+dock within the dock's tolerances; otherwise the robot brakes along its path. The way until the joint is driven in any
+case and is proven first; if that fails, the robot brakes at once.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -43,13 +41,12 @@ from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.planning.braking import braking
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.planning.plan import Attempt, DockPlan, PartialPlan
-from optdock.planning.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
-from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive
+from optdock.planning.refinement import Cancellation, Refinement, ran_out_of_time
+from optdock.planning.running_drive import NO_WAY, BranchPoint, DriveState, RunningDrive, braking
 from optdock.plugins.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.plugins.registry import plugin_from
 from optdock.samples.tube import Tube
@@ -86,43 +83,42 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
-_FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: kept back for the old plan's proof, and the stop's
-_ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
-_AT_THE_END = "nothing is left of the plan"
-_PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
-# What a dock asks of a path beside its pose and its station.
+_FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: reserved for the proofs of the old plan or a stop
+_ON_THE_STRAIGHT = "the robot is on the final straight, which is not deformed"
+_AT_THE_END = "the robot is at the end of the plan"
+_PUSHES = 4  # most pushes off obstacles, two milliseconds each
+# Requirements of a dock for a path, in addition to its pose and its station.
 _DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
-_NEARBY = 0.5  # [m] around its reference, in which a robot beside its path is looked for
+_NEARBY = 0.5  # [m]: distance from its reference along the path in which a robot off its path is projected
 
 
 class ReplanOutcome(str, Enum):
-    """What a robot under way is to do."""
+    """Decision for a moving robot."""
 
     NEW = "new"  # drive the new plan from the joint on
-    KEPT = "kept"  # go on: the old plan is as good as before
+    KEPT = "kept"  # continue with the old plan
     STOP = "stop"  # brake along the old path
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replanned:
-    """What `replan` returns; it counts as true where it is proven.
+    """Result of `replan`; true if it is proven.
 
     Args:
-        outcome: What to do.
-        trajectory: What to drive: from its time 0 on, once the running trajectory's own clock shows `starts_at`.
-        starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; KEPT: 0, as it is
-            that trajectory.
-        plan: The plan whose motion that is; None: STOP.
-        reason: Why it is not new; empty where it is.
-        way: What is proven of the clearance in the new world: from where the robot is now, its `pose`, until
-            `trajectory` takes over or ends. None: it is not proven. Of KEPT the station counts where the plan ends,
-            from which it may stand apart by the dock's tolerances.
-        motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
-        tried: What was tried, and what became of it.
-        timing_ms: Wall-clock milliseconds of the stages.
+        outcome: The decision.
+        trajectory: Trajectory to drive from its time 0, once the running trajectory's own clock shows `starts_at`.
+        starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; 0 for KEPT.
+        plan: The plan of that trajectory; None for STOP.
+        reason: Why it is not a new plan; empty for NEW.
+        way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over
+            or ends; None: not proven. For KEPT the station is taken to be where the plan ends, within the dock's
+            tolerances.
+        motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan has it.
+        tried: Every attempt and its result.
+        timing_ms: Wall-clock milliseconds per stage.
 
     Raises:
-        InvalidValue: A part is of another class, the trajectory is not that of the plan, or a stop has a plan.
+        InvalidValue: If a part is of another class, the trajectory is not that of the plan, or a stop has a plan.
     """
 
     outcome: ReplanOutcome
@@ -150,10 +146,10 @@ class Replanned:
 
     @property
     def proven(self) -> bool:
-        """Whether clearance and limits are proven from where the robot is now until where the motion ends.
+        """Whether clearance and limits are proven from the current pose until the motion ends.
 
-        False only for a stop: then it is the quickest there is. A certificate is a plain value, so that of a stop
-        counts where the same proof is found here.
+        False only for a stop, which is then the fastest one. A certificate is a plain value, so the certificate of a
+        stop is computed again here.
         """
         if self.way is None or self.plan is not None:
             return self.way is not None
@@ -168,7 +164,7 @@ class Replanned:
         return f"<Replanned {self.outcome.value}{unproven}, from {self.starts_at:.3f} s{why}>"
 
 
-def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
+def replan(  # noqa: PLR0913 - every choice is a keyword
     plan: DockPlan,
     target: DockingProblem | Pose2,
     state: DriveState,
@@ -181,24 +177,23 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
     timing: TimingLike = DEFAULT_TIMING,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> Replanned:
-    """What a robot that drives `plan` is to do now that its dock, or the world, turned out to be another.
+    """Decide what a robot that drives `plan` does after its dock, or the world, has changed.
 
     Args:
         plan: The running plan.
-        target: Where the docked robot is now known to be, the station with it; or a whole problem, of which everything
-            counts but its start.
-        state: How far the robot is.
+        target: New pose of the docked robot, and the station with it; or a whole problem, whose start is not used.
+        state: Progress of the robot.
         time_budget: Wall-clock seconds for the whole call.
-        drive_delay: How long the drive takes until it does what it is told [s].
-        lead: How far ahead of `state` the joint lies [s]; None: `time_budget + drive_delay`, which is when the answer
-            is there at the latest. Less is for simulations, whose clock stands still meanwhile.
-        planner: As of `plan_dock`.
-        smoother: As of `plan_dock`.
-        timing: As of `plan_dock`.
-        cancel_checker: As of `plan_dock`; a robot whose replanning is cancelled goes on, or stops, as after a time-out.
+        drive_delay: Response time of the drive [s].
+        lead: Time from `state` to the joint [s]; None: `time_budget + drive_delay`, when the result is available at the
+            latest. Less is for simulations, whose clock stands during the call.
+        planner: As in `plan_dock`.
+        smoother: As in `plan_dock`.
+        timing: As in `plan_dock`.
+        cancel_checker: As in `plan_dock`; after cancelling, the robot continues or stops, as after a time-out.
 
     Raises:
-        InvalidValue: A value is of another class or not finite, or the target stands in another frame than the plan.
+        InvalidValue: If a value is of another class or not finite, or the target is in another frame than the plan.
         PluginError: As `plan_dock`.
         LifecycleError: As `plan_dock`.
     """
@@ -213,8 +208,8 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
         raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
     state = _checked(state)
     world = _world(plan, target)
-    plugins = _ChosenPlugins(planner, smoother, timing)
-    plugins.warm_up()
+    plugins = _Plugins(planner, smoother, timing)
+    warm_up(*plugins)
     deadline = Deadline(time_budget)
     run = _Replanning(RunningDrive(plan, world, state), time_budget, lead, Cancellation(cancel_checker), deadline)
     with garbage_collection_paused():
@@ -236,7 +231,7 @@ def _checked(state: DriveState) -> DriveState:
 
 
 def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
-    """The problem that is to be solved now, but for its start."""
+    """Return the new problem, except for its start."""
     if isinstance(target, Pose2):
         return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
     instance(DockingProblem, target, "target")
@@ -245,31 +240,12 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
     return target
 
 
-_WARM: set[object] = set()  # what was warmed up in this process
-
-
-@dataclass(frozen=True, eq=False)
-class _ChosenPlugins:
-    """What was chosen; made when it is needed."""
+class _Plugins(NamedTuple):
+    """Plugins as the caller named them."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
-    chosen_smoother: SmootherLike
-    chosen_timing: TimingLike
-
-    def warm_up(self) -> None:
-        """Load and build what is loaded and built once; the names of what is warm are known."""
-        names = repr((self.planner, self.chosen_smoother, self.chosen_timing))
-        if names not in _WARM:
-            warm_up(self.planner, self.chosen_smoother, self.chosen_timing)
-            _WARM.add(names)
-
-    @property
-    def smoother(self) -> Smoother:
-        return plugin_from(Smoother, self.chosen_smoother, "smoother")
-
-    @property
-    def timing(self) -> TimeParameterizer:
-        return plugin_from(TimeParameterizer, self.chosen_timing, "timing")
+    smoother: SmootherLike
+    timing: TimingLike
 
 
 @dataclass(eq=False)
@@ -285,14 +261,11 @@ class _Replanning:
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
 
-    def answer(self, delay: float, plugins: _ChosenPlugins) -> Replanned:
-        """New, kept or stop."""
+    def answer(self, delay: float, plugins: _Plugins) -> Replanned:
+        """Return the decision: new, kept or stop."""
         joint = self.drive.branch_point(self.lead, at_a_rest=True)
-        if (
-            not self.drive.is_on_the_path
-            and self.drive.ahead is self.drive.path
-            and not self.drive.is_in_tube(joint.pose)
-        ):
+        is_moved = self.drive.is_on_the_path or self.drive.ahead is not self.drive.path
+        if not is_moved and not self.drive.is_in_tube(joint.pose):
             self.drive.move_ahead()
             joint = self.drive.branch_point(self.lead, at_a_rest=True)
         until = self.drive.way_until(joint)
@@ -309,22 +282,19 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _ChosenPlugins) -> Replanned:
-        """A new plan in the gears of the old one; the old one; a new one in other gears.
-
-        `until`: the way until the joint; None: the robot is there.
-
-        Raises:
-            OptdockError: Nothing of that, or not in time.
-        """
+    def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
+        """Try a new plan in the gears of the old one, then the old plan, then a new plan in other gears, or raise."""
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline = self.deadline.shortened(by=reserve)
         problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
-        if joint.rest is not None and not self._is_on_the_straight(joint.rest):
-            watch = Stopwatch(deadline, self.timing_ms)
-            smoother, timing = plugins.smoother, plugins.timing
-            work = Refinement(problem, smoother, timing, joint.rest, self.cancelled, self.budget, deadline, watch)
-            plan = self._in_the_same_gears(joint, joint.rest, problem, work)
+        rest = joint.rest
+        straight = self.drive.world.dock.final_straight
+        if rest is not None and (len(rest.segments) > 1 or rest.length > straight):
+            smoother = plugin_from(Smoother, plugins.smoother, "smoother")
+            timing = plugin_from(TimeParameterizer, plugins.timing, "timing")
+            limits = self.cancelled, self.budget, deadline, self.timing_ms
+            work = Refinement(problem, smoother, timing, rest, *limits)
+            plan = self._in_the_same_gears(joint, rest, problem, work)
             if plan is not None:
                 return self._new(joint, until, plan)
             why = str(self.failure or "the path cannot be deformed within the curvature limits")
@@ -333,16 +303,9 @@ class _Replanning:
             return kept
         if deadline.left <= 0.0:
             raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
-        plan = plan_dock(
-            problem,
-            time_budget=deadline.left,
-            planner=plugins.planner,
-            smoother=plugins.chosen_smoother,
-            timing=plugins.chosen_timing,
-            cancel_checker=self.cancelled,
-        )
+        plan = plan_dock(problem, time_budget=deadline.left, cancel_checker=self.cancelled, **plugins._asdict())
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
-            raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
+            raise FailedToSmoothPath("the wheels are turned for the other gear")
         return self._new(joint, until, plan)
 
     def _new(self, joint: BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
@@ -351,20 +314,16 @@ class _Replanning:
         way = until or proven_way(plan.motion, self.drive.state.pose)
         return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
 
-    def _is_on_the_straight(self, rest: Path) -> bool:
-        """Whether the robot is on the final straight already, on which nothing may be bent."""
-        return len(rest.segments) == 1 and rest.length <= self.drive.world.dock.final_straight
-
     def _in_the_same_gears(
         self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
-        """The rest of the running path, deformed, or else smoothed anew; None where neither is certified."""
+        """Deform the rest of the running path, or smooth it; None if neither is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
         for _ in range(_PUSHES + 1):
             if work.deadline.left < longest:  # another round would not end in time
                 break
             began = work.deadline.elapsed
-            with work.watch.timed("deform"):
+            with work.timed("deform"):
                 path = deformed(
                     guess,
                     joint.pose,
@@ -378,7 +337,7 @@ class _Replanning:
             if path is None or work.asked_to_stop():
                 break
             guess = path
-            with work.watch.timed("certify"):
+            with work.timed("certify"):
                 certificate = certify_path(path, problem, is_late=work.asked_to_stop)
             if certificate.certified:
                 plan = self._attempt("deformed", path, functools.partial(work.proven, path, path))
@@ -411,28 +370,23 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """The old plan, where it is still good; None where it is not.
-
-        Within the dock's tolerances the robot counts as docked, and the station stands as near as they allow: there it
-        is taken to stand where the plan ends.
-        """
+        """Return the old plan if it is still valid, with the station where it ends, within the dock's tolerances."""
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
         world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
-        found = self._goes_on(path, world) if self.drive.is_on_the_path else self._goes_back(path, world)
+        if self.drive.is_on_the_path:
+            found = prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
+        else:
+            found = self._goes_back(path, world)
         if found.way is None:
             return None
         tried, timing = tuple(self.tried), self._timing()
         running, plan = self.drive.plan.trajectory, self.drive.plan
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
-    def _goes_on(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Whether the rest of the path is clear for a robot that is on it."""
-        return prove_way(path.piece(min(self.drive.now.s, max(0.0, path.length - NO_WAY))), world)
-
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Whether the rest of the path is clear for a robot beside it, by the rule that the plan is proven by."""
+        """Prove the clearance of the rest of the path for a robot off it, by the rule of the plan's certificate."""
         pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
         now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))
@@ -447,7 +401,7 @@ class _Replanning:
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
-        """Whether the running plan, as fast as its clock runs, keeps every rule of the world now but clearance."""
+        """Whether the running plan, at the rate of its clock, keeps every rule of the world except clearance."""
         before, world, path, rate = self.drive.plan.problem, self.drive.world, self.drive.path, self.drive.state.rate
         if rate > 1.0:
             law = self.drive.plan.trajectory.time_law
@@ -466,7 +420,7 @@ class _Replanning:
         return holds and certify_motion(self.drive.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
-        """Braking along the running path: from the joint where that is proven, from now on otherwise."""
+        """Brake along the running path: from the joint if that is proven, otherwise from now on."""
         found: list[Replanned] = []
         for lead in (self.lead, delay):
             joint = self.drive.branch_point(lead)

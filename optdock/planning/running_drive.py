@@ -1,4 +1,4 @@
-"""A robot under way on its plan: where it is, and where it will be when another plan can take over."""
+"""A robot on its running plan: its state, the joint at which another plan can take over, and braking."""
 
 from __future__ import annotations
 
@@ -8,32 +8,41 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.verification import TOLERANCE, WayVerdict, pose_clearance, prove_way, unchanged_way
+from optdock.model.limits import SpeedZone
+from optdock.model.path import Path
+from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
+from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.timing.jerk_phases import DriveBounds, MotionState
+from optdock.timing.start_states import full_stop
+from optdock.verification import TOLERANCE, WayVerdict, certify_trajectory, pose_clearance, prove_way, unchanged_way
 
 if TYPE_CHECKING:
-    from optdock.model.path import Path
+    from optdock.model.limits import MotionLimits
     from optdock.model.problem import DockingProblem
     from optdock.planning.plan import DockPlan
+    from optdock.verification import TrajectoryCertificate
 
-__all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive"]
+__all__ = ["NO_WAY", "BranchPoint", "DriveState", "RunningDrive", "braking"]
 
-_AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
-_REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
-NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as in the certificate
+_REST_SOON = 0.1  # [s]: a rest that follows the joint within this time becomes the joint
+NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 
 
 class DriveState(NamedTuple):
-    """How far a robot is on the trajectory that it drives.
+    """Progress of a robot on its trajectory.
 
     Attributes:
-        time: Of the reference, on the trajectory's own clock [s].
-        rate: How fast that clock runs, 1 where the robot keeps up [1].
-        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
-            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
-        moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
-            `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
-        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
+        time: Time of the reference on the trajectory's own clock [s].
+        rate: Rate of that clock, 1 at the planned speed [1].
+        pose: Measured pose at that time; None: on the trajectory. Within the tube around the running path the
+            controller corrects the error, and a new plan begins on that path; outside it begins at the pose of the
+            robot.
+        moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, for a robot that
+            steers by a dock detected at another place. None: identity.
+        is_filtered: Whether `pose` is an estimate accurate enough for a new plan to begin there in any case.
     """
 
     time: float
@@ -44,10 +53,10 @@ class DriveState(NamedTuple):
 
 
 class BranchPoint(NamedTuple):
-    """A place on the running trajectory, and the robot there.
+    """A place on the running trajectory, and the state of the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, from where the robot will be; None: nothing is left.
+    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: nothing remains.
     """
 
     time: float
@@ -65,15 +74,10 @@ class BranchPoint(NamedTuple):
 
 
 class RunningDrive:
-    """The rest of a running plan, for a robot that is somewhere on it or beside it.
-
-    Args:
-        plan: The running plan.
-        world: The problem as it is now.
-        state: How far the robot is.
+    """The rest of a running plan in the current problem `world`, for a robot on the plan or off it.
 
     Attributes:
-        ahead: The running path, or that path moved as a whole to where the robot is: what is ahead of the robot.
+        ahead: The path ahead: the running path, or that path moved as a whole to the robot.
         now: The robot on it.
     """
 
@@ -86,28 +90,28 @@ class RunningDrive:
 
     @functools.cached_property
     def path(self) -> Path:
-        """The running path, where it is being followed."""
+        """The running path, at its current place."""
         path, moved = self.plan.path, self.state.moved
         return path if moved is None else path.moved(moved)
 
     def move_ahead(self) -> None:
-        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
+        """Move the path ahead as a whole to the measured pose of the robot."""
         assert self.state.pose is not None
         self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
         self.now = self.branch_point(0.0)
 
     @functools.cached_property
     def reference(self) -> Pose2:
-        """Where the running trajectory has the robot."""
+        """The pose of the running trajectory."""
         return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
     @functools.cached_property
     def is_on_the_path(self) -> bool:
-        """Whether the robot is there."""
+        """Whether the robot is at that pose."""
         return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
 
     def is_in_tube(self, place: Pose2) -> bool:
-        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
+        """Whether the tube around a drive that begins at a place of the path covers the robot."""
         pose, footprint = self.state.pose, self.world.robot.footprint
         assert pose is not None
         off = footprint.displacement(pose, self.reference)
@@ -117,7 +121,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
+        """Return the state in `lead` seconds; in a turn in place, or shortly before a rest, the state at that rest."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -125,7 +129,7 @@ class RunningDrive:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
-        if s > length - NO_WAY:  # its last micrometre is a millisecond
+        if s > length - NO_WAY:  # the last micrometre takes a millisecond
             time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
@@ -137,11 +141,11 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
+        """Return the time; in a turn in place or shortly before a rest, the time of that rest."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
-            return time  # a clock that stands never comes to any other
+            return time  # the clock stands
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             return self._steered(time)
         turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
@@ -150,7 +154,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """The time itself; or, where the robot rests until its wheels are turned, when they are."""
+        """Return the time; while the robot rests until its wheels are turned, the end of that rest."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest
@@ -160,7 +164,7 @@ class RunningDrive:
         return rest
 
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
-        """Whether the way from here to the joint is proven to be clear; None: there is none."""
+        """Prove the clearance of the way from here to the joint; None if they coincide."""
         now = self.now
         if now.rest is None or joint.s - now.s <= NO_WAY:
             return None
@@ -171,11 +175,56 @@ class RunningDrive:
         return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
-        """The problem of a robot at the joint."""
+        """Return the problem of a robot at the joint."""
         limits = self.world.robot.limits
-        turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
+        turning = self._steered(joint.time) > joint.time  # with a standing clock the wheels stay turned
         free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
         curvature = None
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
         return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
+
+
+# Shares of the deceleration to try: in a bend the yaw acceleration may allow no more.
+_BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
+_STILL = 0.1  # [s]: duration of the motion of a standing robot
+
+
+def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
+    """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
+
+    Returns the trajectory, and the certificate of its motion, which may be negative.
+    """
+    state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
+    # A tenth of the certificate's tolerance: the path of a robot that stands.
+    standing = ClothoidSegment(ClothoidSpline(joint.pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2)))
+    still = Trajectory(Path((standing,), frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
+    if joint.rest is None or joint.rests:
+        return still, certify_trajectory(still, limits, SpeedZone())
+    first = None
+    for share in _BRAKING:
+        if joint.gear == 0:
+            rate, most, jerk = (TURN_RADIUS * limit for limit in limits.turning)
+            bounds = DriveBounds(rate, most, share * most, jerk)
+        else:
+            most = share * limits.max_deceleration
+            bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
+        phases = np.array(full_stop(state, bounds))
+        if state.a < 0.0 < state.v and state.a**2 > 2.0 * state.v * bounds.jerk:
+            jerk = state.a**2 / (2.0 * state.v)  # the least jerk without rolling back
+            phases = np.array([[-state.a / jerk, jerk]])
+        law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
+        length = float(law.states[-1, 0])
+        segment = joint.rest.segments[0]
+        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a jump is not certified
+            motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
+            return still, motion
+        if length > segment.length - NO_WAY:  # the braking ends at the cusp
+            length = segment.length
+        trajectory = Trajectory(joint.rest.piece(0.0, length), law)
+        motion = certify_trajectory(trajectory, limits, SpeedZone())
+        first = first or (trajectory, motion)
+        if motion.certified:
+            return trajectory, motion
+    assert first is not None
+    return first

@@ -67,7 +67,7 @@ def test_it_leads_from_the_start_to_the_goal_within_the_bounds_and_straight_at_t
 
 
 @given(PATHS)
-def test_what_leads_there_already_is_not_changed(path):
+def test_path_that_fits_is_not_changed(path):
     found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT)
     s = np.linspace(0.0, path.length, 200)
     np.testing.assert_allclose(found.poses_at(s), path.poses_at(s), atol=1e-9)
@@ -84,7 +84,7 @@ def test_it_does_not_matter_where_the_world_has_its_origin(path, at_goal, turn, 
     assert there.length == pytest.approx(here.length, abs=1e-6)
 
 
-def test_a_change_is_linear_while_it_is_small():
+def test_change_is_linear_while_it_is_small():
     path = Path((s_curve(),))
     s = np.linspace(0.0, 2.0, 50)
     one, two = (
@@ -95,7 +95,7 @@ def test_a_change_is_linear_while_it_is_small():
     np.testing.assert_allclose(two - was, 2.0 * (one - was), atol=2e-4)
 
 
-def test_a_push_moves_the_robot_off_and_the_end_stays():
+def test_push_moves_the_robot_off_and_the_end_stays():
     path, body = Path((s_curve(),)), Footprint.rectangle(0.4, 0.4, 0.6).bodies[0]
     beside = path.pose_at(1.0) @ Pose2(0.1, -0.42, 0.0)
     piece = ObstacleSet.from_polygons(
@@ -126,7 +126,7 @@ def test_at_speed_the_curvature_begins_to_change_as_fast_as_the_robot_can_turn()
     assert free.end.gap_to(goal) <= 1e-6
 
 
-def test_what_the_bounds_leave_no_room_for_is_none():
+def test_none_if_the_bounds_allow_no_path():
     path = Path((s_curve(),)).piece(1.4)
     assert deformed(path, path.start, path.end @ Pose2(0.0, 0.3, 0.0), LIMITS, final_straight=STRAIGHT) is None
     assert deformed(path.piece(0.7), path.pose_at(0.7), path.end, LIMITS, final_straight=STRAIGHT) is None
@@ -134,7 +134,7 @@ def test_what_the_bounds_leave_no_room_for_is_none():
     assert deformed(lane, lane.start, lane.end, LIMITS) is None
 
 
-def test_the_piece_of_a_path_is_that_path():
+def test_piece_of_a_path_is_that_path():
     for path in (two_gears(), with_a_turn(), Path.from_poses(two_gears().sample(0.05).poses)):
         for begin, end in ((0.0, path.length), (0.3, 3.0), (2.3, 3.1), (1.0, 1.2)):
             part = path.piece(begin, end)
@@ -143,7 +143,7 @@ def test_the_piece_of_a_path_is_that_path():
             assert part.length == pytest.approx(end - begin, abs=1e-9)
 
 
-def test_a_moved_path_has_moved_poses():
+def test_moved_path_has_moved_poses():
     move = Pose2(3.0, -1.0, math.pi / 3)
     for path in (two_gears(), with_a_turn(), Path.from_poses(two_gears().sample(0.05).poses)):
         s = np.linspace(0.0, path.length, 50)

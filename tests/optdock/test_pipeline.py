@@ -22,7 +22,6 @@ from optdock.errors import (
     NoValidPathCouldBeFound,
     OptdockError,
     PlannerCancelled,
-    PlannerTimedOut,
     PluginError,
     SmootherCancelled,
     SmootherTimedOut,
@@ -83,9 +82,13 @@ def problem(**changes):
     return DockingProblem(**{"start": Pose2(0.5, 0.3, 0.3), "dock": dock(), "robot": ROBOT, **changes})
 
 
-def test_a_plan_is_certified_and_every_part_of_it_holds():
-    task = problem()
-    plan = plan_dock(task, time_budget=BUDGET)
+@pytest.fixture(scope="module")
+def plain():
+    return plan_dock(problem(), time_budget=BUDGET)
+
+
+def test_plan_is_certified_and_every_part_of_it_holds(plain):
+    task, plan = problem(), plain
     assert plan.certificate.certified
     assert plan.completed
     assert certify_path(plan.path, task).certified
@@ -94,7 +97,7 @@ def test_a_plan_is_certified_and_every_part_of_it_holds():
     assert set(plan.timing_ms) == {"plan", "smooth", "certify", "time", "first", "total"}
 
 
-def test_the_raw_path_breaks_what_the_smoothed_one_keeps():
+def test_raw_path_breaks_what_the_smoothed_one_keeps():
     task = problem(start=Pose2(0.5, 0.3, -0.4))
     plan = plan_dock(task, time_budget=BUDGET)
     raw = {violation.kind for violation in certify_path(plan.raw_path, task).violations}
@@ -102,23 +105,17 @@ def test_the_raw_path_breaks_what_the_smoothed_one_keeps():
     assert certify_path(plan.path, task).violations == ()
 
 
-@pytest.mark.parametrize("frame", [Pose2(0, 0, 0), Pose2(20.0, -3.0, 2.0), Pose2(-5.0, 40.0, -1.0)])
-def test_the_frame_does_not_matter(frame):
-    task = problem(start=frame @ Pose2(0.5, 0.3, 0.3), dock=dock(pose=frame @ GOAL))
-    plan = plan_dock(task, time_budget=BUDGET, planner="DockPlanner")
-    plain = plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner")
-    assert plan.path.length == pytest.approx(plain.path.length, rel=1e-4)
-    assert plan.trajectory.duration == pytest.approx(plain.trajectory.duration, rel=1e-3)
+def test_plan_is_independent_of_the_frame_and_symmetric(plain):
+    frame = Pose2(-5.0, 40.0, -1.0)
+    moved = problem(start=frame @ Pose2(0.5, 0.3, 0.3), dock=dock(pose=frame @ GOAL))
+    mirrored = problem(start=Pose2(0.5, 1.7, -0.3))
+    for plan in (plan_dock(task, time_budget=BUDGET) for task in (moved, mirrored)):
+        assert plan.path.length == pytest.approx(plain.path.length, rel=1e-4)
+        assert plan.trajectory.duration == pytest.approx(plain.trajectory.duration, rel=1e-3)
+        assert plan.certificate.max_curvature == pytest.approx(plain.certificate.max_curvature, abs=1e-2)
 
 
-def test_a_mirrored_problem_has_the_mirrored_plan():
-    mirrored = plan_dock(problem(start=Pose2(0.5, 1.7, -0.3)), time_budget=BUDGET)
-    plain = plan_dock(problem(), time_budget=BUDGET)
-    assert mirrored.path.length == pytest.approx(plain.path.length, rel=1e-4)
-    assert mirrored.certificate.max_curvature == pytest.approx(plain.certificate.max_curvature, abs=1e-2)
-
-
-def test_the_robot_backs_into_a_dock_behind_it():
+def test_robot_backs_into_a_dock_behind_it():
     rear = Footprint(STATION.vertices * [-1.0, 1.0])
     task = problem(start=Pose2(7.0, 1.5, 0.2), dock=dock(footprint=rear))
     plan = plan_dock(task, time_budget=BUDGET)
@@ -138,26 +135,16 @@ def wall(x0, y0, x1, y1):
     return ObstacleSet.from_polygons([[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
 
 
-@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
-def test_a_budget_is_a_positive_number(budget):
-    with pytest.raises(InvalidValue, match="time_budget: must be finite and > 0 s"):
-        plan_dock(problem(), time_budget=budget)
-
-
-def test_a_budget_beyond_all_floats_is_refused():
+@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf, 10**400])
+def test_budget_is_a_positive_number(budget):
     with pytest.raises(InvalidValue, match="time_budget: must be finite"):
-        plan_dock(problem(), time_budget=10**400)
+        plan_dock(problem(), time_budget=budget)
 
 
 @pytest.mark.parametrize("lower", [[0.0, 0.0], [[0.0, 0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]], [[math.nan, 0.0]]])
 def test_corners_of_rectangles_come_in_pairs(lower):
     with pytest.raises(InvalidValue, match="posts"):
         ObstacleSet.from_rectangles(np.array(lower), np.array([[1.0, 1.0]]), "posts")
-
-
-def test_a_budget_too_small_for_anything_is_a_time_out():
-    for budget in (1e-9, 1e-6):
-        assert type(failure(problem(), time_budget=budget)) in (PlannerTimedOut, SmootherTimedOut)
 
 
 def test_start_in_collision():
@@ -190,20 +177,20 @@ def test_goal_closer_than_required_at_the_dock():
         ),
     ],
 )
-def test_a_clearance_that_forbids_to_touch_the_station_is_told_with_the_one_that_does_not(rule, in_file, in_python):
+def test_message_suggests_a_clearance_that_allows_contact_with_the_station(rule, in_file, in_python):
     said = str(failure(problem(clearance=rule)))
     assert f"clearance holds at the dock too; give {in_file} (in Python: {in_python})" in said
     asked = eval(in_python, {"ClearanceRule": ClearanceRule})  # the advice as it stands
     assert plan_dock(problem(clearance=asked)).certificate.certified
 
 
-def test_no_other_clearance_is_advised_where_something_else_is_too_close():
+def test_no_clearance_is_suggested_for_other_obstacles():
     said = str(failure(problem(obstacles=wall(3.8, 1.302, 4.2, 1.5), clearance=ClearanceRule(0.05, 0.004))))
     assert "obstacles[0]" in said
     assert "holds at the dock" not in said
 
 
-def test_unknown_cells_are_called_so_and_keep_their_name_in_data():
+def test_unknown_cells_are_named_in_message_and_data():
     cells = np.zeros((80, 120), dtype=np.uint8)
     cells[40:44, 20:24] = 255
     error = failure(problem(start=Pose2(1.1, 1.1, 0.0), obstacles=[], costmap=Costmap(cells, 0.05, (0.0, -1.0))))
@@ -218,7 +205,7 @@ def test_start_too_close_to_the_dock():
     assert plan_dock(problem(start=Pose2(3.7, 1.0, 0.0)), time_budget=BUDGET).certificate.certified
 
 
-def test_a_dock_direction_that_contradicts_the_start():
+def test_dock_direction_that_contradicts_the_start():
     wrong = problem(dock=dock(direction=DockDirection.BACKWARD))
     assert isinstance(failure(wrong, planner="DockPlanner"), NoValidPathCouldBeFound)
     assert isinstance(failure(wrong), NoMotionExists | NoValidPathCouldBeFound)  # the station stands behind the dock
@@ -232,7 +219,7 @@ def test_ends_off_the_map():
     assert isinstance(failure(problem(dock=dock(pose=Pose2(6.0, 1.0, 0.0)), costmap=costmap)), GoalOutsideMapBounds)
 
 
-def test_a_costmap_alone_is_an_obstacle():
+def test_costmap_alone_is_an_obstacle():
     free = Costmap(np.zeros((160, 160), dtype=np.uint8), 0.05, (-1.0, -4.0))
     cells = np.array(free.data)
     cells[:, 60:66] = 254  # x from 2.0 to 2.3 m, right across
@@ -243,7 +230,7 @@ def test_a_costmap_alone_is_an_obstacle():
     assert "no motion joins start and goal" in str(error)
 
 
-def test_a_curvature_the_robot_cannot_drive():
+def test_curvature_the_robot_cannot_drive():
     stiff = Robot(ROBOT.footprint, dataclasses.replace(LIMITS, max_curvature=0.05))
     error = failure(problem(start=Pose2(2.0, 0.0, 1.0), robot=stiff), planner="DockPlanner")
     assert isinstance(error, FailedToSmoothPath)
@@ -251,13 +238,7 @@ def test_a_curvature_the_robot_cannot_drive():
     assert error.where["reason"]
 
 
-def test_a_blocked_way():
-    task = problem(obstacles=wall(2.0, -5.0, 2.3, 6.0))
-    assert isinstance(failure(task, planner="DockPlanner"), FailedToSmoothPath | NoMotionExists)
-    assert plan_dock(task, time_budget=BUDGET).certificate.certified  # around the wall
-
-
-def test_a_start_too_fast_to_stop():
+def test_start_too_fast_to_stop():
     hasty = problem(start=Pose2(2.9, 1.0, 0.0), start_speed=2.0, start_curvature=0.0)
     error = failure(hasty, planner="DockPlanner")
     assert isinstance(error, FailedToTimePath)
@@ -265,7 +246,7 @@ def test_a_start_too_fast_to_stop():
     assert error.partial.path is not None
 
 
-def test_a_motion_begins_with_the_acceleration_that_the_robot_has():
+def test_motion_begins_with_the_acceleration_that_the_robot_has():
     for acceleration in (0.3, -0.4):
         task = problem(start_speed=0.3, start_curvature=0.0, start_acceleration=acceleration)
         plan = plan_dock(task, planner="DockPlanner", time_budget=BUDGET)
@@ -276,7 +257,7 @@ def test_a_motion_begins_with_the_acceleration_that_the_robot_has():
         assert not certify_motion(plan.trajectory, other).certified
 
 
-def test_an_acceleration_that_cannot_be_kept_is_refused_by_name():
+def test_acceleration_that_cannot_be_kept_is_refused_by_name():
     for speed, acceleration, status in ((0.01, -0.5, "BAD_START"), (0.3, 0.9, "START_INFEASIBLE")):
         task = problem(start_speed=speed, start_curvature=0.0, start_acceleration=acceleration)
         error = failure(task, planner="DockPlanner")
@@ -284,7 +265,7 @@ def test_an_acceleration_that_cannot_be_kept_is_refused_by_name():
         assert error.where["status"] == status
 
 
-def test_an_unknown_plugin_is_named():
+def test_unknown_plugin_is_named():
     assert isinstance(failure(problem(), smoother="CasadiSmother"), PluginError)
 
 
@@ -295,7 +276,7 @@ def test_an_unknown_plugin_is_named():
         (PluginChoice("NearOptimal", {"steep": 0.1}), InvalidValue, "NearOptimal.steep: unknown parameter"),
     ],
 )
-def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, message):
+def test_wrong_choice_of_timing_is_not_replaced(choice, error, message):
     found = failure(problem(), timing=choice)
     assert isinstance(found, error)
     assert message in str(found)
@@ -316,13 +297,9 @@ def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, mess
         (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
     ],
 )
-def test_what_is_no_request_is_refused_by_name(ask, message):
+def test_invalid_arguments_are_refused_by_name(ask, message):
     with pytest.raises(InvalidValue, match=message):
         ask()
-
-
-def test_cancelling_stops_the_planner():
-    assert isinstance(failure(problem(), cancel_checker=lambda: True), PlannerCancelled)
 
 
 class Liar(Smoother):
@@ -332,14 +309,14 @@ class Liar(Smoother):
         return SmoothingResult(path)
 
 
-def test_a_smoother_is_never_believed():
+def test_uncertified_result_of_a_smoother_is_refused():
     error = failure(problem(start=Pose2(0.5, 0.3, -0.4)), planner="DockPlanner", smoother=Liar())
     assert isinstance(error, CertificationFailed)
     assert error.partial.certificate is not None
     assert not error.partial.certificate.certified
 
 
-def test_the_smoother_time_out_is_passed_on():
+def test_smoother_time_out_is_passed_on():
     class Slow(Liar):
         def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
             raise SmootherTimedOut("too slow")
@@ -409,7 +386,7 @@ class Kicked(TimeParameterizer):
         (Empty, "must return a Trajectory as the trajectory of its result, got str"),
     ],
 )
-def test_a_timing_plugin_is_never_believed_and_never_the_end(timing, why):
+def test_wrong_result_of_a_timing_plugin_is_replaced(timing, why):
     plan = plan_dock(problem(), time_budget=BUDGET, timing=timing())
     assert plan.trajectory.path is plan.path
     assert plan.trajectory_certificate.certified
@@ -417,7 +394,7 @@ def test_a_timing_plugin_is_never_believed_and_never_the_end(timing, why):
     assert why in plan.timing_report.replaced
 
 
-def test_whatever_a_plugin_raises_is_typed(monkeypatch):
+def test_wrong_types_from_a_plugin_raise_plugin_errors(monkeypatch):
     class Careless(Liar):
         def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
             return path.segments[99]
@@ -439,7 +416,7 @@ class Elsewhere(Path):
         return super().poses_at(s) + 1.0
 
 
-def test_a_path_that_overrides_its_poses_is_never_handed_out():
+def test_path_subclasses_of_plugins_are_replaced_by_plain_paths():
     class Planner(DockPlanner):
         def create_plan(self, start, goal, cancel_checker=never_cancelled):
             return Elsewhere(super().create_plan(start, goal, cancel_checker).segments)
@@ -480,7 +457,7 @@ def test_cancelling_stops_every_stage():
     asked = Patience(10**9)
     plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner", cancel_checker=asked)
     total = 10**9 - asked.left
-    counts = [*range(1, total + 1, 3), total]
+    counts = [*range(1, total + 1, 5), total]
     seen = {type(failure(problem(), planner="DockPlanner", cancel_checker=Patience(times))) for times in counts}
     assert seen == {PlannerCancelled, SmootherCancelled, TimingCancelled}
     assert all(issubclass(kind, Cancelled) for kind in seen)
@@ -494,11 +471,12 @@ class Unproven(CasadiSmoother):
         return dataclasses.replace(found, path=Path(found.path.segments, found.path.frame))
 
 
-def test_one_yes_cancels_though_it_is_taken_back():
+def test_cancelling_is_final():
     asked = Patience(10**9)
     plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner", cancel_checker=asked)
     total = 10**9 - asked.left
-    for smoother, times in itertools.product((CasadiSmoother, Unproven), range(total)):
+    cases = [(kind, times) for k, kind in enumerate((CasadiSmoother, Unproven)) for times in range(2 * k, total, 4)]
+    for smoother, times in cases:
         answers = itertools.chain(itertools.repeat(False, times), [True], itertools.repeat(False))
         asks = {"planner": "DockPlanner", "smoother": smoother(), "cancel_checker": lambda a=answers: next(a)}
         error = failure(problem(), **asks)
@@ -513,7 +491,7 @@ class Once(CasadiSmoother):
         raise ZeroDivisionError
 
 
-def test_a_plugin_that_failed_is_free_again():
+def test_plugin_can_be_used_again_after_a_failure():
     smoother = Once()
     assert isinstance(failure(problem(), smoother=smoother), PluginError)
     assert smoother.state is LifecycleState.UNCONFIGURED
@@ -529,7 +507,7 @@ class Relabelled(Windowed):
         return dataclasses.replace(found, trajectory=motion)
 
 
-def test_a_plan_follows_its_own_path_whatever_path_a_plugin_returns():
+def test_plan_uses_its_certified_path():
     task = problem()
     plan = plan_dock(task, time_budget=BUDGET, timing=Relabelled())
     assert plan.trajectory.path is plan.path
@@ -541,7 +519,7 @@ class Interrupted(Exception):
     """The caller's own."""
 
 
-def test_what_a_cancel_checker_raises_is_the_callers_own():
+def test_exception_of_the_cancel_checker_is_passed_on():
     asked = Patience(10**9)
     plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
     total = 10**9 - asked.left
@@ -571,8 +549,8 @@ class Raising:
         ("timing", Windowed, "parameterize"),
     ],
 )
-@pytest.mark.parametrize("error", [Interrupted("mine"), KeyboardInterrupt(), InvalidValue("mine")], ids=repr)
-def test_a_plugin_that_swallows_what_the_cancel_checker_raises_does_not_hide_it(role, kind, method, error):
+def test_exception_of_the_cancel_checker_is_passed_on_if_a_plugin_suppresses_it(role, kind, method):
+    error = {"planner": Interrupted("mine"), "smoother": KeyboardInterrupt(), "timing": InvalidValue("mine")}[role]
     checker, swallowing = Raising(error), kind()
     honest = getattr(swallowing, method)
 
@@ -591,9 +569,10 @@ def test_a_plugin_that_swallows_what_the_cancel_checker_raises_does_not_hide_it(
     assert swallowing.state is LifecycleState.UNCONFIGURED
 
 
-@pytest.mark.parametrize("error", [ZeroDivisionError("oh"), KeyError("oh"), RecursionError("oh"), OSError("oh")])
-@pytest.mark.parametrize("role", ["planner", "smoother"])
-def test_whatever_a_plugin_raises_is_the_cause_of_its_error(role, error):
+@pytest.mark.parametrize(
+    ("role", "error"), [("planner", KeyError("oh")), ("smoother", RecursionError("oh")), ("smoother", OSError("oh"))]
+)
+def test_exception_of_a_plugin_is_the_cause_of_the_plugin_error(role, error):
     class Faulty(GlobalPlanner, Smoother):
         def create_plan(self, start, goal, cancel_checker=never_cancelled):
             raise error
@@ -608,7 +587,7 @@ def test_whatever_a_plugin_raises_is_the_cause_of_its_error(role, error):
 
 
 @pytest.mark.parametrize("hook", ["on_configure", "on_cleanup"])
-def test_what_a_plugin_raises_while_it_is_configured_or_let_go_is_its_error_too(hook):
+def test_exception_in_a_plugin_hook_raises_a_plugin_error(hook):
     error = ZeroDivisionError("oh")
 
     def fail(self):
@@ -629,7 +608,7 @@ class Mistaken(GlobalPlanner, Smoother):
         return SmoothingResult(Path(path.segments, "elsewhere"))
 
 
-def test_an_invalid_value_of_a_plugin_is_the_plugins_error():
+def test_invalid_value_of_a_plugin_is_the_plugins_error():
     for error in (failure(problem(), planner=Mistaken()), failure(problem(), smoother=Mistaken())):
         assert type(error) is PluginError
         assert str(error).startswith("Mistaken ")
@@ -648,7 +627,7 @@ def test_plugins_are_names_or_objects_and_give_the_same_plan():
 
 
 @pytest.mark.parametrize("role", ["planner", "smoother", "timing"])
-def test_a_plugin_that_serves_somebody_else_is_refused(role):
+def test_configured_plugin_is_refused(role):
     plugin = {"planner": DockPlanner, "smoother": CasadiSmoother, "timing": Windowed}[role]()
     plugin.configure(PluginContext(problem=problem()))
     error = failure(problem(), **{role: plugin})
@@ -656,7 +635,7 @@ def test_a_plugin_that_serves_somebody_else_is_refused(role):
     assert plugin.context.problem is not None
 
 
-def test_a_plan_helps_to_make_the_next_one():
+def test_warm_start_reduces_iterations():
     first = plan_dock(problem(), time_budget=BUDGET)
     nearby = problem().starting_at(first.path.pose_at(0.4))
     for earlier in (first, first.path):

@@ -35,7 +35,7 @@ def plan():
 
 
 @pytest.mark.parametrize("kind", [str, FilePath])
-def test_a_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
+def test_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
     target = kind(tmp_path / "plans" / "one.json")
     plan.save(target)
     loaded = DockPlan.load(target, PROBLEM)
@@ -48,7 +48,7 @@ def test_a_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
     assert loaded.timing_ms == plan.timing_ms
 
 
-def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
+def test_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
     plan.save(tmp_path / "plan.json")
     blocked = dataclasses.replace(PROBLEM, obstacles=[[(-1.2, -0.1), (-1.0, -0.1), (-1.0, 0.1), (-1.2, 0.1)]])
     with pytest.raises(CertificationFailed, match="for this problem the path is not certified: .*obstacles") as caught:
@@ -62,7 +62,7 @@ def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
         DockPlan.load(tmp_path / "plan.json", dataclasses.replace(PROBLEM, frame="odom"))
 
 
-def test_a_loaded_motion_begins_as_the_robot_does(plan, tmp_path):
+def test_loaded_motion_begins_as_the_robot_does(plan, tmp_path):
     plan.save(tmp_path / "plan.json")
     rolling = dataclasses.replace(PROBLEM, start_speed=0.1)
     with pytest.raises(CertificationFailed, match="begins with speed 0, the robot has 0.1"):
@@ -80,7 +80,7 @@ def test_a_loaded_motion_begins_as_the_robot_does(plan, tmp_path):
 
 
 @pytest.mark.parametrize("missing", ["raw_path", "path", "time_law"])
-def test_a_file_without_a_whole_plan_is_none(plan, tmp_path, missing):
+def test_file_without_a_complete_plan_is_refused(plan, tmp_path, missing):
     save_plan(tmp_path / "part.json", dataclasses.replace(plan.as_file(), **{missing: None}))
     with pytest.raises(InvalidFile, match=r"part.json: holds no .*, so there is no plan to prove"):
         DockPlan.load(tmp_path / "part.json", PROBLEM)
@@ -110,7 +110,7 @@ def test_its_motion_is_written_as_a_table_with_units(plan, tmp_path):
         plan.save_csv(tmp_path)
 
 
-def test_a_notebook_shows_it_and_without_matplotlib_its_line(plan, monkeypatch):
+def test_notebook_picture_needs_matplotlib(plan, monkeypatch):
     assert plan._repr_png_().startswith(b"\x89PNG")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert plan._repr_png_() is None
@@ -118,7 +118,7 @@ def test_a_notebook_shows_it_and_without_matplotlib_its_line(plan, monkeypatch):
         plan.show()
 
 
-def test_a_window_is_opened(plan, monkeypatch):
+def test_window_is_opened(plan, monkeypatch):
     import matplotlib.pyplot as plt
 
     shown = []
@@ -130,20 +130,20 @@ def test_a_window_is_opened(plan, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", [str, FilePath])
-def test_a_plan_draws_itself(plan, tmp_path, kind):
+def test_plan_draws_itself(plan, tmp_path, kind):
     plan.plot(kind(tmp_path / "plan.png"))
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InvalidValue, match="must end in one of"):
         plan.plot(kind(tmp_path / "plan.txt"))
 
 
-def test_without_matplotlib_it_says_what_to_install(plan, tmp_path, monkeypatch):
+def test_missing_matplotlib_is_named(plan, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtra, match="optdock\\[plot\\]"):
         plan.plot(tmp_path / "plan.png")
 
 
-def test_a_plan_in_a_line(plan):
+def test_str_of_a_plan(plan):
     length, seconds = plan.path.length, plan.trajectory.duration
     closest, total = plan.certificate.min_clearance, plan.timing_ms["total"]
     where = f"closest {closest:.3f} m to obstacles[0]"
@@ -154,7 +154,7 @@ def test_a_plan_in_a_line(plan):
     assert "closest" not in str(alone)
 
 
-def test_what_exists_of_a_plan_in_a_line(plan):
+def test_repr_of_a_partial_plan(plan):
     assert repr(PartialPlan()) == "<PartialPlan with nothing>"
     assert repr(PartialPlan(plan.raw_path, timing_ms={"total": 3.25})) == "<PartialPlan with raw_path after 3.2 ms>"
     assert PartialPlan.left_by(OptdockError("never begun")).raw_path is None

@@ -87,8 +87,8 @@ def assert_lawful(found):
 
 @pytest.mark.parametrize("drive", list(Drive))
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.35, 0.6])
-def test_a_new_plan_begins_where_the_running_one_is_as_it_drives(sign, drive, share):
+@pytest.mark.parametrize("share", [0.0, 0.35])
+def test_new_plan_begins_where_the_running_one_is_as_it_drives(sign, drive, share):
     plan = running(sign, drive)
     goal = moved(plan, 0.02, -0.02, 0.02)
     found = replan(plan, goal, DriveState(share * plan.trajectory.duration), BUDGET, lead=LEAD)
@@ -107,7 +107,7 @@ def test_a_new_plan_begins_where_the_running_one_is_as_it_drives(sign, drive, sh
     shift=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.09, 0.09)),
     sign=st.sampled_from([1, -1]),
 )
-def test_whatever_is_asked_nothing_jumps_and_what_is_said_is_true(share, rate, shift, sign):
+def test_random_replans_are_continuous_and_proven(share, rate, shift, sign):
     plan = running(sign)
     state = DriveState(share * plan.trajectory.duration, rate)
     found = replan(plan, moved(plan, *shift), state, 0.05, lead=LEAD)
@@ -134,9 +134,8 @@ def commands(running, found, rate, period):
     return [np.concatenate((scale * first, second)) for first, second, scale in scaled]
 
 
-@pytest.mark.parametrize("rate", [1.0, 0.6])
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
-def test_across_the_joint_no_step_of_speed_or_acceleration_is_more_than_the_limits_allow(share, rate):
+@pytest.mark.parametrize(("share", "rate"), [(0.05, 0.6), (0.2, 1.0), (0.5, 0.6)])
+def test_limits_hold_across_the_joint(share, rate):
     plan, period = running(), 0.002
     state = DriveState(share * plan.trajectory.duration, rate)
     found = replan(plan, moved(plan, 0.03, 0.02, -0.02), state, BUDGET, lead=LEAD)
@@ -147,7 +146,7 @@ def test_across_the_joint_no_step_of_speed_or_acceleration_is_more_than_the_limi
     assert np.abs(np.diff(acceleration)).max() <= 1.01 * period * LIMITS.max_jerk
 
 
-def test_an_offset_of_the_robot_is_carried_to_the_joint():
+def test_offset_of_the_robot_is_carried_to_the_joint():
     plan, offset = running(), Pose2(0.01, 0.04, 0.03)
     measured = plan.trajectory.at(2.0).pose @ offset
     found = replan(plan, plan.problem.goal, DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
@@ -158,7 +157,7 @@ def test_an_offset_of_the_robot_is_carried_to_the_joint():
     assert_lawful(found)
 
 
-def test_a_new_plan_begins_where_the_robot_is_however_near_to_its_plan_that_is():
+def test_new_plan_begins_at_the_robot_for_any_offset():
     plan = running()
     reference = plan.trajectory.at(2.0).pose
     for off in (1e-7, 1e-4, 0.005):
@@ -170,7 +169,7 @@ def test_a_new_plan_begins_where_the_robot_is_however_near_to_its_plan_that_is()
         assert found.way.pose.gap_to(measured) <= 1e-6
 
 
-def test_a_trajectory_that_was_moved_as_a_whole_goes_on_where_it_was_moved_to():
+def test_moved_trajectory_continues_at_its_new_place():
     plan, by = running(), Pose2(0.03, -0.02, 0.05)
     dock = by @ plan.problem.goal @ Pose2(0.0, 0.03, 0.0)
     found = replan(plan, dock, DriveState(2.0, moved=by), BUDGET, lead=LEAD)
@@ -179,7 +178,7 @@ def test_a_trajectory_that_was_moved_as_a_whole_goes_on_where_it_was_moved_to():
     assert found.plan.path.end.gap_to(dock) <= 1e-6
 
 
-def test_a_way_around_a_new_obstacle():
+def test_way_around_a_new_obstacle():
     plan = running()
     s = 0.45 * plan.path.length
     beside = plan.path.pose_at(s) @ Pose2(0.0, -0.42, 0.0)
@@ -191,7 +190,7 @@ def test_a_way_around_a_new_obstacle():
     assert_lawful(found)
 
 
-def test_a_wall_across_the_way_ends_in_a_stop_whose_way_is_proven():
+def test_wall_across_the_way_ends_in_a_stop_whose_way_is_proven():
     plan = running()
     s = float(plan.trajectory.sample_at(3.0).s[0])
     world = with_obstacle(plan, plan.path.pose_at(s + 1.0))
@@ -208,7 +207,7 @@ def test_a_wall_across_the_way_ends_in_a_stop_whose_way_is_proven():
     assert "clearance" not in {fault.bound for fault in dense_check(driven, there).faults}
 
 
-def test_what_pops_up_before_the_joint_stops_the_robot_at_once():
+def test_obstacle_before_the_joint_stops_the_robot_at_once():
     """Just before the nose: not even the stop can be proven, and is the quickest there is."""
     plan = running()
     s = float(plan.trajectory.sample_at(3.0).s[0])
@@ -225,7 +224,7 @@ def test_what_pops_up_before_the_joint_stops_the_robot_at_once():
     assert least <= found.trajectory.path.length <= least + 0.15 * state.twist.linear
 
 
-def test_the_last_centimetres_are_kept_where_the_plan_ends_well_enough():
+def test_plan_is_kept_on_the_final_straight_within_the_tolerances():
     plan = running()
     late = plan.trajectory.duration - 0.4
     kept = replan(plan, moved(plan, 0.004, 0.006, 0.01), DriveState(late), BUDGET, lead=LEAD)
@@ -236,7 +235,7 @@ def test_the_last_centimetres_are_kept_where_the_plan_ends_well_enough():
     assert gone.outcome is not ReplanOutcome.KEPT
 
 
-def test_a_plan_that_is_too_fast_for_the_robot_as_it_is_now_is_not_kept():
+def test_plan_beyond_new_limits_is_not_kept():
     plan = running()
     slower = dataclasses.replace(LIMITS, max_speed=0.1)
     world = dataclasses.replace(plan.problem, robot=Robot(OUTLINE, slower))
@@ -254,7 +253,7 @@ def looking():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
-def test_a_new_plan_keeps_the_dock_in_view(share):
+def test_new_plan_keeps_the_dock_in_view(share):
     plan = looking()
     found = replan(
         plan, moved(plan, 0.02, -0.03, 0.02), DriveState(share * plan.trajectory.duration), BUDGET, lead=LEAD
@@ -265,7 +264,7 @@ def test_a_new_plan_keeps_the_dock_in_view(share):
     assert_lawful(found)
 
 
-def test_a_plan_that_loses_what_must_be_seen_now_is_not_kept():
+def test_plan_without_the_required_view_is_not_kept():
     plan = running()
     for field, outcome in ((2.0, ReplanOutcome.KEPT), (0.02, ReplanOutcome.STOP)):
         robot = Robot(OUTLINE, LIMITS, camera=Camera(Pose2(0.4, 0.0, 0.0), field))
@@ -274,7 +273,7 @@ def test_a_plan_that_loses_what_must_be_seen_now_is_not_kept():
         assert replan(plan, world, DriveState(3.0), 1e-9, lead=LEAD).outcome is outcome
 
 
-def test_a_dock_behind_the_robot_is_no_reason_to_jump():
+def test_motion_is_continuous_for_a_dock_behind_the_robot():
     plan = running()
     found = replan(plan, moved(plan, -2.5, 0.0, 0.0), DriveState(5.0), 0.05, lead=LEAD)
     assert found.outcome is not ReplanOutcome.KEPT
@@ -291,7 +290,7 @@ def test_after_the_end_of_the_plan_the_robot_begins_at_rest():
     assert stopped.trajectory.at(0.0).pose.gap_to(plan.path.end) <= 1e-6
 
 
-def test_a_target_in_another_frame_is_refused():
+def test_target_in_another_frame_is_refused():
     plan = running()
     with pytest.raises(InvalidValue, match="frame"):
         replan(plan, dataclasses.replace(plan.problem, frame="odom"), DriveState(1.0))
@@ -306,7 +305,7 @@ def test_a_target_in_another_frame_is_refused():
         ({"lead": -1.0}, "lead"),
     ],
 )
-def test_numbers_that_mean_nothing_are_refused_by_name(wrong, said):
+def test_invalid_numbers_are_refused_by_name(wrong, said):
     plan = running()
     with pytest.raises(InvalidValue, match=said):
         replan(plan, plan.problem.goal, DriveState(1.0), **wrong)
@@ -330,14 +329,14 @@ def with_a_cusp(*, turning=False):
 
 
 @pytest.mark.parametrize("turning", [False, True])
-def test_whatever_the_joint_falls_on_nothing_jumps(turning):
+def test_motion_is_continuous_at_joints_near_cusps_and_turns(turning):
     """Before, at and after cusps and in turns in place; there it waits for the rest, where another path may begin."""
     plan = with_a_cusp(turning=turning)
     assert plan.path.cusps
     assert plan.path.turns is turning
     goal = moved(plan, 0.015, 0.01, 0.01)
     for arrival in plan.trajectory.cusp_times.tolist():
-        for before in (0.4, 0.15, 0.05, 1e-9, -1e-9, -0.05, -0.3):
+        for before in (0.4, 0.05, 1e-9, -1e-9, -0.05):
             found = replan(plan, goal, DriveState(max(arrival - before - LEAD, 0.0)), BUDGET, lead=LEAD)
             assert found.outcome is ReplanOutcome.NEW
             assert found.starts_at >= arrival - before - 1e-9
@@ -347,7 +346,7 @@ def test_whatever_the_joint_falls_on_nothing_jumps(turning):
             assert_lawful(found)
 
 
-def test_a_robot_that_turns_in_place_stops_by_turning_on_within_its_limits():
+def test_robot_that_turns_in_place_stops_by_turning_on_within_its_limits():
     plan = with_a_cusp(turning=True)
     assert isinstance(plan.path.segments[0], TurnSegment)
     middle = 0.5 * float(plan.trajectory.cusp_times[0])
@@ -360,7 +359,7 @@ def test_a_robot_that_turns_in_place_stops_by_turning_on_within_its_limits():
     assert_continuous(plan, found)
 
 
-def test_a_robot_whose_clock_stands_still_begins_where_it_stands():
+def test_robot_whose_clock_stands_still_begins_where_it_stands():
     plan = running()
     found = replan(plan, moved(plan, 0.02, 0.02, 0.0), DriveState(3.0, 0.0), BUDGET, lead=LEAD)
     assert found.outcome is ReplanOutcome.NEW
@@ -368,7 +367,7 @@ def test_a_robot_whose_clock_stands_still_begins_where_it_stands():
     assert found.trajectory.at(0.0).twist.linear == 0.0
 
 
-def test_who_cancels_goes_on_or_stops():
+def test_cancelled_replan_keeps_the_plan_or_stops():
     plan = running()
     kept = replan(plan, moved(plan, 0.001, 0.0, 0.0), DriveState(3.0), BUDGET, lead=LEAD, cancel_checker=lambda: True)
     assert kept.outcome is ReplanOutcome.KEPT
@@ -377,7 +376,7 @@ def test_who_cancels_goes_on_or_stops():
     assert "Cancelled" in stopped.reason
 
 
-def test_the_call_ends_in_its_time():
+def test_replan_ends_within_its_budget():
     """By a clock of its own, which runs faster the more is asked of it: nothing here waits for the wall."""
     plan = running()
     found = replan(plan, moved(plan, 0.1, 0.1, 0.1), DriveState(3.0), 1e-9, lead=LEAD)

@@ -54,7 +54,7 @@ def box(x, y, side):
 
 
 @pytest.mark.parametrize("aside", [-0.08, 0.08])
-def test_a_robot_off_its_plan_keeps_it_only_where_the_way_back_is_clear(aside):
+def test_robot_off_its_plan_keeps_it_only_where_the_way_back_is_clear(aside):
     plan = running()
     time = 0.4 * plan.trajectory.duration
     off = plan.trajectory.at(time).pose @ Pose2(0.0, aside, 0.0)
@@ -67,7 +67,7 @@ def test_a_robot_off_its_plan_keeps_it_only_where_the_way_back_is_clear(aside):
 
 
 @pytest.mark.parametrize("slower", ["robot", "zone", "curvature", "gear"])
-def test_a_plan_that_breaks_a_rule_of_the_world_now_is_not_kept(slower):
+def test_plan_that_breaks_a_rule_of_the_world_now_is_not_kept(slower):
     plan = running()
     known, dock = plan.problem, plan.problem.dock
     limits = {"robot": MotionLimits(max_speed=0.2), "curvature": MotionLimits(max_curvature=1e-3)}
@@ -85,7 +85,7 @@ def test_a_plan_that_breaks_a_rule_of_the_world_now_is_not_kept(slower):
     assert replan(plan, faster, DriveState(2.0), NO_TIME, lead=LEAD).outcome is ReplanOutcome.KEPT
 
 
-def test_a_robot_at_the_end_of_its_plan_stands_where_it_is_clear():
+def test_robot_at_the_end_of_its_plan_stands_where_it_is_clear():
     plan = running()
     end = plan.path.end
     world = dataclasses.replace(plan.problem, obstacles=box(end.x, end.y, 0.1))
@@ -94,7 +94,7 @@ def test_a_robot_at_the_end_of_its_plan_stands_where_it_is_clear():
     assert not found.proven
 
 
-def test_a_stop_off_the_plan_is_proven_along_its_own_path():
+def test_stop_off_the_plan_is_proven_along_its_own_path():
     plan = plan_of([drive(Pose2(0.0, 0.0, 0.0), 3.0, 0.8)], Robot(OUTLINE, LIMITS))
     state = DriveState(3.0, 1.0, plan.trajectory.at(3.0).pose @ Pose2(0.3, -0.3, 0.0))
     elsewhere = dataclasses.replace(plan.problem, dock=Dock(Pose2(9.0, 9.0, 0.0)))
@@ -114,7 +114,7 @@ def test_a_stop_off_the_plan_is_proven_along_its_own_path():
             assert "clearance" not in kinds
 
 
-def test_a_clock_that_stands_in_a_turn_is_not_waited_for():
+def test_standing_clock_in_a_turn_is_not_waited_for():
     corner = Pose2(1.0, 0.0, 0.0)
     robot = Robot(OUTLINE, LIMITS, turns_in_place=True)
     turn = TurnSegment(corner, 1.2)
@@ -143,7 +143,7 @@ def test_wheels_that_are_still_turned_at_a_cusp_are_waited_for():
     assert found.trajectory.path.curvature_at(0.0)[0] == pytest.approx(0.8, abs=1e-6)
 
 
-def test_a_robot_that_cannot_stop_without_rolling_back_is_told_so():
+def test_stop_that_would_roll_back_is_not_proven():
     """Faster than its clock just before the end: the largest jerk takes the braking back too late."""
     plan = running()
     for before in (0.2, 0.3, 0.4):
@@ -185,7 +185,7 @@ BESIDE = [[[-1.0, 0.3], [3.0, 0.3], [3.0, 0.4], [-1.0, 0.4]]]  # 5 cm beside the
 
 @pytest.mark.parametrize("target", ["same world", "moved dock", "new obstacle"])
 @pytest.mark.parametrize(("aside", "clear"), [(0.0, True), (0.02, True), (0.039, True), (0.041, False), (0.06, False)])
-def test_a_plan_is_kept_for_the_robot_where_it_is_not_where_it_should_be(aside, clear, target):
+def test_plan_is_kept_for_the_robot_where_it_is_not_where_it_should_be(aside, clear, target):
     """The path keeps 5 cm where 1 cm is required, so a robot may be up to 4 cm nearer to the wall."""
     plan = straight_plan(BESIDE, ClearanceRule(0.01, 0.01, 0.0))
     worlds = {
@@ -205,7 +205,7 @@ def test_a_plan_is_kept_for_the_robot_where_it_is_not_where_it_should_be(aside, 
             assert found.proven is (aside < 0.05)  # a robot that is too near, but not inside, may stop
 
 
-def test_a_tube_counts_as_wide_as_it_is_where_the_robot_is():
+def test_tube_counts_as_wide_as_it_is_where_the_robot_is():
     """Two walls, 10 mm beside the docked robot, where the tube of 5 cm narrows to nothing."""
     walls = [[[2.32, y], [2.8, y], [2.8, y + 0.2], [2.32, y + 0.2]] for y in (0.26, -0.46)]
     plan = straight_plan(walls, ClearanceRule(0.05, 0.0, 1.0), TrackingTube(0.05), final_straight=0.5)
@@ -218,7 +218,7 @@ def test_a_tube_counts_as_wide_as_it_is_where_the_robot_is():
     assert asked(wide, x, Pose2(x, 0.03, 0.0)).outcome is ReplanOutcome.KEPT  # nothing is there to be touched
 
 
-def test_a_station_is_touched_by_a_robot_that_counts_as_docked():
+def test_station_is_touched_by_a_robot_that_counts_as_docked():
     """A millimetre aside before its station: only other things must be a millimetre farther off."""
     station = Footprint([[0.4, 0.25], [0.4, -0.25], [0.8, -0.25], [0.8, 0.25]])
     plan = straight_plan([], ClearanceRule(0.0, 0.0, 0.0), footprint=station)
@@ -239,7 +239,7 @@ def test_what_is_driven_relative_to_the_dock_is_judged_where_that_leads():
         assert asked(plan, 1.0, None, by @ plan.problem.goal).outcome is ReplanOutcome.KEPT  # not moved: clear
 
 
-def test_an_answer_cannot_say_that_it_is_proven():
+def test_proven_cannot_be_set():
     plan = running()
     found = asked(plan, 1.0, None, dataclasses.replace(plan.problem, obstacles=box(1.4, -0.05, 0.2)))
     assert not found.proven
@@ -250,7 +250,7 @@ def test_an_answer_cannot_say_that_it_is_proven():
         ProvenWay()
 
 
-def test_an_answer_speaks_of_the_trajectory_that_was_proven():
+def test_result_must_have_the_trajectory_of_its_plan():
     plan = running()
     law = plan.trajectory.time_law
     fast = Trajectory(plan.path, TimeLaw(law.durations / 10.0, law.jerks * 1000.0))
@@ -267,7 +267,7 @@ def test_an_answer_speaks_of_the_trajectory_that_was_proven():
     assert not dataclasses.replace(braked, trajectory=fast, motion=by_hand).proven
 
 
-def test_within_its_tube_feedback_owns_the_error_and_beyond_it_the_new_plan_does():
+def test_new_plan_begins_on_the_path_within_the_tube_and_at_the_robot_outside():
     plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.03))
     target = plan.problem.goal @ Pose2(0.0, 0.01, 0.0)
     for aside, is_filtered, on_path in ((0.029, False, True), (0.031, False, False), (0.029, True, False)):
@@ -279,7 +279,7 @@ def test_within_its_tube_feedback_owns_the_error_and_beyond_it_the_new_plan_does
         assert found.trajectory.path.start.y == pytest.approx(0.0 if on_path else aside, abs=1e-6)
 
 
-def test_a_tube_covers_no_robot_where_something_new_stands_in_it():
+def test_tube_covers_no_robot_where_something_new_stands_in_it():
     """2 cm beside the path, where the robot is 3 cm to that side: the tube about the reference is narrower now."""
     plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.05))
     post = [[0.7, 0.27], [0.8, 0.27], [0.8, 0.3], [0.7, 0.3]]
@@ -291,7 +291,7 @@ def test_a_tube_covers_no_robot_where_something_new_stands_in_it():
     assert away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
 
 
-def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
+def test_tube_that_narrows_before_the_joint_covers_no_robot_there():
     plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.05))
     time = 0.5 * plan.trajectory.duration
     joint = plan.trajectory.at(time + 0.6).pose
@@ -305,7 +305,7 @@ def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
     assert found.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
 
 
-def test_a_tube_that_tapers_before_the_joint_covers_no_robot_there():
+def test_tube_that_tapers_before_the_joint_covers_no_robot_there():
     """4 cm off; the tube of 5 cm narrows over the last half metre, and the joint is in it."""
     plan = straight_plan([], ClearanceRule(0.02, 0.0, 0.5), TrackingTube(0.05))
     time = 0.55 * plan.trajectory.duration
@@ -318,7 +318,7 @@ def test_a_tube_that_tapers_before_the_joint_covers_no_robot_there():
         assert found.trajectory.path.start.y == pytest.approx(aside, abs=1e-6)
 
 
-def test_a_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
+def test_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
     slow = dataclasses.replace(LIMITS, max_speed=0.2, max_acceleration=0.1, max_deceleration=0.1, max_jerk=0.2)
     problem = dataclasses.replace(running().problem, robot=Robot(OUTLINE, slow))
     plan = plan_dock(problem, time_budget=30.0)
@@ -328,7 +328,7 @@ def test_a_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
         assert (found.outcome is ReplanOutcome.KEPT) is kept
 
 
-def test_a_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
+def test_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
     """On the way back already, by its pose; the clock shows the way there, from which it is decimetres off."""
     there = drive(Pose2(0.0, 0.0, 0.0), 1.0, 0.0)
     path = Path((there, drive(Pose2(1.0, 0.0, 0.0), 1.0, 0.5, -1)), "map")

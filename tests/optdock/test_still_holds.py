@@ -81,7 +81,7 @@ def as_problem(world):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.0, 0.99))
-def test_it_says_what_a_proof_of_the_rest_says(draw, share):
+def test_result_equals_a_proof_of_the_rest(draw, share):
     plan, world = running(), worlds(draw)
     time = share * plan.trajectory.duration
     found = still_holds(plan, world, time)
@@ -108,7 +108,7 @@ def _stands_too_close(rest, problem):
     return pose_clearance(rest.start, problem.robot.footprint, problem.all_obstacles)[0] < problem.clearance.required
 
 
-def test_what_has_not_changed_is_not_proven_again():
+def test_unchanged_world_is_not_proven_again():
     plan = running()
     same = Costmap(plan.problem.costmap.data, CELL, ORIGIN)
     for world in (plan.problem, plan.problem.costmap, same, ObstacleSet.from_polygons(plan.problem.obstacles.vertices)):
@@ -116,7 +116,7 @@ def test_what_has_not_changed_is_not_proven_again():
         assert still_holds(plan, world, 1.0, is_late=lambda: True)
 
 
-def test_what_has_changed_is_named():
+def test_changes_are_named():
     plan = running()
     problem = plan.problem
     moved = dataclasses.replace(problem.dock, pose=problem.goal @ Pose2(0.01, 0.0, 0.0))
@@ -130,7 +130,7 @@ def test_what_has_changed_is_named():
         assert still_holds(plan, dataclasses.replace(problem, **change), 1.0).changed == names
 
 
-def test_another_frame_holds_nothing():
+def test_world_in_another_frame_does_not_hold():
     plan = running()
     found = still_holds(plan, dataclasses.replace(plan.problem, frame="odom"))
     assert not found
@@ -138,7 +138,7 @@ def test_another_frame_holds_nothing():
     assert "odom" in found.reason
 
 
-def test_what_lies_behind_the_robot_does_not_matter_and_what_lies_ahead_does():
+def test_obstacles_behind_the_robot_are_ignored():
     plan = running()
     on_the_way = ObstacleSet.from_polygons([box_at(*plan.path.poses_at(0.5)[0, :2])], "crate")
     world = plan.problem.obstacles + on_the_way
@@ -149,7 +149,7 @@ def test_what_lies_behind_the_robot_does_not_matter_and_what_lies_ahead_does():
     assert late.changed == ("obstacles",)
 
 
-def test_a_station_that_moves_into_the_robot_is_a_conflict():
+def test_station_that_moves_into_the_robot_is_a_conflict():
     plan = running()
     nearer = dataclasses.replace(plan.problem.dock, pose=plan.problem.goal @ Pose2(-0.05, 0.0, 0.0))
     found = still_holds(plan, dataclasses.replace(plan.problem, dock=nearer), 1.0)
@@ -169,7 +169,7 @@ def test_unknown_cells_that_become_obstacles_are_new_ones(counts):
     assert found.changed == (("costmap",) if counts else ())
 
 
-def test_a_map_that_ends_on_the_way_is_a_border():
+def test_map_that_ends_on_the_way_is_a_border():
     plan = running()
     window = Costmap(np.zeros((10, 10), dtype=np.uint8), CELL, (-2.5, 0.0))
     found = still_holds(plan, window)
@@ -177,7 +177,7 @@ def test_a_map_that_ends_on_the_way_is_a_border():
     assert found.obstacle == "map border"
 
 
-def test_what_is_no_world_is_refused():
+def test_invalid_worlds_are_refused():
     with pytest.raises(InvalidValue, match="world"):
         still_holds(running(), "a map")
     with pytest.raises(InvalidValue, match="from_time"):
@@ -206,14 +206,14 @@ def planned(tube):
 
 @pytest.mark.parametrize("gap", [0.02, 0.2, 0.3, 0.38, 0.5])
 @pytest.mark.parametrize("tube", [NONE, WIDE])
-def test_the_tube_counts(tube, gap):
+def test_tube_adds_to_the_clearance(tube, gap):
     plan = planned(tube)
     obstacles = ObstacleSet.of([post_beside(plan, gap)])
     there = dataclasses.replace(plan.problem, obstacles=obstacles)
     assert still_holds(plan, obstacles).holds is certify_path(plan.path, there).certified
 
 
-def test_a_wider_tube_is_another_rule():
+def test_wider_tube_changes_the_clearance_rule():
     plan = plan_dock(open_problem(obstacles=[post_beside(planned(NONE), 0.2)]))
     wide = dataclasses.replace(plan.problem, robot=open_problem(WIDE).robot)
     found = still_holds(plan, wide)
@@ -223,7 +223,7 @@ def test_a_wider_tube_is_another_rule():
 
 
 @pytest.mark.parametrize("beyond", [0.0, 1.0])
-def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
+def test_robot_at_the_end_of_its_plan_must_be_clear(beyond):
     plan = planned(NONE)
     x, y = plan.path.end.x, plan.path.end.y
     time = plan.trajectory.duration + beyond
@@ -243,7 +243,7 @@ class _SameDigest(ObstacleSet):
         return running().problem.obstacles.digest
 
 
-def test_a_world_is_no_subclass_that_could_be_another_one():
+def test_world_is_no_subclass_that_could_be_another_one():
     plan = running()
     known = plan.problem
     wall = ObstacleSet.of([box_at(-1.0, 0.2)])

@@ -102,17 +102,17 @@ def refusal(planner, smoother, direction=DockDirection.AUTO, timing="Windowed", 
     return caught.value
 
 
-def test_a_planner_that_ran_out_of_time_makes_it_a_time_out_whatever_the_guesses_failed_for():
+def test_planner_that_ran_out_of_time_makes_it_a_time_out_whatever_the_guesses_failed_for():
     found = refusal(Offers(AHEAD, end=PlannerTimedOut("after 27.1 ms")), Says(blocked()))
     assert type(found) is PlannerTimedOut
     assert str(found) == (
-        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; that there is no way is not "
+        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; that no way exists is not "
         "proven); until then FailedToSmoothPath: approach_blocked: on the final straight"
     )
     assert found.partial.raw_path.digest == AHEAD.digest
 
 
-def test_a_planner_that_gave_up_says_nothing_about_time():
+def test_planner_that_gave_up_says_nothing_about_time():
     found = refusal((Offers(AHEAD), Offers(end=NoValidPathCouldBeFound("nothing"))), Says(shut()))
     assert type(found) is FailedToSmoothPath
     assert found.where["reason"] == "clearance"
@@ -121,7 +121,7 @@ def test_a_planner_that_gave_up_says_nothing_about_time():
 def test_guesses_that_all_ended_for_good_are_refused_by_the_bound_in_the_way():
     found = refusal(Offers(AHEAD, AHEAD), Says(shut()))
     assert type(found) is FailedToSmoothPath
-    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; that there is no way is not proven)")
+    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; that no way exists is not proven)")
 
 
 def test_one_guess_that_ran_out_of_time_makes_it_a_time_out():
@@ -133,13 +133,13 @@ def test_one_guess_that_ran_out_of_time_makes_it_a_time_out():
     assert [attempt.stage for attempt in found.partial.tried] == ["offer 0", "offer 1", "offer 0"]
 
 
-def test_a_guess_that_was_cut_short_and_ended_for_good_when_it_was_tried_again_is_none():
+def test_guess_that_was_cut_short_and_ended_for_good_when_it_was_tried_again_is_none():
     found = refusal(Offers(AHEAD, AROUND), Says(late(), shut(), blocked()))
     assert type(found) is FailedToSmoothPath
     assert "2 attempts failed" in str(found)
 
 
-def test_a_time_law_that_was_not_found_in_time_makes_it_a_time_out():
+def test_time_law_that_was_not_found_in_time_makes_it_a_time_out():
     found = refusal(Offers(AHEAD), "CasadiSmoother", timing=TimedLate())
     assert type(found) is TimingTimedOut
     assert str(found) == "TimedLate ran out of time; raise time_budget, which is 37 s"
@@ -160,12 +160,12 @@ def test_a_time_law_that_was_not_found_in_time_makes_it_a_time_out():
         (DockDirection.AUTO, [AHEAD, AROUND], FailedToSmoothPath),
     ],
 )
-def test_no_time_opens_an_approach_that_is_blocked_in_every_gear(direction, paths, kind):
+def test_blocked_approach_is_no_time_out(direction, paths, kind):
     found = refusal(Offers(*paths, end=PlannerTimedOut("late")), Says(blocked()), direction)
     assert type(found) is kind
 
 
-def test_no_time_mends_a_start_that_is_steered_too_sharply():
+def test_start_curvature_beyond_the_limit_is_no_time_out():
     sharp = FailedToSmoothPath("start_curvature: 3 1/m", where={"reason": "start_curvature"})
     assert type(refusal(Offers(AHEAD, end=PlannerTimedOut("late")), Says(sharp))) is FailedToSmoothPath
 
@@ -180,14 +180,14 @@ class Slow(Says):
         return super().smooth(path, max_time, **rest)
 
 
-def test_guesses_that_nobody_had_time_to_make_make_it_a_time_out():
+def test_guesses_not_made_in_time_give_a_time_out():
     found = refusal((Offers(AHEAD), Offers(AROUND)), Slow(shut()), budget=0.05)
     assert isinstance(found, TimedOut)
     assert "the search for other guesses ran out of time; raise time_budget, which is 0.05 s" in str(found)
     assert str(found).endswith("until then FailedToSmoothPath: clearance: 0.01 m from a rock")
 
 
-def test_a_planner_whose_share_is_used_up_between_two_guesses_ran_out_of_time(monkeypatch):
+def test_planner_whose_share_is_used_up_between_two_guesses_ran_out_of_time(monkeypatch):
     monkeypatch.setattr(pipeline, "_LAST_PROOF", 1.0)  # nothing is left for the last of several
     found = refusal((Offers(AHEAD), Offers(AROUND)), Says(shut()))
     assert type(found) is PlannerTimedOut
@@ -201,7 +201,7 @@ class Odd(FailedToSmoothPath):
         super().__init__(f"{one} and {two}")
 
 
-def test_an_error_of_a_class_of_the_smoothers_own_comes_out_as_it_is():
+def test_error_of_a_class_of_the_smoothers_own_comes_out_as_it_is():
     found = refusal(Offers(AHEAD, AROUND), Says(Odd("this", "that")))
     assert type(found) is Odd
-    assert str(found) == "this and that (2 attempts failed; that there is no way is not proven)"
+    assert str(found) == "this and that (2 attempts failed; that no way exists is not proven)"

@@ -89,7 +89,7 @@ def kinds(verdict):
 # The segment and its path.
 
 
-def test_a_turn_is_a_stretch_of_the_path_coordinate():
+def test_turn_is_a_stretch_of_the_path_coordinate():
     turn = TurnSegment(Pose2(1.0, 2.0, 0.5), -3.0)
     assert (turn.length, turn.direction) == (3.0, Direction.IN_PLACE)
     np.testing.assert_allclose(turn.poses_at([-1.0, 0.0, 1.5, 3.0, 9.0])[:, 2], [0.5, 0.5, -1.0, -2.5, -2.5])
@@ -169,14 +169,14 @@ def test_wheels_of_a_turn_do_no_more_than_straight_on(up, down, jerk, rate, yaw,
 # The proof of the path.
 
 
-def test_a_turn_is_certified_for_robots_that_turn_in_place_only():
+def test_turn_is_certified_for_robots_that_turn_in_place_only():
     assert certify_path(ROUTE, problem_of(ROUTE)).certified
     assert kinds(certify_path(ROUTE, problem_of(ROUTE, turns=False))) == ["turn", "turn"]
     free = dataclasses.replace(LIMITS, max_curvature=math.inf)
     assert kinds(certify_path(ROUTE, problem_of(ROUTE, free, turns=False))) == ["turn", "turn"]
 
 
-def test_a_turn_beside_the_dock_must_leave_the_final_straight():
+def test_turn_beside_the_dock_must_leave_the_final_straight():
     last = gears((1.0, 0.0, 1), (0.5,))
     assert certify_path(last, problem_of(last)).certified
     assert kinds(certify_path(last, problem_of(last, dock={"final_straight": 0.3}))) == ["final_straight"]
@@ -189,20 +189,25 @@ def test_a_turn_beside_the_dock_must_leave_the_final_straight():
         ]
 
 
-def test_the_gear_into_the_dock_is_the_last_that_drives():
+def test_gear_into_the_dock_is_the_last_that_drives():
     path = gears((1.0, 0.0, -1), (0.5,))
     assert certify_path(path, problem_of(path, dock={"direction": "backward"})).certified
     assert kinds(certify_path(path, problem_of(path, dock={"direction": "forward"}))) == ["direction"]
     assert certify_path(STILL, problem_of(STILL, dock={"direction": "backward"})).certified
 
 
-def test_a_robot_in_motion_does_not_begin_with_a_turn():
+def test_robot_in_motion_does_not_begin_with_a_turn():
     path = gears((0.5,), (1.0, 0.0, 1))
     assert kinds(certify_path(path, problem_of(path, start_speed=0.1))) == ["turn"]
     result = NearOptimal().parameterize(path, LIMITS, SpeedZone(), start_speed=0.1)
     assert result.status is TimingStatus.FAIL
     assert "turns in place at s = 0 m, where the robot moves at 0.1 m/s" in result.reason
     assert certify_path(path, problem_of(path, start_curvature=0.7)).certified  # nothing is steered at rest
+
+
+def test_a_start_with_an_acceleration_does_not_begin_with_a_turn():
+    path = gears((0.5,), (1.0, 0.0, 1))
+    assert kinds(certify_path(path, problem_of(path, start_acceleration=0.2))) == ["turn"]
 
 
 def test_a_turn_must_begin_where_the_gear_before_it_ends():
@@ -355,7 +360,7 @@ def test_each_limit_of_a_turn_is_proven(name, value, broken):
     assert "yaw_rate" in kinds(certify_trajectory(motion, wheels, SpeedZone()))
 
 
-def test_a_robot_rests_before_and_behind_a_turn():
+def test_robot_rests_before_and_behind_a_turn():
     path = gears((1.0, 0.0, 1), (1.0,), (1.0, 0.0, 1))
     law = timed(Path((gears((3.0, 0.0, 1)).segments[0],)), dataclasses.replace(LIMITS, max_speed=0.4)).time_law
     found = certify_trajectory(Trajectory(path, law), LIMITS, SpeedZone())
@@ -391,7 +396,7 @@ def plan_of(path=ROUTE, **options):
     return DockPlan(prove_motion(Trajectory(path, timed(path).time_law), problem), path)
 
 
-def test_a_plan_file_holds_turns_exactly(tmp_path):
+def test_plan_file_holds_turns_exactly(tmp_path):
     plan = plan_of()
     plan.save(tmp_path / "plan.json")
     document = json.loads((tmp_path / "plan.json").read_text())
@@ -477,7 +482,7 @@ def test_wrong_samples_of_a_turn_are_refuted(name, path):
     assert check_sampled_motion(LIES[name](honest, turning), path, problem_of(path)).refuted
 
 
-def test_a_motion_that_leaves_out_a_turn_is_refuted():
+def test_motion_that_leaves_out_a_turn_is_refuted():
     straight = gears((1.0, 0.0, 1), (2.0 * math.pi,), (1.0, 0.0, 1))
     without = gears((1.0, 0.0, 1), (1.0, 0.0, 1))
     motion = TrajectoryColumns.from_trajectory(timed(without), 0.02)
@@ -485,8 +490,8 @@ def test_a_motion_that_leaves_out_a_turn_is_refuted():
     assert "the motion drives; the path drives, turns left, drives" in found.violations[0].message
 
 
-@pytest.mark.parametrize("path", [ROUTE, STILL, gears((0.7,), (1.0, 0.0, 1), (-0.7,))])
-def test_the_tracking_controller_drives_turns(path):
+@pytest.mark.parametrize("path", [STILL, gears((0.7,), (1.0, 0.4, 1), (-0.7,), (0.5, 0.0, -1))])
+def test_tracking_controller_drives_turns(path):
     plan = plan_of(path)
     checker = create_plugin(GoalChecker, "SimpleGoalChecker", {"xy_goal_tolerance": 0.01, "yaw_goal_tolerance": 0.01})
     controller = create_plugin(Controller, "TrackingController")
@@ -517,6 +522,6 @@ def test_turns_are_drawn(tmp_path):
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
-def test_a_path_of_other_segments_is_still_refused():
+def test_path_of_other_segments_is_still_refused():
     with pytest.raises(InvalidPath, match="or a TurnSegment, got Turn"):
         Path((type("Turn", (TurnSegment,), {})(ORIGIN, 1.0),))

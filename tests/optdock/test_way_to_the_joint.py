@@ -37,7 +37,7 @@ def replanned_past(plan, target):
 
 
 @pytest.mark.parametrize(("required", "is_clear"), [(0.05, True), (0.15, False)])
-def test_the_way_keeps_the_clearance_that_is_asked_for_now(required, is_clear):
+def test_way_keeps_the_clearance_that_is_asked_for_now(required, is_clear):
     """A post stands 0.1 m beside the plan: whoever asks for more is given none that takes over behind it."""
     plan = straight_past(0.1, ClearanceRule(0.05))
     moved = dataclasses.replace(plan.problem.dock, pose=plan.problem.goal @ Pose2(0.05, 0.02, 0.0))

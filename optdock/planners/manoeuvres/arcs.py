@@ -1,7 +1,7 @@
-"""Sequences of circular arcs and straight lines: what every stage of the search builds its manoeuvres from.
+"""Sequences of circular arcs and straight lines, and trees of arcs that grow from the start or the goal.
 
-An arc has a signed length, negative in reverse, and a curvature d yaw / d length of the same sign in either gear:
-positive steers left. Sequences are padded with arcs of length zero to one number of columns.
+An arc has a signed length, negative in reverse, and a curvature d yaw / d length that is positive to the left in either
+gear. Sequences are padded with arcs of length zero to one number of columns.
 """
 
 from __future__ import annotations
@@ -12,17 +12,24 @@ import numpy as np
 
 from optdock.model.path import Path
 from optdock.model.segments import Direction, PolylineSegment
+from optdock.planners.manoeuvres.price import driving_prices, stopping_cost
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from collections.abc import Callable
 
-__all__ = ["Arcs", "advance"]
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.model.robot import Robot
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-_NOTHING = 1e-9  # [m]: shorter arcs lead nowhere
+__all__ = ["ArcTree", "Arcs", "Moves", "advance", "joined"]
+
+_NOTHING = 1e-9  # [m]: shorter arcs are no motion
+_BISECTIONS = 4
+_STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
 
 def advance(poses: FloatArray, length: FloatArray, curvature: FloatArray) -> FloatArray:
-    """The poses at the ends of arcs that begin at `poses`, Shape (..., 3); the three are broadcast."""
+    """Return the poses at the ends of arcs that begin at `poses`, Shape (..., 3); the arguments are broadcast."""
     turn = length * curvature
     chord = length * np.sinc(turn / (2.0 * np.pi))
     middle = poses[..., 2] + 0.5 * turn
@@ -37,35 +44,30 @@ class Arcs(NamedTuple):
     lengths: FloatArray
     curvatures: FloatArray
 
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return int(self.lengths.shape[0])
-
     def rows(self, keep: IntArray | slice) -> Arcs:
-        """The sequences at `keep`."""
+        """Return the sequences at `keep`."""
         return Arcs(self.start[keep], self.lengths[keep], self.curvatures[keep])
 
     def joints(self) -> FloatArray:
-        """Poses at the beginning of every arc, and at the end of the last. Shape (n, k + 1, 3)."""
+        """Return the poses at the beginning of every arc and at the end of the last. Shape (n, k + 1, 3)."""
         poses = [self.start]
         for length, curvature in zip(self.lengths.T, self.curvatures.T, strict=True):
             poses.append(advance(poses[-1], length, curvature))
         return np.stack(poses, axis=1)
 
     def poses_at_shares(self, shares: FloatArray) -> FloatArray:
-        """Poses at shares of each sequence's total length, Shape (q,) in [0, 1]. Shape (n, q, 3)."""
+        """Return poses at shares of the total length of each sequence, Shape (q,) in [0, 1]. Shape (n, q, 3)."""
         ends = np.cumsum(np.abs(self.lengths), axis=1)
         s = ends[:, -1:] * shares
         owner = (s[:, :, None] > ends[:, None, :]).sum(axis=2).clip(max=self.lengths.shape[1] - 1)
-        row = np.arange(self.size)[:, None]
+        row = np.arange(len(self.lengths))[:, None]
         before = ends[row, owner] - np.abs(self.lengths[row, owner])
         driven = np.copysign(s - before, self.lengths[row, owner])
         return advance(self.joints()[row, owner], driven, self.curvatures[row, owner])
 
     def poses_every(self, spacing: float) -> FloatArray:
-        """Poses at most `spacing` apart along one sequence alone, all joints included. Shape (q, 3)."""
-        assert self.size == 1
+        """Sample a single sequence with poses at most `spacing` apart, all joints included. Shape (q, 3)."""
+        assert len(self.lengths) == 1
         joints, lengths, curvatures = self.joints()[0], self.lengths[0], self.curvatures[0]
         counts = np.where(np.abs(lengths) > _NOTHING, np.ceil(np.abs(lengths) / spacing - 1e-9), 0).astype(np.int64)
         owner = np.repeat(np.arange(counts.size), counts)
@@ -74,14 +76,8 @@ class Arcs(NamedTuple):
         return np.concatenate((inner, joints[-1:]))
 
     def path(self, spacing: float, end: FloatArray, frame: str) -> Path:
-        """One sequence alone as a path of polylines, whose last pose is exactly `end`, Shape (3,).
-
-        Args:
-            spacing: Largest distance between its poses [m].
-            end: Where the arcs lead, but for rounding.
-            frame: Name of the coordinate frame.
-        """
-        assert self.size == 1
+        """Return a single sequence as polylines with poses at most `spacing` [m] apart, ending exactly at `end`."""
+        assert len(self.lengths) == 1
         lengths, curvatures, joints = self.lengths[0], self.curvatures[0], self.joints()[0]
         kept = np.flatnonzero(np.abs(lengths) > _NOTHING)
         gears = np.sign(lengths[kept])
@@ -93,3 +89,140 @@ class Arcs(NamedTuple):
         blocks[-1][-1, 2] = end[2] + 2.0 * np.pi * np.round((blocks[-1][-1, 2] - end[2]) / (2.0 * np.pi))
         signs = [Direction(int(np.sign(lengths[run[0]]))) for run in runs]
         return Path(tuple(PolylineSegment(block, sign) for block, sign in zip(blocks, signs, strict=True)), frame)
+
+
+class Moves(NamedTuple):
+    """Motions to try from every node: signs of the lengths and curvatures, Shape (c,) each [1/m]."""
+
+    signs: FloatArray
+    curvatures: FloatArray
+
+    @classmethod
+    def of(cls, signs: tuple[float, ...], curvatures: tuple[float, ...]) -> Moves:
+        """Return every combination of sign and curvature."""
+        grid = np.array([(sign, curvature) for sign in signs for curvature in curvatures])
+        return cls(grid[:, 0], grid[:, 1])
+
+
+class ArcTree:
+    """Nodes that are reached from a root pose, Shape (3,), by free arcs.
+
+    `gear` is the sign that a positive length has when driven: 1 from the start, -1 from the goal, where the tree grows
+    backwards in time.
+
+    Attributes:
+        poses: Shape (n, 3).
+        prices: Price of the way between root and node, Shape (n,) [s].
+        signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
+    """
+
+    def __init__(self, root: FloatArray, robot: Robot, gear: int) -> None:
+        self.gear, self._robot = gear, robot
+        self.poses, self.prices, self.signs = root[None].copy(), np.zeros(1), np.zeros(1)
+        self.parents = np.full(1, -1)
+        self.lengths, self.curvatures = np.zeros(1), np.zeros(1)
+        self._stop = stopping_cost(robot.limits)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def grow(
+        self,
+        rows: IntArray,
+        moves: Moves,
+        stations: FloatArray,
+        space: FreeSpace,
+        effort: Effort,
+        is_new: Callable[[FloatArray], BoolArray] | None = None,
+    ) -> IntArray:
+        """Drive all moves from the nodes at `rows` as far as they are free and return the rows of the new nodes.
+
+        Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
+        found, in ascending order of price; None: keep all.
+        """
+        node = np.repeat(rows, moves.signs.size)
+        sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
+        free = _free_lengths((self.poses[node], sign, curvature), float(stations[-1]), space, effort)
+        reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
+        # The end of the free length between two stations is a station as well.
+        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
+        lengths = np.column_stack((reached, last))
+        arc, station = np.nonzero(lengths > 0.0)
+        return self.add(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
+
+    def add(
+        self,
+        parent: IntArray,
+        length: FloatArray,
+        curvature: FloatArray,
+        is_new: Callable[[FloatArray], BoolArray] | None = None,
+    ) -> IntArray:
+        """Add nodes at the ends of free arcs, Shape (n,) each, and return their rows; `is_new` as in `grow`."""
+        sign = np.sign(length)
+        driven = driving_prices(self.gear * length, self._robot)
+        price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)
+        poses = advance(self.poses[parent], length, curvature)
+        order = np.argsort(price, kind="stable")
+        kept = order if is_new is None else order[is_new(poses[order])]
+        first = len(self)
+        self.poses = np.concatenate((self.poses, poses[kept]))
+        self.prices = np.concatenate((self.prices, price[kept]))
+        self.signs = np.concatenate((self.signs, sign[kept]))
+        self.parents = np.concatenate((self.parents, parent[kept]))
+        self.lengths = np.concatenate((self.lengths, length[kept]))
+        self.curvatures = np.concatenate((self.curvatures, curvature[kept]))
+        return np.arange(first, len(self))
+
+    def way(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Return lengths and curvatures of the arcs between root and node, as driven. Shape (k,) each."""
+        lengths, curvatures = [], []
+        while row > 0:
+            lengths.append(self.lengths[row])
+            curvatures.append(self.curvatures[row])
+            row = int(self.parents[row])
+        found = np.array(lengths, dtype=np.float64), np.array(curvatures, dtype=np.float64)
+        # The goal's tree is driven from node to root, with the signs of the lengths reversed.
+        return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
+
+
+def _free_lengths(
+    starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
+) -> FloatArray:
+    """Return how far arcs (start poses, signs, curvatures) are free, up to `longest`. Shape (n,) [m]."""
+    poses, signs, curvatures = starts
+
+    def are_free(rows: IntArray, lengths: FloatArray) -> BoolArray:
+        space.poll()
+        ends = advance(poses[rows, None], signs[rows, None] * lengths, curvatures[rows, None])
+        found: BoolArray = space.is_free(ends.reshape(-1, 3), effort.margin, effort.start_relief)
+        return found.reshape(ends.shape[:2])
+
+    free = np.zeros(signs.size)
+    spacing = space.spacing(effort)
+    steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
+    going, blocked = np.arange(free.size), np.zeros(free.size)
+    for k in range(0, steps.size, _STRIDE):
+        some = steps[k : k + _STRIDE]
+        still = []
+        for block in range(0, going.size, _ABREAST):
+            mine = going[block : block + _ABREAST]
+            good = are_free(mine, some)
+            count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
+            free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
+            blocked[mine] = some[np.minimum(count, some.size - 1)]
+            still.append(mine[count == some.size])
+        going = np.concatenate(still) if still else going
+    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+    ended = np.setdiff1d(np.arange(free.size), going)
+    for _ in range(_BISECTIONS if ended.size else 0):
+        middle = 0.5 * (free[ended] + blocked[ended])
+        good = are_free(ended, middle[:, None])[:, 0]
+        free[ended] = np.where(good, middle, free[ended])
+        blocked[ended] = np.where(good, blocked[ended], middle)
+    return free
+
+
+def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
+    """Concatenate ways to one sequence of arcs from a pose."""
+    lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
+    return Arcs(start[None], lengths, curvatures)

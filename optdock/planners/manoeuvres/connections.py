@@ -1,4 +1,4 @@
-"""Reeds-Shepp words between the nodes of two trees, cheapest first, and which of them are free."""
+"""Reeds-Shepp words between the nodes of two trees, in ascending order of price, and their collision check."""
 
 from __future__ import annotations
 
@@ -8,19 +8,16 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.dock import DockDirection
-from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.arcs import Arcs, joined
 from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
-from optdock.planners.manoeuvres.tree import joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.model.problem import DockingProblem
-    from optdock.model.robot import Robot
+    from optdock.planners.manoeuvres.arcs import ArcTree
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.planners.manoeuvres.tree import ArcTree
 
 __all__ = [
     "Connections",
@@ -35,11 +32,11 @@ __all__ = [
     "promising",
 ]
 
-_PAIRS = 128  # whose words are found in one go, about a millisecond
-_GLANCE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which it is looked at before it is looked at whole
-_CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
-_ROUGH_BATCH = 256  # words of which a quick look is taken in one go
-_BATCH = 24  # words glanced at in one go
+_PAIRS = 128  # pairs of poses per call of the closed forms, about a millisecond
+_COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coarse check samples it
+_CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
+_ROUGH_BATCH = 256  # words per call of the rough check
+_BATCH = 24  # words per call of the coarse check
 _NOTHING = 1e-6  # [m]: shorter arcs are not motion
 
 
@@ -52,58 +49,59 @@ class Connections(NamedTuple):
     lengths: FloatArray
     curvatures: FloatArray
 
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return int(self.prices.size)
-
     def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
-        """Those at `keep`."""
+        """Return the words at `keep`."""
         return Connections(
             self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]
         )
 
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
-        """Those cheaper than `most` at other prices, Shape (n,), in ascending order of these."""
+        """Return the words cheaper than `most` at other prices, Shape (n,), in ascending order of these."""
         order = np.argsort(prices, kind="stable")
         return self._replace(prices=prices).rows(order[prices[order] < most])
 
     @classmethod
     def merged(cls, blocks: Sequence[Connections]) -> Connections:
-        """All of several, in ascending order of price."""
+        """Merge several sets in ascending order of price."""
         columns = [np.concatenate(column) for column in zip(*blocks, strict=True)]
         return cls(*columns).rows(np.argsort(columns[0], kind="stable"))
 
 
 class TreeNodes(NamedTuple):
-    """Some nodes of a tree."""
+    """Rows of a tree."""
 
     tree: ArcTree
     rows: IntArray
 
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """The cheapest words of every pair of a node of the start's tree and one of the goal's, both of as many rows.
-
-    Whether they are free was not checked yet.
-    """
-    blocks = []
-    for k in range(0, exits.rows.size, _PAIRS):
-        space.poll()
-        some = slice(k, k + _PAIRS)
-        leaving, arriving = TreeNodes(exits.tree, exits.rows[some]), TreeNodes(entries.tree, entries.rows[some])
-        blocks.append(_cheapest(leaving, arriving, radius, space.problem, per_pair))
-    return Connections.merged(blocks)
+    """Return the cheapest words of pairs of nodes in gears that start and dock allow; collisions are not checked."""
+    problem, (leaving, i), (arriving, j) = space.problem, exits, entries
+    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
+    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
+    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
+    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
+    prices += stopping_cost(problem.robot.limits) * gear_changes(gears)
+    first, last = end_gears(gears)
+    allowed = first != 0.0
+    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
+    if wanted is not None:
+        allowed &= last * wanted > 0.0
+    if problem.start_speed != 0.0:
+        allowed &= first * problem.start_speed > 0.0
+    kept = np.flatnonzero(allowed)
+    kept = kept[np.argsort(prices[kept], kind="stable")]
+    return Connections(prices[kept], i[pair[kept]], j[pair[kept]], lengths[kept], curvatures[kept])
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """Every node of the one with every node of the other."""
+    """Return every node of the first with every node of the second."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
     return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
 
 
 class PairWords(NamedTuple):
-    """Words of pairs of poses: which pair, price at full speed [s], Shape (m,); lengths and curvatures Shape (m, 5)."""
+    """Words of pairs of poses: index of the pair, price at full speed [s], (m,); lengths and curvatures (m, 5)."""
 
     pair: IntArray
     driven: FloatArray
@@ -111,69 +109,38 @@ class PairWords(NamedTuple):
     curvatures: FloatArray
 
 
-def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
-    """The words that are cheapest at full speed, a few of every pair of poses, Shape (n, 3) each.
-
-    Args:
-        starts: Where they begin.
-        ends: Where they end.
-        radius: Of all arcs [m].
-        robot: Whose speeds and price of reversing count.
-        per_pair: How many at most.
-    """
-    words = reeds_shepp_words(starts, ends, radius).lengths
-    with np.errstate(invalid="ignore"):
-        driven = driving_prices(words, robot).sum(axis=2)
-    driven = np.where(np.isnan(driven), np.inf, driven)
-    few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
-    is_one = np.isfinite(driven[few, np.arange(len(starts))])
-    pair, form = np.broadcast_to(np.arange(len(starts)), few.shape)[is_one], few[is_one]
-    return PairWords(pair, driven[form, pair], words[form, pair], TURNS[form] / radius)
-
-
-def _cheapest(
-    exits: TreeNodes, entries: TreeNodes, radius: float, problem: DockingProblem, per_pair: int
-) -> Connections:
-    """The cheapest words of as many pairs."""
-    robot = problem.robot
-    (leaving, i), (arriving, j) = exits, entries
-    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, robot, per_pair)
-    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
-    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
-    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
-    prices += stopping_cost(robot.limits) * gear_changes(gears)
-    kept = np.flatnonzero(_in_allowed_gears(gears, problem))
-    pair = pair[kept]
-    return Connections(prices[kept], i[pair], j[pair], lengths[kept], curvatures[kept])
-
-
-def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
-    """Whether a robot in motion keeps its gear at first, and the last gear is the one that the dock asks for."""
-    first, last = end_gears(gears)
-    allowed: BoolArray = first != 0.0
-    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
-    if wanted is not None:
-        allowed &= last * wanted > 0.0
-    if problem.start_speed != 0.0:
-        allowed &= first * problem.start_speed > 0.0
-    return allowed
+def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, space: FreeSpace, per_pair: int) -> PairWords:
+    """Return at most `per_pair` words that are cheapest at full speed of every pair of poses, Shape (n, 3) each."""
+    blocks = [PairWords(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 5)), np.zeros((0, 5)))]
+    for k in range(0, len(starts), _PAIRS):
+        space.poll()
+        words = reeds_shepp_words(starts[k : k + _PAIRS], ends[k : k + _PAIRS], radius)
+        with np.errstate(invalid="ignore"):
+            driven = driving_prices(words, space.problem.robot).sum(axis=2)
+        driven = np.where(np.isnan(driven), np.inf, driven)
+        few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
+        columns = np.arange(driven.shape[1])
+        is_one = np.isfinite(driven[few, columns])
+        pair, form = np.broadcast_to(columns, few.shape)[is_one], few[is_one]
+        blocks.append(PairWords(k + pair, driven[form, pair], words[form, pair], TURNS[form] / radius))
+    return PairWords(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
 
 
 def end_gears(lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signs of the first and of the last of signed lengths that are motions, Shape (n, k) to (n,); 0 where none is."""
+    """Return the signs of the first and the last nonzero signed length, Shape (n, k) to (n,); 0 if there is none."""
     signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
     rows, is_moving = np.arange(len(signs)), signs != 0.0
     return signs[rows, is_moving.argmax(axis=1)], signs[rows, -1 - is_moving[:, ::-1].argmax(axis=1)]
 
 
 def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
-    """Those whose words pass a quick look at a few of their poses."""
+    """Return the connections whose words pass a rough collision check at a few poses."""
     kept = []
-    for k in range(0, found.size, _ROUGH_BATCH):
+    for k in range(0, found.prices.size, _ROUGH_BATCH):
         space.poll()
         some = slice(k, k + _ROUGH_BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        poses = words.poses_at_shares(_GLANCE)
+        poses = words.poses_at_shares(_COARSE)
         kept.append(space.may_be_free(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
     return found.rows(np.flatnonzero(np.concatenate(kept))) if kept else found
 
@@ -186,39 +153,32 @@ def free_manoeuvres(
     effort: Effort,
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
-    """The whole ways from start to goal of those whose words are free, in ascending order of price.
-
-    They end where prices reach `worthwhile`, which may fall meanwhile.
-    """
-    for k in range(0, found.size, _BATCH):
+    """Yield collision-free manoeuvres from start to goal in ascending order of price, while below `worthwhile()`."""
+    for k in range(0, found.prices.size, _BATCH):
         space.poll()
         if found.prices[k] >= worthwhile():
             return
         some = slice(k, k + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
-        glanced = words.poses_at_shares(_GLANCE)
-        asked = effort.margin, effort.start_relief
-        passed = space.is_free(glanced.reshape(-1, 3), *asked).reshape(glanced.shape[:2]).all(axis=1)
+        coarse = words.poses_at_shares(_COARSE)
+        limits = effort.margin, effort.start_relief
+        passed = space.is_free(coarse.reshape(-1, 3), *limits).reshape(coarse.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
             space.poll()
             if found.prices[k + row] >= worthwhile():
                 return
             word = words.rows(slice(row, row + 1))
-            if not space.is_free(word.poses_every(space.spacing(effort)), *asked).all():
+            if not space.is_free(word.poses_every(space.spacing(effort)), *limits).all():
                 continue
             r = k + row
-            parts = (
-                exits.way(int(found.exits[r])),
-                (found.lengths[r], found.curvatures[r]),
-                entries.way(int(found.entries[r])),
-            )
-            whole = joined(space.problem.start.as_array(), *parts)
+            way_out, way_in = exits.way(int(found.exits[r])), entries.way(int(found.entries[r]))
+            whole = joined(space.problem.start.as_array(), way_out, (found.lengths[r], found.curvatures[r]), way_in)
             if is_wholly_free(whole, space, effort):
                 yield whole
 
 
 def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
-    """A close look at one way alone, without the margin: what a search skips must not be returned."""
+    """Whether a single manoeuvre is free at finely spaced poses, without the margin."""
     space.poll()
     poses = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH)
     return bool(space.is_free(poses, 0.0, effort.start_relief).all())

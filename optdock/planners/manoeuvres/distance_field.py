@@ -1,4 +1,4 @@
-"""Distances to the nearest obstacle on a grid, computed in tiles on demand."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest ways of a disc on it."""
 
 from __future__ import annotations
 
@@ -6,31 +6,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.obstacles import ObstacleSet
 
-__all__ = ["DistanceField"]
+__all__ = ["DistanceField", "Wavefront"]
 
 _TILE = 32  # grid points along the side of a tile
-_BLOCK = 24  # pieces whose distances to a whole tile are found in one go
+_BLOCK = 24  # obstacle pieces per vectorized evaluation of a tile
+_FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
+_EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
+_BESIDE = 0.75  # cells: half a diagonal, and rounding
 
 
 class DistanceField:
-    """Distances to the nearest obstacle, of points in a square around a place, up to a reach.
+    """Distances up to `reach` [m] from points of a square to the nearest obstacle.
 
-    Args:
-        obstacles: What is there.
-        square: Its centre and the length of its sides, Shape (3,) [m].
-        spacing: Between grid points [m].
-        reach: Larger distances count as this one [m].
-        poll: Called before every tile.
-
-    Attributes:
-        side: Grid points along the sides.
-        origin: The first of them, Shape (2,) [m].
+    `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: of the grid [m]. `poll` is called before every
+    tile. Attribute `side`: number of grid points along each side; `origin`: the first one, Shape (2,) [m].
     """
 
     def __init__(
@@ -47,7 +44,7 @@ class DistanceField:
         self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
+        """Return bounds of the distances of points, Shape (..., 2) [m]; the lower one is -inf off the field."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
         is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
@@ -58,7 +55,7 @@ class DistanceField:
         return np.where(is_inside, distance - away, -np.inf), distance + away
 
     def at(self, index: IntArray) -> FloatArray:
-        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
+        """Return the distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
         tile = (i // _TILE) * self._tiles + j // _TILE
         slot = self._slots[tile]
@@ -78,10 +75,9 @@ class DistanceField:
         rows = self._obstacles.rows_in_box(low, high)
         best = np.full((_TILE, _TILE), self.reach)
         boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
-        for some in _blocks(boxes):
-            np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
-        for some in _blocks(others):
-            np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
+        for some, distances in ((boxes, _to_boxes), (others, _to_polygons)):
+            for k in range(0, some.size, _BLOCK):
+                np.minimum(best, distances(self._obstacles, some[k : k + _BLOCK], axes), out=best)
         if self._count == len(self._values):
             self._values = np.concatenate((self._values, np.empty_like(self._values)))
         self._values[self._count] = best
@@ -89,12 +85,8 @@ class DistanceField:
         self._count += 1
 
 
-def _blocks(rows: IntArray) -> list[IntArray]:
-    return [rows[k : k + _BLOCK] for k in range(0, rows.size, _BLOCK)]
-
-
 def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
-    """Which pieces are axis-aligned rectangles. Shape (m,)."""
+    """Return which pieces are axis-aligned rectangles. Shape (m,)."""
     x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
     low, high = obstacles.lower, obstacles.upper
     at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
@@ -102,7 +94,7 @@ def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
     if not turned.any():
         return turned
     step = np.roll(obstacles.vertices, -1, axis=1) - obstacles.vertices
-    # Of a rectangle's corners no step leads across.
+    # No edge of an axis-aligned rectangle is diagonal.
     turned &= np.all((step[..., 0] == 0.0) | (step[..., 1] == 0.0), axis=1)
     return turned
 
@@ -132,3 +124,57 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
     distance = np.sqrt(squared)
     nearest: FloatArray = np.where(np.asarray(height) < 0.0, -distance, distance).min(axis=2)
     return nearest
+
+
+class Wavefront:
+    """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
+
+    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, as an octagon: the
+    number of steps is at most the length in cells, and at most 11 % less. It advances on demand.
+    """
+
+    def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:
+        self._field, self._radius = field, radius
+        self._steps = np.full((field.side, field.side), np.inf)
+        self._front: IntArray = np.rint((source - field.origin) / field.spacing).astype(np.int64)[None]
+        self._steps[tuple(self._front.T)] = 0.0
+        self._count = 0
+
+    def lengths(self, points: FloatArray) -> FloatArray:
+        """Return lower bounds of the lengths of ways to points, Shape (n, 2) to (n,) [m]; infinite if none exists."""
+        field = self._field
+        index = np.clip(np.rint((points - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
+        rows, columns = index.T
+        while len(self._front) and np.isinf(self._steps[rows, columns]).any():
+            field.poll()
+            self._advance()
+        reached: FloatArray = np.maximum(self._steps[rows, columns] - 1.0, 0.0) * field.spacing
+        return reached
+
+    def way(self, point: FloatArray) -> FloatArray | None:
+        """Return the grid points of a shortest way to a point, Shape (2,); None if there is none. Shape (n, 2) [m]."""
+        if np.isinf(self.lengths(point[None])[0]):
+            return None
+        field = self._field
+        cell = np.clip(np.rint((point - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
+        cells = [cell]
+        while self._steps[tuple(cell)] > 0.0:
+            around = np.clip(cell + _EIGHT, 0, field.side - 1)
+            cell = around[np.argmin(self._steps[tuple(around.T)])]
+            cells.append(cell)
+        way: FloatArray = field.origin + field.spacing * np.array(cells[::-1])
+        return way
+
+    def _advance(self) -> None:
+        around = _FOUR if self._count % 2 else _EIGHT
+        self._count += 1
+        cells = (self._front[:, None] + around).reshape(-1, 2)
+        inside = np.all((cells >= 0) & (cells < self._field.side), axis=1)
+        cells = cells[inside]
+        cells = cells[np.isinf(self._steps[cells[:, 0], cells[:, 1]])]
+        flat = np.unique(cells[:, 0] * self._field.side + cells[:, 1])
+        cells = np.column_stack(np.divmod(flat, self._field.side))
+        free = self._field.at(cells) + _BESIDE * self._field.spacing >= self._radius
+        cells = cells[free]
+        self._steps[cells[:, 0], cells[:, 1]] = self._count
+        self._front = cells

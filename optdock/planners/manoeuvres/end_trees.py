@@ -1,8 +1,12 @@
-"""Straight lines and arcs that lead out of the start, and out of the dock: between their ends the search connects."""
+"""Straight lines and arcs out of the start and out of the dock, between whose ends the search connects.
+
+A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
+some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of
+`docs/theory/search.md`. Chains of short arcs, each as sharp as the wall allows, approximate this.
+"""
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,9 +14,9 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.model.dock import DockDirection
+from optdock.planners.manoeuvres.arcs import ArcTree, Moves, advance
 from optdock.planners.manoeuvres.connections import TreeNodes
 from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid
-from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -20,24 +24,33 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
-__all__ = ["BOTH", "EXIT_TURN", "GENTLE", "EndTrees", "gears_into", "turning_radius"]
+__all__ = ["BOTH", "EXIT_TURN", "GENTLE", "ROOT", "EndTrees", "gears_into", "sharpest_arcs", "turning_radius"]
 
-# Straight runs beyond the shortest one, in turning radii.
+# Straight runs in addition to the shortest one, in turning radii.
 _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
-# A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
+# A robot a few millimetres from a wall cannot turn away from it at full lock: its tail would hit the wall.
 GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
 BOTH = 1.0, -1.0  # gears, or sides
-# A slot leaves less than this share of the first arcs; how many at full lock lead out of it; [rad] that each must turn.
+ROOT = readonly(np.zeros(1, dtype=np.int64))  # row of the root of a tree
+# Free share of the first arcs below which the start is a slot; most strokes at full lock; least turn of each [rad].
 _SLOT, _MOST_STROKES, _LEAST_TURN = 0.15, 30, 0.01
-_FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
-# Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
+_FREE_EXITS, _MOST_EXITS = 4, 60  # free exits of six that are enough; nodes above which the start's tree stops growing
+# Straight runs out of the start before a turn in place, in circumscribed radii, to leave obstacles at the sides.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
 _NO_MORE = readonly(np.zeros(0))
+# Sharpest arcs: length in circumscribed radii, arcs of a chain; trial curvatures in those of the smallest radius, then
+# factors of the sharpest free one.
+_LENGTH, _MOST = 0.25, 24
+_COARSE = readonly(2.0 ** -np.arange(0.0, 12.0))
+_FINE = readonly(2.0 ** (-np.arange(-7.0, 5.0) / 8.0))
+_FEW_POSES, _CLOSE, _MOST_POSES = 4, 60.0, 40  # per arc in the coarse check; per robot width, per arc in the fine one
+_AT_ONCE = 2000  # poses per collision check, one to two milliseconds
+_MARGIN = 1e-4  # [m]: margin for the smoother, larger than the change of clearance between two poses
 
 
 class Exits(NamedTuple):
-    """Ways out of the start by some curvatures, and the mean length of the first arcs that is free [m]."""
+    """Ways out of the start with some curvatures, and the mean free length of the first arcs [m]."""
 
     nodes: TreeNodes
     bends: tuple[float, ...]
@@ -45,104 +58,81 @@ class Exits(NamedTuple):
 
 
 class EndTrees:
-    """The trees at both ends of one problem.
-
-    Args:
-        problem: From where, to where, among what.
-        space: Where the robot may be.
-    """
+    """The trees at both ends of one problem."""
 
     def __init__(self, problem: DockingProblem, space: FreeSpace) -> None:
         self.problem, self.space = problem, space
         self.radius = turning_radius(problem)
         rate = problem.robot.limits.max_curvature_rate
-        # Half of the way on which the steering angle builds up lies before the arc.
+        # Half of the distance over which the steering angle builds up lies before the arc.
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         self._by_effort: dict[tuple[Effort, tuple[float, ...]], Exits] = {}
+        # Signs of the lengths of the first motion, and of the last one backwards in time.
+        speed = problem.start_speed
+        self.start_gears = BOTH if speed == 0.0 else (math.copysign(1.0, speed),)
+        self._out_of_dock = tuple(-gear for gear in gears_into(problem.dock))
+
+    def from_start(self) -> ArcTree:
+        """Return a tree with the start as its only node."""
+        return ArcTree(self.problem.start.as_array(), self.problem.robot, 1)
+
+    def _from_goal(self) -> ArcTree:
+        return ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
 
     def straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
-        """The start, and straight runs out of it; `more` as of `_staging`."""
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
+        """Return the start and straight runs out of it; `more` as in `staging`."""
+        tree = self.from_start()
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
-        tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
+        tree.grow(ROOT, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
         return TreeNodes(tree, np.arange(len(tree)))
 
-    @property
-    def start_gears(self) -> tuple[float, ...]:
-        """Signs of the lengths of the first motion."""
-        speed = self.problem.start_speed
-        return BOTH if speed == 0.0 else (math.copysign(1.0, speed),)
-
     def straight_runs(self, effort: Effort) -> dict[str, float]:
-        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
+        """Return the free straight length before the dock in each gear, up to some turning radii [m]."""
+        tree = self._from_goal()
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
-        root = np.zeros(1, dtype=np.int64)
-        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
+        tree.grow(ROOT, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
         return {
             DockDirection.FORWARD.value: float(-min(tree.lengths)),
             DockDirection.BACKWARD.value: float(max(tree.lengths)),
         }
 
-    @functools.cached_property
-    def root(self) -> TreeNodes:
-        """The start alone."""
-        return TreeNodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
-
     def staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
-        """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
+        """Return straight runs out of the dock, as far as they are free, where the final straight may begin.
 
-        Args:
-            effort: How closely to look.
-            more: Lengths at which runs may end too [m].
+        `more`: further lengths at which runs may end [m].
         """
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
-        moves = Moves.of(tuple(-gear for gear in gears_into(self.problem.dock)), (0.0,))
-        straight = self.problem.dock.final_straight
+        tree, straight = self._from_goal(), self.problem.dock.final_straight
         stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
-        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
+        rows = tree.grow(ROOT, Moves.of(self._out_of_dock, (0.0,)), stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
-        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
+        """Return the start and the ends of free arcs and lines out of it, continued where it is boxed in; cached."""
         key = effort._replace(nodes=0), bends
-        if key in self._by_effort:
-            return self._by_effort[key]
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
-        rows, room = self.grown(TreeNodes(tree, root), self.start_gears, effort, bends)
-        found = Exits(TreeNodes(tree, np.concatenate((root, rows))), bends, room)
-        self._by_effort[key] = found
-        return found
+        if key not in self._by_effort:
+            tree = self.from_start()
+            rows, room = self.grown(TreeNodes(tree, ROOT), self.start_gears, effort, bends)
+            self._by_effort[key] = Exits(TreeNodes(tree, np.concatenate((ROOT, rows))), bends, room)
+        return self._by_effort[key]
 
     def entries(self, effort: Effort) -> TreeNodes:
-        """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
+        """Return the staging poses, and without a final straight also the ends of arcs into the dock."""
         tree, rows = self.staging(effort)
         if self.problem.dock.final_straight > 0.0:
             return TreeNodes(tree, rows)
-        arcs = Moves.of(
-            tuple(-gear for gear in gears_into(self.problem.dock)), (1.0 / effort.radius, -1.0 / effort.radius)
-        )
-        stations = self.radius * _RUNS[1:]
-        return TreeNodes(
-            tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort))
-        )
+        arcs = Moves.of(self._out_of_dock, (1.0 / effort.radius, -1.0 / effort.radius))
+        return TreeNodes(tree, np.append(rows, tree.grow(ROOT, arcs, self.radius * _RUNS[1:], self.space, effort)))
 
     def grown(
         self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
     ) -> tuple[IntArray, float]:
-        """Arcs and lines out of the nodes of an end, more of them one after another where hardly any is free.
+        """Grow arcs and lines out of the nodes of an end, in several generations if hardly any is free.
 
-        Args:
-            end: Where they begin.
-            gears: Signs of the first lengths.
-            effort: How closely to look.
-            bends: Curvatures of arcs in those of the smallest radius.
-
-        Returns:
-            The rows of the new nodes, none where nothing leads out, and the mean free length of the first arcs [m].
+        Returns the rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
+        `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.
         """
         tree, first = end
         station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)
@@ -161,11 +151,7 @@ class EndTrees:
         return rows if fresh.size else fresh, room
 
     def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
-        """The ends of arcs at full lock that turn the robot the same way in either gear, each as far as it is free.
-
-        So a car leaves a slot that is little longer than itself. They begin at the root; the last ones come first, and
-        none where they do not lead out.
-        """
+        """Grow alternating arcs at full lock that turn the robot the same way, by which a car leaves a short slot."""
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:
@@ -182,20 +168,17 @@ class EndTrees:
         return np.array(found[::-1], dtype=np.int64)
 
     def room_before_dock(self, effort: Effort) -> float:
-        """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
-        moves = Moves.of(
-            tuple(-gear for gear in gears_into(self.problem.dock)), (0.0, 1.0 / effort.radius, -1.0 / effort.radius)
-        )
-        tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
+        """Return the mean free length of the last arcs [m], as `grown` does for the first ones."""
+        tree = self._from_goal()
+        moves = Moves.of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
+        tree.grow(ROOT, moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
         return float(np.abs(tree.lengths).sum()) / moves.signs.size
 
 
 def turning_radius(problem: DockingProblem) -> float:
-    """The smallest turning radius that a search makes use of [m].
+    """Return the smallest turning radius that the search uses [m].
 
-    A robot that may turn more sharply than it can change its curvature on a turn of a radian, or than within itself,
-    gains little by it.
+    Sharper turns than the curvature rate allows within one radian, or than within the robot itself, gain little.
     """
     limits = problem.robot.limits
     sharpest = min(limits.max_curvature, 2.0 / problem.robot.footprint.circumscribed_radius)
@@ -203,5 +186,45 @@ def turning_radius(problem: DockingProblem) -> float:
 
 
 def gears_into(dock: Dock) -> tuple[float, ...]:
-    """Signs of the lengths of the last motion into a dock."""
+    """Return the signs of the lengths of the last motion into a dock."""
     return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(dock.direction, BOTH)
+
+
+def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:
+    """Drive chains of arcs to either side until full lock is free; return the rows after arcs at full lock.
+
+    The chains begin at nodes, Shape (n,), with signs of their lengths `gears`, Shape (n,).
+    """
+    node, sign, side = np.repeat(rows, 2), np.repeat(gears, 2), np.tile([1.0, -1.0], rows.size)
+    length, full = _LENGTH * space.footprint.circumscribed_radius, 1.0 / effort.radius
+    many = min(int(np.ceil(length * _CLOSE / space.width)), _MOST_POSES)
+    coarse, close = (length * np.arange(1, n + 1) / n for n in (_FEW_POSES, many))
+
+    def sharpest(curvatures: FloatArray, stations: FloatArray, margin: float) -> IntArray:
+        """The first column of curvatures, Shape (k, m), at which an arc is free, m where none is. Shape (k,)."""
+        found = np.empty(node.size, dtype=np.int64)
+        step = max(1, _AT_ONCE // (curvatures.shape[1] * stations.size))
+        for some in (slice(k, k + step) for k in range(0, node.size, step)):
+            space.poll()
+            bends = side[some, None, None] * curvatures[some, :, None]
+            poses = advance(tree.poses[node[some], None, None], sign[some, None, None] * stations, bends)
+            free = space.is_free(poses.reshape(-1, 3), margin, effort.start_relief).reshape(poses.shape[:3])
+            is_free = np.column_stack((free.all(axis=2), np.ones(len(free), dtype=np.bool_)))
+            found[some] = is_free.argmax(axis=1)
+        return found
+
+    ends = [rows[:0]]
+    for _ in range(_MOST):
+        first = sharpest(np.tile(full * _COARSE, (node.size, 1)), coarse, 0.0)
+        finer = np.minimum(full * np.append(_COARSE, 0.0)[first, None] * _FINE, full)
+        best = sharpest(finer, close, _MARGIN)
+        kept = (first < _COARSE.size) & (best < _FINE.size)
+        if not kept.any():
+            break
+        fresh = tree.add(node[kept], sign[kept] * length, side[kept] * finer[kept, best[kept]])
+        is_full = np.abs(tree.curvatures[fresh]) == full
+        ends.append(fresh[is_full])
+        before = tree.parents[tree.parents[fresh]]  # two more arcs at full lock, where they are free
+        node = fresh[~is_full | (before < 0) | (np.abs(tree.curvatures[before]) < full)]
+        sign, side = tree.signs[node], np.sign(tree.curvatures[node])
+    return np.concatenate(ends)

@@ -1,9 +1,8 @@
-"""Which poses are free: a distance field with covering discs decides most, exact distances the others.
+"""Collision checks of poses: a distance field and covering discs decide most poses, exact distances the others.
 
-The field holds exact distances from grid points to the nearest obstacle piece; between grid points a distance changes
-by no more than the way there, so it bounds the distance of any point from below and above ([Ericson2005] ch. 7 has
-grids, [Ziegler2010] discs that cover a car). Discs that cover the footprint prove a pose free, discs inside it prove it
-blocked; what lies between is measured exactly. The field is computed in tiles, on demand.
+The field holds exact distances at grid points and so bounds the distance of any point from below and above
+([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove a pose free, discs inside the footprint prove
+it blocked; the remaining poses are measured exactly.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import transform_points
-from optdock.planners.manoeuvres.distance_field import DistanceField
-from optdock.planners.manoeuvres.wavefront import Wavefront
+from optdock.planners.manoeuvres.distance_field import DistanceField, Wavefront
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
@@ -28,20 +26,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Effort", "FreeSpace"]
 
-# Grid points along the sides of the field, which is this many robot widths long, or twice as long as start and goal are
-# apart: 16 points over the width of the robot; what lies between two of them is decided exactly anyway.
+# Grid points along the sides of the field, and its side in robot widths, or twice the distance of start and goal if
+# that is longer: 16 points per width of the robot; poses that the grid leaves undecided are measured exactly.
 _POINTS, _SIDE = 2048, 128.0
-_POSES_PER_WIDTH = 12, 24  # at least and at most: poses looked at over a way as long as the robot is wide
+_POSES_PER_WIDTH = 12, 24  # least and most poses of a collision check per width of the robot
 _FINE_DISCS = 4  # across the width of the footprint
-_EXACT_BLOCK = 300  # poses measured exactly in one go, about 2 ms
+_EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
 
 
 class Effort(NamedTuple):
-    """How closely a search looks.
+    """Resolution of a search.
 
-    `radius`: of all arcs [m]. `margin`: kept beside the required clearance, for what a smoother changes [m].
-    `fineness`: cells of the pose grid along the width of the robot. `nodes`: where hybrid A* gives up. `start_relief`:
-    see `ClearanceRule.required_at` [m].
+    `radius`: of all arcs [m]. `margin`: kept in addition to the required clearance, for the smoother [m]. `fineness`:
+    cells of the pose grid per width of the robot. `nodes`: most nodes of hybrid A*. `start_relief`: see
+    `ClearanceRule.required_at` [m].
     """
 
     radius: float
@@ -52,7 +50,7 @@ class Effort(NamedTuple):
 
 
 class _Discs(NamedTuple):
-    """Centres (k, 2) [m]; radius that together cover a body; radii (k,) of discs inside it, negative where none is."""
+    """Centres (k, 2) [m]; radius with which they cover a body; radii (k,) of discs inside it, negative for none."""
 
     centres: FloatArray
     cover: float
@@ -60,7 +58,7 @@ class _Discs(NamedTuple):
 
 
 def _discs(body: ConvexBody, across: int) -> _Discs:
-    """One disc for every square of the body's bounding box, which has `across` of them on its shorter side."""
+    """Return one disc per square of the body's bounding box, which has `across` squares on its shorter side."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     size = high - low
     side = float(size.min()) / across
@@ -69,20 +67,16 @@ def _discs(body: ConvexBody, across: int) -> _Discs:
     centres = np.column_stack([axis.ravel() for axis in np.meshgrid(xs, ys, indexing="ij")])
     cover = 0.5 * float(np.hypot(*(size / counts)))
     inside = np.min(body.offsets - centres @ body.normals.T, axis=1)
-    # Squares that lie beside the body cover nothing.
+    # Squares outside the body cover nothing.
     kept = inside > -cover
     return _Discs(centres[kept], cover, inside[kept])
 
 
 class FreeSpace:
-    """Which poses keep the clearance that a problem asks for, and a margin.
+    """Test of poses for the clearance that a problem requires, and a margin.
 
-    Args:
-        problem: What must hold.
-        poll: Called every few milliseconds of work; raises where the caller wants no more.
-
-    Attributes:
-        width: The lesser extent of the footprint [m].
+    `poll` is called every few milliseconds and raises to end the search. Attribute `width`: lesser extent of the
+    footprint [m].
     """
 
     def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
@@ -93,26 +87,19 @@ class FreeSpace:
         self._start, self._goal = ends[:, :2]
         clearances = end_clearances(problem)
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
-        radius = self.footprint.circumscribed_radius
-        self._reach = radius + problem.path_clearance.required
-        self.width = width = min(self.footprint.width, self.footprint.length)
-        side = max(_SIDE * width, 2.0 * float(np.abs(self._goal - self._start).max()))
+        self._reach = self.footprint.circumscribed_radius + problem.path_clearance.required
+        self.width = min(self.footprint.width, self.footprint.length)
+        side = max(_SIDE * self.width, 2.0 * float(np.abs(self._goal - self._start).max()))
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
-        bodies = self.footprint.bodies
-        self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
+        self._levels = [[_discs(body, across) for body in self.footprint.bodies] for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
-        """Between poses that stand for a whole way [m]."""
+        """Return the spacing of the poses of a collision check [m]."""
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
-        """Lengths of ways around the obstacles from a place, Shape (2,) [m].
-
-        Args:
-            source: The place.
-            radius: Of the disc that drives them [m]; None: of the one inside the footprint.
-        """
+        """Return the wavefront from a place, Shape (2,) [m], of a disc, by default the one inside the footprint."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
     @functools.cached_property
@@ -121,7 +108,7 @@ class FreeSpace:
         return DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
 
     def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
-        """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
+        """Return required clearance plus the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
         rule: FloatArray = self.problem.path_clearance.required_at(
@@ -135,7 +122,7 @@ class FreeSpace:
         return kept
 
     def may_be_free(self, poses: FloatArray) -> BoolArray:
-        """Whether no disc inside the footprint meets an obstacle: a quick first look. Shape (n,)."""
+        """Whether no disc inside the footprint meets an obstacle: a fast necessary condition. Shape (n,)."""
         passed = np.ones(len(poses), dtype=np.bool_)
         for discs in self._levels[0] if len(self.obstacles) else ():
             _, upper = self.field.bounds(transform_points(poses, discs.centres))
@@ -164,10 +151,6 @@ class FreeSpace:
         for k in range(0, open_rows.size, _EXACT_BLOCK):
             self.poll()
             some = open_rows[k : k + _EXACT_BLOCK]
-            free[some] = self.clearances(poses[some], float(required[some].max()) + 1e-6) >= required[some]
+            within = float(required[some].max()) + 1e-6
+            free[some] = pose_clearances(poses[some], self.footprint, self.obstacles, within)[0] >= required[some]
         return free
-
-    def clearances(self, poses: FloatArray, within: float = np.inf) -> FloatArray:
-        """Exact signed clearances of poses up to `within` [m]. Shape (n,)."""
-        found, _ = pose_clearances(poses, self.footprint, self.obstacles, within)
-        return found

@@ -1,10 +1,9 @@
 """Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as shots.
 
 [Dolgov2010] search over poses that are not rounded to a grid, keep one node per cell of a pose grid, and try from nodes
-whether the rest can be driven without regard to obstacles. Here the search begins at the end where space is tight,
-mostly the goal: every node knows its way there, and each new one is joined to the other end by the cheapest words. The
-bound of what is still to drive is the cheaper of all words, and the length of the shortest way among the obstacles for
-a disc.
+whether the remaining way can be driven without regard to obstacles. Here the search begins at the tighter end, mostly
+the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger of the
+cheapest word and the length of the shortest way of a disc among the obstacles.
 """
 
 from __future__ import annotations
@@ -15,38 +14,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.planners.manoeuvres.arcs import Moves
 from optdock.planners.manoeuvres.connections import Connections, TreeNodes, connections, free_manoeuvres, promising
-from optdock.planners.manoeuvres.tree import Moves
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
+    from optdock.planners.manoeuvres.distance_field import Wavefront
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-    from optdock.planners.manoeuvres.tree import ArcTree
-    from optdock.planners.manoeuvres.wavefront import Wavefront
 
 __all__ = ["FULL_LOCK", "PoseGrid", "hybrid_a_star"]
 
-_EXPANDED = 24  # nodes in one go
+_EXPANDED = 24  # nodes per expansion
 _WORDS_PER_NODE = 4
-_SHOTS = 48  # words looked at after each expansion
-# Headings of the pose grid, times its fineness.
-_YAWS_PER_CELL = 6
-# Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
+_SHOTS = 48  # words checked after each expansion
+_YAWS_PER_CELL = 6  # headings of the pose grid divided by its fineness
+# Distances to obstacles, in reaches of the distance field, above which cells are larger, and their factors.
 _ROOM, _COARSER, _COARSEST_YAW = readonly(np.array([0.3, 0.5])), readonly(np.array([1.0, 4.0, 10.0])), 4.0
-_GREED = 2.5  # weight of what is still to drive
+_GREED = 2.5  # weight of the cost to go
 FULL_LOCK = 1.0, -1.0  # left and right, in curvatures of the smallest radius
-_STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # where a node is left on an arc, in turning radii
+_STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # distances of nodes along an arc, in turning radii
 
 
 class PoseGrid:
-    """Cells of poses, each of which is entered once: fine among obstacles, coarse where there is room.
+    """Cells of poses, each of which is entered once: fine near obstacles, coarse in open space.
 
-    Args:
-        space: Its distance field says where there is room.
-        fineness: The smallest cells are the robot's width divided by this.
+    The smallest cells are the width of the robot divided by `fineness`.
     """
 
     def __init__(self, space: FreeSpace, fineness: int) -> None:
@@ -55,7 +50,7 @@ class PoseGrid:
         self._seen: set[int] = set()
 
     def enter(self, poses: FloatArray) -> BoolArray:
-        """Which of the poses, Shape (n, 3), are the first in their cells. Shape (n,)."""
+        """Return which poses, Shape (n, 3), are the first in their cells, and enter them. Shape (n,)."""
         room, _ = self._field.bounds(poses[:, :2])
         level = np.searchsorted(_ROOM * self._field.reach, room)
         scale = _COARSER[level]
@@ -82,20 +77,20 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     from_start: bool = False,
     bends: tuple[float, ...] = FULL_LOCK,
 ) -> Iterator[Arcs]:
-    """Free manoeuvres as they are found, whole from start to goal.
+    """Yield free manoeuvres from start to goal as they are found.
 
-    The first way found is seldom the best one: once there is a plan, or a better one, the tree grows no more, but it is
-    shot at while that may pay.
+    The first way found is seldom the best one: once there is a plan, or a better one, the tree stops growing, but the
+    remaining words are tried while they may be cheaper.
 
     Args:
-        exits: The start, from which every node is shot at, and other nodes of its tree, which take turns.
-        entries: Nodes of the goal's tree from which the search goes on; its tree grows.
-        space: What is free.
-        effort: How sharply, how closely and for how long.
-        wavefront: Lengths of the shortest ways for a disc from the other end than the one where the search begins.
-        worthwhile: The price from which on a way is of no use; infinite while there is no plan.
-        from_start: The start's tree grows instead, and from its nodes the entries are shot at.
-        bends: Curvatures that are driven beside the straight line, in those of the smallest radius.
+        exits: The start, to which every node is joined, and other nodes of its tree, one of them per node in turn.
+        entries: Nodes of the goal's tree from which the search goes on; the tree grows.
+        space: Free space.
+        effort: Turning radius, resolution and number of nodes.
+        wavefront: Wavefront from the end where the search does not begin.
+        worthwhile: Returns the price from which on a way is useless; infinite while there is no plan.
+        from_start: Grow the start's tree instead, and join its nodes to the entries.
+        bends: Curvatures of the arcs in addition to straight lines, in those of the smallest radius.
     """
     growing, aims = (exits, entries) if from_start else (entries, exits)
     tree, limits, radius = growing.tree, space.problem.robot.limits, effort.radius
@@ -112,7 +107,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         pairs = (shooting, aimed) if from_start else (aimed, shooting)
         words = connections(*pairs, radius, space, _WORDS_PER_NODE)
         shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
-        # What stands between the aim and the end that the wave comes from: a staging pose is before the dock.
+        # Distance between the aim and the source of the wavefront: a staging pose lies before the dock.
         beyond = aims.tree.prices[aimed_at] * speed if from_start else np.where(aimed_at == 0, 0.0, np.inf)
         least = wavefront.lengths(tree.poses[shooters, :2]) - beyond
         long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
@@ -120,11 +115,13 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         shots = [Connections.merged([*shots, worth])]
         cheapest = np.full(len(tree), np.inf)
         np.minimum.at(cheapest, shooters, words.prices)
-        for bound, row in zip(_bounds(tree, fresh, cheapest, speed, wavefront).tolist(), fresh.tolist(), strict=True):
-            if from_start or row > 0:  # what leads into the dock in a gear that it allows is among the entries already
+        driven = tree.prices[fresh]
+        left = np.maximum(cheapest[fresh] - driven, wavefront.lengths(tree.poses[fresh, :2]) / speed)
+        for bound, row in zip((driven + _GREED * left).tolist(), fresh.tolist(), strict=True):
+            if from_start or row > 0:  # the entries contain the motions into the dock in a gear that it allows
                 heapq.heappush(opened, (bound, row))
-        looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
-        yield from free_manoeuvres(looked, exits.tree, entries.tree, space, effort, worthwhile)
+        cheap, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
+        yield from free_manoeuvres(cheap, exits.tree, entries.tree, space, effort, worthwhile)
         fresh = fresh[:0]
         while fresh.size == 0 and opened and nodes < effort.nodes:
             rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
@@ -135,18 +132,10 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 
 
 def _pairs(aims: TreeNodes, fresh: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """The first aim and every node, and every node and one of the other aims."""
+    """Return the first aim with every node, and every node with one of the other aims."""
     first, others = aims.rows[:1], aims.rows[1:]
     aimed, shooting = np.repeat(first, fresh.rows.size), fresh.rows
     if others.size:
         aimed = np.concatenate((aimed, others[fresh.rows % others.size]))
         shooting = np.concatenate((shooting, shooting))
     return TreeNodes(aims.tree, aimed), TreeNodes(fresh.tree, shooting)
-
-
-def _bounds(tree: ArcTree, rows: IntArray, cheapest: FloatArray, speed: float, wavefront: Wavefront) -> FloatArray:
-    """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
-    driven = tree.prices[rows]
-    left = np.maximum(cheapest[rows] - driven, wavefront.lengths(tree.poses[rows, :2]) / speed)
-    found: FloatArray = driven + _GREED * left
-    return found

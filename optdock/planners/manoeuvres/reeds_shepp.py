@@ -1,9 +1,9 @@
-"""Reeds-Shepp words: the curves between two poses among which the shortest one of a car that can reverse is.
+"""Reeds-Shepp words: candidates for the shortest path of a car that can reverse.
 
-[ReedsShepp1990] prove that the shortest path with a bounded curvature and any number of cusps is one of 48 words of at
-most five arcs and straight lines (`L+R-L-` and so on). They come in eleven closed forms, each seen in four mirrors:
-driven the other way round (time reversal), with left and right swapped (reflection), and both. The sign of the last arc
-of three is free, which is why 44 forms hold all 48 words. Here they are evaluated for many pairs of poses at once.
+[ReedsShepp1990] prove that the shortest path with bounded curvature and any number of cusps is one of 48 words of at
+most five arcs and straight lines (`L+R-L-` and so on). The words have eleven closed forms, each with four mirrors: time
+reversal, reflection, both, or none. The sign of the last arc of three is free, so 44 forms hold all 48 words. They are
+evaluated for many pairs of poses at once.
 """
 
 from __future__ import annotations
@@ -19,36 +19,27 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray
 
-__all__ = ["TURNS", "Words", "reeds_shepp_words", "shortest_length"]
+__all__ = ["TURNS", "reeds_shepp_words"]
 
 _HALF_PI = 0.5 * np.pi
-_ROUNDING = 1e-10  # [rad]: an arc that is as little negative counts as none
+_ROUNDING = 1e-10  # [rad]: tolerance of the sign of an arc
 
 
-class Words(NamedTuple):
-    """The words of n pairs: signed `lengths` Shape (44, n, 5) [m]; NaN where there is none of this form."""
-
-    lengths: FloatArray
-
-    @property
-    def total(self) -> FloatArray:
-        """Driven length, infinite where there is none. Shape (44, n) [m]."""
-        driven = np.abs(self.lengths).sum(axis=2)
-        return np.where(np.isnan(driven), np.inf, driven)
-
-
-def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> Words:
-    """All words between pairs of poses, Shape (n, 3) each; `TURNS` says which way each arc steers.
+def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> FloatArray:
+    """Return the signed lengths of all words between pairs of poses, Shape (n, 3) each; `TURNS` has the steering.
 
     Args:
-        starts: Where they begin.
-        goals: Where they end.
-        radius: Of all arcs [m].
+        starts: Start poses.
+        goals: Goal poses.
+        radius: Turning radius of all arcs [m].
+
+    Returns:
+        Shape (44, n, 5) [m]; NaN where a form has no solution.
     """
     dx, dy = (goals[:, :2] - starts[:, :2]).T / radius
     c, s = np.cos(starts[:, 2]), np.sin(starts[:, 2])
     x, y, phi = c * dx + s * dy, c * dy - s * dx, goals[:, 2] - starts[:, 2]
-    # The four mirrors: as it is, driven the other way round, reflected, both.
+    # The four mirrors: identity, time reversal, reflection, both.
     mirror_x, mirror_y = np.array([1.0, -1.0, 1.0, -1.0])[:, None], np.array([1.0, 1.0, -1.0, -1.0])[:, None]
     x, y, phi = mirror_x * x, mirror_y * y, mirror_x * mirror_y * phi
     back_x, back_y = x * np.cos(phi) + y * np.sin(phi), x * np.sin(phi) - y * np.cos(phi)
@@ -57,17 +48,11 @@ def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> W
         parts = form.solve(back_x, back_y, phi) if form.is_backward else form.solve(x, y, phi)
         for k in range(5):
             out[..., k] = parts[k] if k < len(parts) else 0.0
-        # The arcs that the form knows first are driven last.
+        # A form that is solved backwards returns the last arc first.
         if form.is_backward:
             out[..., : len(parts)] = out[..., len(parts) - 1 :: -1].copy()
     found *= mirror_x[:, :, None] * radius
-    return Words(found.reshape(-1, starts.shape[0], 5))
-
-
-def shortest_length(starts: FloatArray, goals: FloatArray, radius: float) -> FloatArray:
-    """Length of the shortest word of every pair. Shape (n,) [m]."""
-    shortest: FloatArray = reeds_shepp_words(starts, goals, radius).total.min(axis=0)
-    return shortest
+    return found.reshape(-1, starts.shape[0], 5)
 
 
 def _within_half_turn(angle: FloatArray) -> FloatArray:
@@ -111,7 +96,7 @@ def _left_right_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[Flo
 def _outer_arcs(
     u: FloatArray, v: FloatArray, xi: FloatArray, eta: FloatArray, phi: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """First and last arc of four that all turn, whose inner ones are u and v: equations 8.7 and 8.8."""
+    """Return the first and the last arc of four arcs with inner ones u and v: equations 8.7 and 8.8."""
     delta = _within_half_turn(u - v)
     a, b = np.sin(u) - np.sin(delta), np.cos(u) - np.cos(delta) - 1.0
     turned = np.arctan2(eta * a - xi * b, xi * a + eta * b)
@@ -168,7 +153,7 @@ def _two_quarter_turns(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[F
 
 
 class _Form(NamedTuple):
-    """A closed form: how its arcs turn as driven, and whether it is solved from the goal back to the start."""
+    """A closed form: the steering of its arcs as driven, and whether it is solved from the goal back to the start."""
 
     solve: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, ...]]
     turns: tuple[float, ...]

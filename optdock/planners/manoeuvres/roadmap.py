@@ -1,12 +1,11 @@
-"""A lazy roadmap along a route: Reeds-Shepp words from pose to pose on the way around the obstacles.
+"""A lazy roadmap along a route: Reeds-Shepp words between poses on the shortest way around the obstacles.
 
-Hybrid A* finds its way through a building metre by metre. A shortest way of a disc through it is known at once, and
-what is left to find out is where the robot turns round, and in which gear it drives. So poses stand along that way,
-looking along it and back; words join neighbours; and the cheapest sequence of words is searched for, of which a word is
-looked at only when the search gets there ([Bohlin2000], whose roadmap has random vertices).
+The shortest way of a disc through a building is known from the wavefront. Poses stand along that way, heading along it
+and back; words join neighbours; and a best-first search finds the cheapest sequence of words and checks a word only
+when the search reaches it ([Bohlin2000], whose roadmap has random vertices).
 
-The way of the disc leads past corners as closely as it can. An elastic band ([Quinlan1993]) pulls it into the middle of
-what room there is, up to the radius in which the robot can turn.
+The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) pulls it to the middle of the
+free space, up to the radius in which the robot can turn.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.arcs import Arcs, joined
 from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
 from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
-from optdock.planners.manoeuvres.tree import joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,22 +28,18 @@ if TYPE_CHECKING:
 
 __all__ = ["elastic_band", "roadmap_ways"]
 
-_SPACING, _MOST_STATIONS = 0.75, 120  # between stations in turning radii; on longer routes they are farther apart
-_AHEAD = 3  # stations that a word may lead on
-_NEAR_ENDS = 6  # stations that words out of the start may lead to, and from which they may lead into the dock
+_SPACING, _MOST_STATIONS = 0.75, 120  # spacing of stations in turning radii, larger on routes with more stations
+_AHEAD = 3  # most stations that a word advances
+_NEAR_ENDS = 6  # stations joined to the start, and to the dock
 _MOST_ENDS = 8  # nodes of each end's tree
-_PAIRS, _WORDS_PER_PAIR = 128, 3
-_BATCH = 16  # words looked at in one go
-_MOST_LOOKS, _MORE_LOOKS = 3000, 200  # words, after which nothing is expected, or after a way nothing else
-# Of the elastic band: how often it is pulled and pushed, by which share at first, and how much less at last.
-_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1
+_WORDS_PER_PAIR = 3
+_BATCH = 16  # words per collision check
+_MOST_CHECKS, _MORE_CHECKS = 3000, 200  # words checked before the search ends, and after the first way
+_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1  # elastic band: iterations, first step size, factor of the last one
 
 
 class _Edges(NamedTuple):
-    """Words between vertices in the order of their sources, Shape (m,); the gears in which they begin and end.
-
-    Lengths and curvatures: Shape (m, 5).
-    """
+    """Words between vertices in the order of their sources: Shape (m,), lengths and curvatures (m, 5)."""
 
     sources: IntArray
     targets: IntArray
@@ -57,7 +51,7 @@ class _Edges(NamedTuple):
 
 
 class _Label(NamedTuple):
-    """The cheapest way known to a vertex: its price, the gear at its end, and the edge that it ends with."""
+    """The cheapest known way to a vertex: its price, the gear at its end, and its last edge."""
 
     price: float
     gear: float
@@ -72,18 +66,11 @@ def roadmap_ways(
     route: FloatArray,
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
-    """Free manoeuvres along a route as they are found, about the cheapest first.
+    """Yield free manoeuvres along a route, Shape (n, 2) [m], as they are found, roughly in ascending order of price.
 
-    Args:
-        exits: The start, and other nodes of its tree.
-        entries: Nodes of the goal's tree, its root left out.
-        space: What is free.
-        effort: How sharply to turn, and how closely to look.
-        route: Points from the start to the goal, Shape (n, 2) [m].
-        worthwhile: The price from which on a way is of no use.
+    `entries` are without the root of the goal's tree; `worthwhile` returns the price from which on a way is useless.
     """
-    search = _LazySearch(exits, entries, space, effort, route)
-    for price, way in search.ways():
+    for price, way in _LazySearch(exits, entries, space, effort, route).ways():
         if price >= worthwhile():
             return
         if is_wholly_free(way, space, effort):
@@ -91,10 +78,7 @@ def roadmap_ways(
 
 
 class _LazySearch:
-    """Best-first search over words that are looked at when their turn comes; arguments as of `roadmap_ways`.
-
-    Vertices are the exits, then poses along the route, then the entries.
-    """
+    """Best-first search over words; the vertices are the exits, then poses along the route, then the entries."""
 
     def __init__(
         self, exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, route: FloatArray
@@ -116,23 +100,16 @@ class _LazySearch:
         self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
 
     def _words(self) -> _Edges:
-        """Words between vertices that are near each other along the route, in gears that the ends allow."""
+        """Return words between vertices that are close along the route, in gears that the ends allow."""
         station, vertex = self._station, np.arange(len(self._poses))
         i, j = (grid.ravel() for grid in np.meshgrid(vertex[: self._end], vertex[self._begin :], indexing="ij"))
         on, leaves, arrives = station[j] - station[i], i < self._begin, j >= self._end
         wanted = np.where(leaves, station[j] < _NEAR_ENDS, station[i] >= self._count - _NEAR_ENDS)
         wanted = np.where(leaves | arrives, wanted & (leaves != arrives), (on >= 0) & (on <= _AHEAD) & (i != j))
         i, j = i[wanted], j[wanted]
-        robot, blocks = self._space.problem.robot, []
-        for k in range(0, i.size, _PAIRS):
-            self._space.poll()
-            ends = self._poses[i[k : k + _PAIRS]], self._poses[j[k : k + _PAIRS]]
-            block = cheapest_words(*ends, self._effort.radius, robot, _WORDS_PER_PAIR)
-            blocks.append(block._replace(pair=block.pair + k))
-        if not blocks:  # a route without a station
-            none = np.zeros(0)
-            return _Edges(i, j, none, none, none, np.zeros((0, 5)), np.zeros((0, 5)))
-        pair, driven, lengths, curvatures = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        ends = self._poses[i], self._poses[j]
+        words = cheapest_words(*ends, self._effort.radius, self._space, _WORDS_PER_PAIR)
+        pair, driven, lengths, curvatures = words
         begins, ends_in = end_gears(lengths)
         prices = driven + self._stop * gear_changes(lengths)
         speed = self._space.problem.start_speed
@@ -142,16 +119,16 @@ class _LazySearch:
         return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
-        """Whole ways with their prices as they are found, every word of them free."""
+        """Yield whole ways of free words with their prices as they are found."""
         labels: dict[int, _Label] = {}
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):
             labels[vertex] = _Label(float(self._exits.prices[row]), float(self._exits.signs[row]), -1)
             self._push(vertex, labels[vertex], opened)
-        looks, most = 0, _MOST_LOOKS
-        while opened and looks < most:
+        checked, most = 0, _MOST_CHECKS
+        while opened and checked < most:
             some = self._next(opened, labels)
-            looks += len(some)
+            checked += len(some)
             for (price, edge), is_free in zip(some, self._are_free([edge for _, edge in some]), strict=True):
                 target = int(self._edges.targets[edge])
                 if not is_free or (target in labels and labels[target].price <= price):
@@ -160,13 +137,13 @@ class _LazySearch:
                 if target < self._end:
                     self._push(target, labels[target], opened)
                     continue
-                most = min(most, looks + _MORE_LOOKS)
+                most = min(most, checked + _MORE_CHECKS)
                 row = int(self._into[target - self._end])
                 turns = labels[target].gear * -float(self._entries.signs[row]) < 0.0
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
     def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """All words out of a vertex, by the price of the way with them and of what is left of the route."""
+        """Push all words out of a vertex, with the price of the way so far plus the remaining route as bound."""
         some = slice(self._of[vertex], self._of[vertex + 1])
         changes = self._edges.begins[some] * label.gear < 0.0
         prices = label.price + self._edges.prices[some] + self._stop * changes
@@ -176,7 +153,7 @@ class _LazySearch:
             heapq.heappush(opened, (bound, price, edge))
 
     def _next(self, opened: list[tuple[float, float, int]], labels: dict[int, _Label]) -> list[tuple[float, int]]:
-        """The next words that are worth a look, with the prices of the ways to their ends."""
+        """Pop the next words to check, with the prices of the ways to their ends."""
         some: list[tuple[float, int]] = []
         while opened and len(some) < _BATCH:
             _, price, edge = heapq.heappop(opened)
@@ -186,21 +163,19 @@ class _LazySearch:
         return some
 
     def _are_free(self, edges: list[int]) -> list[bool]:
-        """Whether words are free."""
         if not edges:
             return []
         self._space.poll()
         sources, spacing = self._poses[self._edges.sources[edges]], self._space.spacing(self._effort)
         words = Arcs(sources, self._edges.lengths[edges], self._edges.curvatures[edges])
-        blocks = [words.rows(slice(k, k + 1)).poses_every(spacing) for k in range(words.size)]
-        asked = self._effort.margin, self._effort.start_relief
-        free = self._space.is_free(np.concatenate(blocks), *asked)
+        blocks = [words.rows(slice(k, k + 1)).poses_every(spacing) for k in range(len(edges))]
+        free = self._space.is_free(np.concatenate(blocks), self._effort.margin, self._effort.start_relief)
         begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
         found: list[bool] = np.logical_and.reduceat(free, begins).tolist()
         return found
 
     def _way(self, vertex: int, labels: dict[int, _Label]) -> Arcs:
-        """The whole way over an entry."""
+        """Return the whole way that ends at an entry."""
         parts = [self._entries.way(int(self._into[vertex - self._end]))]
         while (edge := labels[vertex].edge) >= 0:
             parts.append((self._edges.lengths[edge], self._edges.curvatures[edge]))
@@ -210,7 +185,7 @@ class _LazySearch:
 
 
 def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
-    """Poses along a route, and how far they are apart [m]. Shape (n, 3)."""
+    """Return poses along a route, Shape (n, 3), and their spacing [m]."""
     s = _arc_lengths(route)
     spacing = max(_SPACING * radius, s[-1] / _MOST_STATIONS)
     at, near = np.arange(0.5 * spacing, s[-1], spacing), 0.5 * spacing
@@ -221,26 +196,21 @@ def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
 
 
 def _arc_lengths(route: FloatArray) -> FloatArray:
-    """From the first point of a route to each, Shape (n,) [m]."""
+    """Return the distances from the first point along a route, Shape (n,) [m]."""
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
-    """A route that keeps its ends, is pulled straight, and pushed away from what is nearer than `room`.
+    """Return a route, Shape (n, 2) [m], pulled straight and pushed away from obstacles nearer than `room` [m].
 
-    Its points lie about as far apart as the robot is wide.
-
-    Args:
-        route: Points, Shape (n, 2) [m].
-        space: Where obstacles are.
-        room: How much is wanted on both sides [m].
+    Its ends are kept; its points lie about one robot width apart.
     """
     s = _arc_lengths(route)
     at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))
     points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # between two walls each push leads past the middle
+    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, as pushes between two walls overshoot the middle
         inner = points[1:-1]
         lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)

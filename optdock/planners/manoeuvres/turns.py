@@ -1,10 +1,9 @@
-"""Turn and drive: manoeuvres of robots that turn in place, out of turns and straight lines.
+"""Manoeuvres of robots that turn in place, out of turns and straight lines.
 
-The fastest motions of a differential drive whose wheels are bounded in speed alone are such sequences on open floor
-[Balkcom2002]. Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives
-straight on and turns again. Where obstacles stand in the way of that line it follows a shortest way around them for the
-disc that it needs for turning, cut short wherever it can drive straight on. Corners with room enough are left to a
-smoother, which rounds them without a stop.
+The fastest motions of a differential drive with bounded wheel speeds are such sequences on open floor [Balkcom2002].
+Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives straight and
+turns again. If obstacles block that line, it follows a shortest way around them for the disc of turning, cut short by
+lines of sight. The smoother rounds corners with enough room without a stop.
 """
 
 from __future__ import annotations
@@ -32,28 +31,33 @@ if TYPE_CHECKING:
 
 __all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turning_places", "turns_and_drives"]
 
-_NOTHING = 1e-9  # [m], [rad]: less is neither driven nor turned
-_HEADINGS = 24  # around a place, at which it is looked at whether the robot can turn there: every 15 degrees
-_GLANCE = readonly(np.arange(1, 8) / 7.0)  # shares of a line at which it is looked at before it is looked at whole
-_BATCH = 64  # lines glanced at in one go
-_MOST_GLANCES = 8  # batches: places where nothing else was free in half a thousand lines have no free one
-_CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
-# [rad]: a corner that turns by less can be rounded without a stop; one that turns by more leads back.
-_ROUNDED = 2.0
-_PARALLEL = 0.05  # [rad]: axes that meet at less meet too far away
-_WIDEST = 4  # places on the axis of an end, of those with more room than beside them
-_TANGENT_SHARE = 0.8  # of the tangents of an arc of the search that a rounded corner must have room for
-_WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes are looked for between
-_KINDS = (False, True)  # of manoeuvres: with every corner turned in place, with some rounded
-_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
-_SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is looked at
-_POINTS = 40  # of a way that a line of sight may join
+_NOTHING = 1e-9  # [m], [rad]: less is no motion
+_HEADINGS = 24  # headings at which turning in place is checked: every 15 degrees
+_COARSE = readonly(np.arange(1, 8) / 7.0)  # shares of a line at which the coarse check samples it
+_BATCH = 64  # lines per coarse check
+_MOST_BATCHES = 8  # after 512 lines without result no free one is expected
+_CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
+_ROUNDED = 2.0  # [rad]: largest corner that can be rounded without a stop
+_PARALLEL = 0.05  # [rad]: axes at a smaller angle count as parallel
+_WIDEST = 4  # local maxima of the free space on the axis of an end
+_TANGENT_SHARE = 0.8  # share of the tangents of an arc that both legs of a rounded corner must have
+_WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes join
+_KINDS = (False, True)  # of manoeuvres: every corner turned in place, some corners rounded
+_TRIES = 2  # most manoeuvres of each kind
+_SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is sampled
+_POINTS = 40  # points of a way that a line of sight may join
+
+
+# `turns_and_drives` or `routes`.
+TurnSearch: TypeAlias = (
+    "Callable[[TreeNodes, TreeNodes, FreeSpace, Effort, Callable[[], float]], Iterator[TurnsAndDrives]]"
+)
 
 
 class TurnsAndDrives(NamedTuple):
-    """One manoeuvre: from `start`, Shape (3,), a turn [rad] and a straight drive [m], and again. Shape (k,) each.
+    """A manoeuvre from `start`, Shape (3,): pairs of a turn [rad] and a straight drive [m], Shape (k,) each.
 
-    `is_rounded`: corners between two drives in one gear are left to a smoother, which rounds them without a stop.
+    `is_rounded`: corners between two drives in one gear are left to the smoother, which rounds them without a stop.
     """
 
     start: FloatArray
@@ -62,20 +66,20 @@ class TurnsAndDrives(NamedTuple):
     is_rounded: bool = False
 
     def rounds(self) -> BoolArray:
-        """Which turns are corners that are rounded. Shape (k,)."""
+        """Return which turns are rounded corners. Shape (k,)."""
         goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)
         rounded: BoolArray = goes_on & (np.abs(self.turns) < _ROUNDED) & self.is_rounded
         return rounded
 
     def joints(self) -> tuple[FloatArray, FloatArray]:
-        """Poses before every turn and after it, Shape (k, 3) each."""
+        """Return the poses before and after every turn, Shape (k, 3) each."""
         yaw = self.start[2] + np.cumsum(self.turns)
         x, y = (self.start[i] + np.cumsum(self.lengths * f(yaw)) for i, f in ((0, np.cos), (1, np.sin)))
         before = np.column_stack((np.append(self.start[0], x[:-1]), np.append(self.start[1], y[:-1]), yaw - self.turns))
         return before, np.column_stack((before[:, :2], yaw))
 
     def poses_every(self, spacing: float, radius: float) -> FloatArray:
-        """Poses between which no point within `radius` [m] of the origin moves further than `spacing`. Shape (q, 3)."""
+        """Return poses, Shape (q, 3), between which no point within `radius` moves by more than `spacing` [m]."""
         before, after = self.joints()
         blocks = []
         swept = np.where(self.rounds(), 0.0, self.turns)
@@ -86,13 +90,7 @@ class TurnsAndDrives(NamedTuple):
         return np.concatenate(blocks)
 
     def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
-        """The turns as segments, the drives as polylines.
-
-        Args:
-            spacing: Of the poses of drives with rounded corners [m].
-            goal: Its last pose; where it leads, but for rounding errors.
-            frame: Name of the coordinate frame.
-        """
+        """Return turns as segments and drives as polylines of some spacing [m], with `goal` as exact last pose."""
         before, after = self.joints()
         segments: list[Segment] = []
         rounds = np.append(self.rounds(), False)
@@ -113,12 +111,12 @@ class TurnsAndDrives(NamedTuple):
 
 
 def _line(pose: FloatArray, length: float, spacing: float) -> FloatArray:
-    """Poses on a straight line. Shape (q, 3)."""
+    """Return poses on a straight line. Shape (q, 3)."""
     return advance(pose, np.linspace(0.0, length, math.ceil(abs(length) / spacing) + 1), np.zeros(1))
 
 
 def _ending_at(last: Segment, goal: Pose2) -> Segment:
-    """The last segment of a way with the goal itself as its last pose."""
+    """Return the last segment with the goal itself as its last pose."""
     if isinstance(last, TurnSegment):
         return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
     assert isinstance(last, PolylineSegment)  # nothing else is built here
@@ -127,41 +125,29 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
     return PolylineSegment(poses, last.direction)
 
 
-class _TurnRoom(NamedTuple):
-    """How far the robot can turn at places, left and right of a heading that is free, Shape (n,) [rad]."""
-
-    left: FloatArray
-    right: FloatArray
-
-    @classmethod
-    def at(cls, poses: FloatArray, space: FreeSpace, effort: Effort) -> _TurnRoom:
-        """By a quick look at some headings; what is not free between two of them shows later."""
-        space.poll()
-        step = 2.0 * math.pi / _HEADINGS
-        around = np.repeat(poses[:, None], _HEADINGS, axis=1)
-        around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
-        free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), _HEADINGS)
-        far = []
-        for side in (free, free[:, -2::-1]):  # the last heading is the first one again
-            count = np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1))
-            far.append((count + 1.0) * step)
-        return cls(*far)
-
-    def allows(self, turns: FloatArray, rows: IntArray) -> BoolArray:
-        """Whether turns from the headings of the places at `rows` may be free."""
-        allowed: BoolArray = (turns <= self.left[rows]) & (-turns <= self.right[rows])
-        return allowed
+def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: FreeSpace, effort: Effort) -> BoolArray:
+    """Whether turns [rad] from the poses at `rows` may be free, by a check of some headings. Shape (n,)."""
+    space.poll()
+    step = 2.0 * math.pi / _HEADINGS
+    around = np.repeat(poses[:, None], _HEADINGS, axis=1)
+    around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
+    free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), _HEADINGS)
+    left, right = (
+        (np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1)) + 1.0) * step
+        for side in (free, free[:, -2::-1])  # the last heading is the first one again
+    )
+    allowed: BoolArray = (turns <= left[rows]) & (-turns <= right[rows])
+    return allowed
 
 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
-    """How far from a pose straight on, in either gear, lie the places that are good for a turn. Shape (n,) [m].
+    """Return distances from a pose straight on, in either gear, of places suited for a turn. Shape (n,) [m].
 
-    Where its axis meets that of the other end, the foot of the other end on it, and where there is most room.
+    These are the intersection with the axis of the other end, the foot of the other end on the axis, and the places
+    with most room.
     """
-    ahead, across = (
-        np.array([math.cos(pose[2]), math.sin(pose[2])]),
-        np.array([-math.sin(other[2]), math.cos(other[2])]),
-    )
+    ahead = np.array([math.cos(pose[2]), math.sin(pose[2])])
+    across = np.array([-math.sin(other[2]), math.cos(other[2])])
     between = other[:2] - pose[:2]
     longest = float(np.hypot(*between)) + 2.0 * space.footprint.circumscribed_radius
     found = [float(between @ ahead)]
@@ -180,26 +166,22 @@ def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> Flo
 def turns_and_drives(
     exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[TurnsAndDrives]:
-    """Manoeuvres that are free, the cheapest first: a straight run, a turn, a line, a turn, a straight run.
+    """Yield free manoeuvres in ascending order of price: a straight run, a turn, a line, a turn, a straight run.
 
-    Args:
-        exits: Ends of straight runs out of the start, which is one of them.
-        entries: Where straight runs into the dock begin.
-        space: What is free.
-        effort: How closely to look.
-        worthwhile: The price from which on nothing is of use [s].
+    `exits` are the start and the ends of straight runs out of it, `entries` poses at which straight runs into the dock
+    begin; `worthwhile` returns the price from which on a manoeuvre is useless [s].
     """
     found = _lines(exits, entries, space, effort)
     left = {False: _TRIES, True: _TRIES}
-    for k in range(0, min(found.prices.size, _BATCH * _MOST_GLANCES), _BATCH):
+    for k in range(0, min(found.prices.size, _BATCH * _MOST_BATCHES), _BATCH):
         space.poll()
         some = found.rows(slice(k, k + _BATCH))
         some = some.rows(np.flatnonzero(np.where(some.rounded, left[True], left[False]) > 0))
         leaving = exits.tree.poses[some.exits]
         leaving[:, 2] += some.turns[:, 0]
-        line = advance(leaving[:, None], some.lengths[:, None] * _GLANCE, np.zeros(1))
-        asked = effort.margin, effort.start_relief
-        passed = space.is_free(line.reshape(-1, 3), *asked).reshape(line.shape[:2]).all(axis=1)
+        line = advance(leaving[:, None], some.lengths[:, None] * _COARSE, np.zeros(1))
+        free = space.is_free(line.reshape(-1, 3), effort.margin, effort.start_relief)
+        passed = free.reshape(line.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
             price, is_rounded = float(some.prices[row]), bool(some.rounded[row])
             if price >= worthwhile():
@@ -215,10 +197,7 @@ def turns_and_drives(
 
 
 class _Lines(NamedTuple):
-    """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m].
-
-    `rounded`: turns between drives in one gear are corners to be rounded.
-    """
+    """Lines between nodes: Shape (n,), turns before and after (n, 2) [rad]; whether corners are rounded."""
 
     prices: FloatArray
     exits: IntArray
@@ -233,21 +212,17 @@ class _Lines(NamedTuple):
 
 
 def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort) -> _Lines:
-    """Every line in both gears, every turn either way round, that turning may allow; the cheapest first."""
+    """Return every line in both gears with turns either way round that may be free, in ascending order of price."""
     limits = space.problem.robot.limits
     leaving, arriving = exits.tree.poses[exits.rows], entries.tree.poses[entries.rows]
-    i, j, gear, first, second = (
-        axis.ravel()
-        for axis in np.meshgrid(
-            np.arange(len(leaving)), np.arange(len(arriving)), *([np.array([1.0, -1.0])] * 3), indexing="ij"
-        )
-    )
+    axes = np.arange(len(leaving)), np.arange(len(arriving)), *([np.array([1.0, -1.0])] * 3)
+    i, j, gear, first, second = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
     dx, dy = (arriving[j, :2] - leaving[i, :2]).T
     length = np.hypot(dx, dy)
     drives = length > _NOTHING
     heading = np.where(drives, np.arctan2(gear * dy, gear * dx), leaving[i, 2])
     turns = np.column_stack((wrap_angles(heading - leaving[i, 2]), wrap_angles(arriving[j, 2] - heading)))
-    # The shorter way round, or the other one.
+    # Turn the shorter way or the other one.
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
     rows = exits.rows[i], entries.rows[j]
@@ -258,12 +233,8 @@ def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effor
     stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
     stops = stops + (drives & (into != 0.0) & ((turns[:, 1] != 0.0) | (into * gear < 0.0)))
     prices += stopping_cost(limits) * (stops + (~drives & (out != 0.0) & (into != 0.0)))
-    can_turn = np.column_stack(
-        (
-            _TurnRoom.at(leaving, space, effort).allows(turns[:, 0], i),
-            _TurnRoom.at(arriving, space, effort).allows(-turns[:, 1], j),
-        )
-    )
+    turns_out = _allowed_turns(leaving, turns[:, 0], i, space, effort)
+    can_turn = np.column_stack((turns_out, _allowed_turns(arriving, -turns[:, 1], j, space, effort)))
     turned = np.flatnonzero(can_turn.all(axis=1))
     run = np.abs(entries.tree.lengths[rows[1]]) - space.problem.dock.final_straight
     goes_on = np.column_stack((out * gear > 0.0, into * gear > 0.0)) & drives[:, None]
@@ -283,11 +254,7 @@ def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effor
 def _saved_by_rounding(
     bend: FloatArray, legs: FloatArray, speed: FloatArray, space: FreeSpace, effort: Effort
 ) -> tuple[FloatArray, BoolArray]:
-    """What corners save when they are rounded, with the price of the stop [s], and whether legs have room for that.
-
-    An arc takes as long a tangent of both legs. A smoother may move the corner, and turn more sharply than the arcs of
-    a search do.
-    """
+    """Return the time saved by rounding corners [s], and whether the legs have room for the tangents of an arc."""
     limits = space.problem.robot.limits
     tangent = effort.radius * np.tan(0.5 * np.minimum(bend, _ROUNDED))
     saved = turning_times(bend, limits.turning) + stopping_cost(limits)
@@ -298,7 +265,7 @@ def _saved_by_rounding(
 def _whole(
     exits: TreeNodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: TreeNodes, entry_row: int
 ) -> TurnsAndDrives:
-    """A run out of the start, turns and drives, of which the last has no drive, and a run into the dock."""
+    """Return a run out of the start, turns and drives (the last of them 0), and a run into the dock."""
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
     nothing = np.zeros(1)
     turns = np.concatenate((np.zeros(out.size), middle[0], np.zeros(into.size)))
@@ -307,7 +274,7 @@ def _whole(
 
 
 def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, FloatArray]:
-    """Turns with no drive between them are one, and so are drives in one gear with no turn between them."""
+    """Merge turns without a drive between them, and drives in one gear without a turn between them."""
     pairs: list[list[float]] = [[0.0, 0.0]]
     for turn, length in zip(turns, lengths, strict=True):
         last = pairs[-1]
@@ -322,17 +289,15 @@ def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, F
 
 
 def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
-    """As the words' prices: at full speed, with what every stop adds [s]."""
-    limits = space.problem.robot.limits
-    lengths = whole.lengths
-    rounds = whole.rounds()
+    """Return the price at full speed with the cost of stops, as that of words [s]."""
+    limits, lengths, rounds = space.problem.robot.limits, whole.lengths, whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
     return float(driving_prices(lengths, space.problem.robot).sum() + turning.sum()) + stopping_cost(limits) * stops
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
-    """A look at all of it, with the margin; and a close one without, because a smoother keeps it as it is."""
+    """Whether a manoeuvre is free, with the margin at coarse poses and without it at fine ones."""
     space.poll()
     reach = space.footprint.circumscribed_radius
     if not space.is_free(whole.poses_every(space.spacing(effort), reach), effort.margin, effort.start_relief).all():
@@ -344,24 +309,17 @@ def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
 def routes(
     exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[TurnsAndDrives]:
-    """Manoeuvres around obstacles, turning in place at the corners of the way.
+    """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
 
-    The way is that of the disc in which the robot turns; then that of one that it only drives through, so that turns
-    must find their room.
-
-    Args:
-        exits: As of `turns_and_drives`.
-        entries: As of `turns_and_drives`.
-        space: What is free.
-        effort: How closely to look.
-        worthwhile: As of `turns_and_drives`.
+    The way is that of the disc in which the robot turns; then that of one as wide as the robot. Arguments as in
+    `turns_and_drives`.
     """
     kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
     driving = 0.5 * space.footprint.width + kept
     for radius, out in itertools.product((space.footprint.circumscribed_radius + kept, driving), ways_out):
         found = list(_around(exits, out, TreeNodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
-        # A long way is smoothed in a tenth of a second, or in vain: what needs no smoothing comes first.
+        # Smoothing a long way takes a tenth of a second or fails, so manoeuvres without rounded corners come first.
         offered = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in _KINDS]
         yield from (one[1] for one in offered if one is not None and one[0] < worthwhile())
         if any(one is not None for one in offered):
@@ -371,7 +329,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
+    """Yield ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():
@@ -388,27 +346,21 @@ def _around(
 def _cheapest_free(
     found: Sequence[TurnsAndDrives], space: FreeSpace, effort: Effort
 ) -> tuple[float, TurnsAndDrives] | None:
-    """The cheapest that is free, and its price."""
+    """Return the cheapest free manoeuvre and its price."""
     priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
     ordered = sorted(priced, key=lambda one: one[0])
     return next((one for one in ordered if _is_free(one[1], space, effort)), None)
 
 
-TurnSearch: TypeAlias = (
-    "Callable[[TreeNodes, TreeNodes, FreeSpace, Effort, Callable[[], float]], Iterator[TurnsAndDrives]]"
-)
-"""`turns_and_drives` or `routes`."""
-
-
 def _spread(nodes: TreeNodes, count: int) -> list[int]:
-    """Some of the nodes, from the cheapest to the dearest."""
+    """Return some of the nodes, from the cheapest to the dearest."""
     order = np.argsort(nodes.tree.prices[nodes.rows], kind="stable")
     picked = order[np.unique(np.linspace(0.0, max(order.size - 1, 0), min(count, order.size)).astype(np.int64))]
     return [int(row) for row in nodes.rows[picked]]
 
 
 def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple[FloatArray, FloatArray]:
-    """Turns and lengths along a polyline of corners in one gear, between two headings."""
+    """Return turns and lengths along a polyline of corners in one gear, between two headings."""
     step = np.diff(corners, axis=0)
     heading = np.arctan2(gear * step[:, 1], gear * step[:, 0])
     turns = wrap_angles(np.diff(np.concatenate(([first], heading, [last]))))
@@ -416,7 +368,7 @@ def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple
 
 
 def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: FreeSpace, radius: float) -> FloatArray:
-    """The corners of a way that are left when it is cut short wherever a disc can pass. Shape (k, 2)."""
+    """Return the corners of a way that remain when it is cut short by lines of sight of a disc. Shape (k, 2)."""
     some = way[np.unique(np.linspace(0, len(way) - 1, _POINTS).astype(np.int64))]
     points = np.concatenate((source[None], some[1:-1], target[None]))
     corners, at, last = [points[0]], 0, len(points) - 1
@@ -425,7 +377,7 @@ def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: Fre
         ahead = points[at + 1 :]
         line = points[at] + _SIGHT[:, None, None] * (ahead - points[at])
         lower, _ = space.field.bounds(line)
-        # Near its ends the way is that of the robot, not of the disc: whether it is free shows later.
+        # Near the ends the disc need not fit; the final check of the manoeuvre decides.
         near = [np.hypot(*np.moveaxis(line - end, -1, 0)) < radius for end in (source, target)]
         is_seen = ((lower >= radius) | near[0] | near[1]).all(axis=0)
         is_seen[0] = True

@@ -9,8 +9,7 @@ from optdock.errors import NoValidPathCouldBeFound
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.path import Direction
-from optdock.planners.approach_axis import DockGeometry, approach_axis
-from optdock.planners.dock_parameters import DockPlannerParameters
+from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, approach_axis
 
 GEOMETRY = DockGeometry(robot_length=0.8, robot_radius=0.5, dock_length=0.2)  # C at 0.5 m, safety distance 1 m
 DEFAULTS = DockPlannerParameters()
@@ -32,16 +31,13 @@ def test_sizes_come_from_the_outlines():
 def test_points_and_distances_of_a_forward_docking():
     axis = axis_from(1.0, 1.6)
     assert axis.direction is Direction.FORWARD
-    assert axis.t == pytest.approx(6.0)
-    assert axis.distance_cd == pytest.approx(2.5)
     assert axis.distance_ad == pytest.approx(0.6)
-    assert axis.distance_df == pytest.approx(1.0)  # the safety distance is larger
     np.testing.assert_allclose(axis.point_c, [3.5, 1.0])
     np.testing.assert_allclose(axis.point_d, [1.0, 1.0])
-    np.testing.assert_allclose(axis.point_f, [0.0, 1.0])
+    np.testing.assert_allclose(axis.point_f, [0.0, 1.0])  # the safety distance from D
 
 
-def test_a_start_in_front_of_the_docked_robot_docks_backward():
+def test_start_in_front_of_the_docked_robot_docks_backward():
     axis = axis_from(7.0, -0.5)
     assert axis.direction is Direction.REVERSE
     np.testing.assert_allclose(axis.point_c, [4.5, 1.0])
@@ -79,7 +75,7 @@ def test_calibration_widens_the_safety_distance():
 
 @pytest.mark.parametrize("x", [4.0, 3.6, 3.5, 4.5, 4.2])
 @pytest.mark.parametrize("y", [1.0, 3.0])
-def test_a_start_not_beyond_c_is_refused(x, y):
+def test_start_not_beyond_c_is_refused(x, y):
     with pytest.raises(NoValidPathCouldBeFound, match=r"must be more than 0.5 m from it") as e:
         axis_from(x, y)
     assert e.value.where["step"] == "beyond_c"
@@ -87,25 +83,25 @@ def test_a_start_not_beyond_c_is_refused(x, y):
     assert e.value.code == 208
 
 
-def test_a_start_just_beyond_c_is_accepted():
-    assert axis_from(3.5 - 1e-6, 1.0).t == pytest.approx(1.0, abs=1e-5)
+def test_start_just_beyond_c_is_accepted():
+    assert axis_from(3.5 - 1e-6, 1.0).along == pytest.approx(0.5, abs=1e-5)
 
 
 @pytest.mark.parametrize(("x", "wanted", "possible"), [(1.0, "backward", "forward"), (7.0, "forward", "backward")])
-def test_a_wanted_direction_that_the_side_contradicts_is_refused(x, wanted, possible):
+def test_direction_that_contradicts_the_side_of_the_start_is_refused(x, wanted, possible):
     with pytest.raises(NoValidPathCouldBeFound, match=f"only dock {possible}, but direction is {wanted}"):
         axis_from(x, 1.0, direction=wanted)
     for fine in (possible, "auto"):
         assert axis_from(x, 1.0, direction=fine).direction is axis_from(x, 1.0).direction
 
 
-def test_a_robot_without_length_is_refused():
+def test_robot_without_length_is_refused():
     with pytest.raises(NoValidPathCouldBeFound, match="the robot's length must be > 0 m, got 0 m"):
         axis_from(1.0, 1.0, geometry=GEOMETRY._replace(robot_length=0.0))
 
 
 @pytest.mark.parametrize("calibration", [-0.5, -2.0])
-def test_a_safety_distance_that_is_not_positive_is_refused(calibration):
+def test_safety_distance_that_is_not_positive_is_refused(calibration):
     with pytest.raises(NoValidPathCouldBeFound, match=r"safety distance, .* must be > 0 m") as caught:
         axis_from(1.0, 1.0, calib_safety_distance=calibration)
     assert caught.value.where["safety_distance"] == pytest.approx(2.0 * (0.5 + calibration))

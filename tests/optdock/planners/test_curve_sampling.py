@@ -32,20 +32,12 @@ def test_neighbours_are_never_farther_apart_than_the_resolution(points, resoluti
     assert spacing(poses).max() <= resolution
 
 
-def test_the_mean_speed_alone_would_space_poses_too_far():
-    # Why the step is not resolution / length, as in the source: the control legs are longer than the arc.
-    curve = Nurbs(ARC)
-    length = np.hypot(*np.diff(curve.points_at(np.linspace(0.0, 1.0, 10_001)), axis=0).T).sum()
-    u = np.linspace(0.0, 1.0, math.ceil(length / 0.05) + 1)
-    assert np.hypot(*np.diff(curve.points_at(u), axis=0).T).max() > 0.05 * 1.1
-
-
-def test_a_straight_curve_is_sampled_at_resolution_over_length():
+def test_straight_curve_is_sampled_at_resolution_over_length():
     poses = sampler().poses(np.array([[0.0, 0.0], [1.9995, 0.0], [3.999, 0.0]]), Direction.FORWARD, "a curve")
     np.testing.assert_allclose(poses, np.column_stack((np.linspace(0.0, 3.999, 81), np.zeros((81, 2)))), atol=1e-12)
 
 
-def test_the_step_of_u_is_never_coarser_than_asked():
+def test_step_of_u_is_never_coarser_than_asked():
     assert len(sampler(resolution=100.0).poses(ARC, Direction.FORWARD, "a curve")) == 51
     assert len(sampler(resolution=100.0, step=0.25).poses(ARC, Direction.FORWARD, "a curve")) == 5
 
@@ -70,12 +62,12 @@ def test_degree_one_follows_the_control_polygon():
     assert spacing(poses).max() <= 0.05
 
 
-def test_a_curve_without_extent_is_empty():
+def test_curve_without_extent_is_empty():
     with pytest.raises(NoValidPathCouldBeFound, match="segment 9 is empty: only 0 of 51 samples are finite"):
         sampler().poses(np.ones((3, 2)), Direction.FORWARD, "segment 9")
 
 
-def test_an_absurd_distance_is_refused_before_memory_runs_out():
+def test_too_long_curve_is_refused_before_it_is_sampled():
     far = np.array([[0.0, 0.0], [5e8, 0.0], [1e9, 0.0]])
     with pytest.raises(NoValidPathCouldBeFound, match=f"2e\\+10 samples, at most {MAX_SAMPLES}"):
         sampler().poses(far, Direction.FORWARD, "segment 1")
@@ -91,7 +83,7 @@ def wall(cost):
 
 
 @pytest.mark.parametrize(("cost", "threshold", "blocked"), [(199, 200, False), (200, 200, True), (1, 1, True)])
-def test_a_cell_at_the_threshold_blocks(cost, threshold, blocked):
+def test_cell_at_the_threshold_blocks(cost, threshold, blocked):
     points = np.array([[0.5, 0.0], [1.0, 0.0], [1.5, 0.0]])
     checked = sampler(costmap=wall(cost), threshold=threshold)
     if not blocked:

@@ -44,14 +44,14 @@ def test_no_room_on_either_side_drives_straight_to_the_axis():
 
 
 @pytest.mark.parametrize(("y", "kind"), [(1.7, JointKind.TOWARD), (1.8, JointKind.AWAY), (2.0, JointKind.CORNER)])
-def test_the_run_in_rule_decides_at_sixty_and_a_bit(y, kind):
+def test_run_in_rule_decides_at_an_angle_above_sixty_degrees(y, kind):
     # Toward needs sqrt(3) d before the foot at 3 m; away needs 1.635 d beyond it.
     line = LINE[:121] if kind is not JointKind.CORNER else LINE[:120]
     assert joint_from(3.0, y, line=line).dir is kind
 
 
 @pytest.mark.parametrize("x", [0.001, 0.024, 0.026, 0.05, 0.07, 0.1, 1.0, 4.987])
-def test_a_start_on_the_axis_runs_straight_toward_c(x):
+def test_start_on_the_axis_runs_straight_toward_c(x):
     joint = joint_from(x, 0.0, threshold=0.5 * math.pi)
     assert joint.dir is JointKind.TOWARD
     along = joint.control_points[:, 0]
@@ -60,7 +60,7 @@ def test_a_start_on_the_axis_runs_straight_toward_c(x):
 
 
 @given(st.floats(0.0, 5.0), st.floats(1e-3, 5.0), st.floats(math.pi / 2, 2.2))
-def test_joints_keep_the_rules_that_found_them(x, y, threshold):
+def test_joints_satisfy_the_rules_of_their_kind(x, y, threshold):
     joint = joint_from(x, y, threshold)
     start, middle, end = joint.control_points
     legs = np.hypot(*np.diff(joint.control_points, axis=0).T)
@@ -94,6 +94,6 @@ def test_interior_angle_is_the_angle_between_the_rays(base, a, b, angle):
         assert interior_angles(at, first, second)[0] == pytest.approx(angle, abs=1e-6)
 
 
-def test_a_ray_without_length_has_no_angle():
+def test_ray_without_length_has_no_angle():
     at = np.array([[1.0, 2.0]])
     assert interior_angles(at, at[0], np.array([0.0, 0.0]))[0] == 0.0

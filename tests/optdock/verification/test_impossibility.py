@@ -74,7 +74,7 @@ def narrow():
     return asked, proven(asked)
 
 
-def test_a_gap_too_narrow_by_centimetres_is_proven_and_measured(narrow):
+def test_gap_too_narrow_by_centimetres_is_proven_and_measured(narrow):
     _, proof = narrow
     found = proof.bottleneck
     assert found.missing_width == pytest.approx(0.05, abs=0.03)
@@ -86,16 +86,15 @@ def test_a_gap_too_narrow_by_centimetres_is_proven_and_measured(narrow):
     assert "the robot with its clearance is 0.0" in proof.message
 
 
-def test_a_body_that_is_too_wide_is_told_from_a_clearance_that_is():
+def test_too_wide_body_differs_from_too_much_clearance():
     found = proven(gap(0.4)).bottleneck
     assert not found.body_fits
     assert found.missing_width == pytest.approx(0.3, abs=0.05)
     assert found.missing_without_clearance == pytest.approx(0.2, abs=0.05)
 
 
-@pytest.mark.parametrize("thick", [0.001, 0.2])
-@pytest.mark.parametrize("at", [(0.0, 0.0), (-3e5, 7e6)])
-def test_a_closed_door_is_proven_however_thin_and_far_off(thick, at):
+@pytest.mark.parametrize(("thick", "at"), [(0.001, (0.0, 0.0)), (0.2, (-3e5, 7e6))])
+def test_closed_door_is_proven_however_thin_and_far_off(thick, at):
     proven(gap(0.0, thick=thick, at=at))
 
 
@@ -103,14 +102,12 @@ def test_a_closed_door_is_proven_however_thin_and_far_off(thick, at):
     "asked",
     [
         gap(0.7),  # as wide as the robot with its clearance
-        gap(0.7, turn=0.7),
-        gap(0.6 - 0.9 * TOLERANCE, clearance=0.0),  # accepted by the tolerance of a certificate
+        gap(0.6 - 0.9 * TOLERANCE, clearance=0.0, turn=0.7),  # accepted by the tolerance of a certificate
         gap(0.75),
-        gap(1.5),
     ],
 )
-def test_a_gap_that_is_wide_enough_is_never_proven_closed(asked):
-    assert prove_impossible(asked, time_budget=0.5) is None
+def test_gap_that_is_wide_enough_is_never_proven_closed(asked):
+    assert prove_impossible(asked, time_budget=0.3) is None
 
 
 def test_without_a_wall_around_start_or_goal_there_is_no_proof():
@@ -132,19 +129,19 @@ def ring(gap_width):
     ]
 
 
-def test_a_dock_inside_a_ring_is_shut_in_and_so_is_a_start():
+def test_dock_inside_a_ring_is_shut_in_and_so_is_a_start():
     posts = ring(0.3)
     proof = proven(problem((-4.0, 0.5, 1.0), (0.0, 0.0, 0.0), posts))
     assert proof.end == "goal"
     assert proven(problem((0.0, 0.0, 0.0), (-4.0, 0.5, 1.0), posts)).end == "start"
 
 
-def test_a_bay_shorter_than_the_robot_is_proven_blocked():
+def test_bay_shorter_than_the_robot_is_proven_blocked():
     bay = [box(-3.0, -1.0, 3.0, -0.36), box(-3.0, -0.36, -0.43, 0.4), box(0.43, -0.36, 3.0, 0.4)]
     proven(problem((0.0, 2.0, 0.0), (0.0, 0.0, 0.0), bay, clearance=0.0))
 
 
-def test_a_corner_that_a_long_robot_cannot_turn_is_proven_though_it_is_wide_enough_for_it():
+def test_corner_that_a_long_robot_cannot_turn_is_proven_though_it_is_wide_enough_for_it():
     # a ladder of length l passes a corner of corridors of width w only if l <= 2 sqrt(2) w
     corridor = [box(-4.0, -0.2, 1.0, 0.0), box(1.0, -0.2, 1.2, 4.0), box(-4.0, 1.0, 0.0, 1.2), box(-0.2, 1.2, 0.0, 4.0),
                 box(-4.2, -0.2, -4.0, 1.2), box(-0.2, 4.0, 1.2, 4.2)]  # fmt: skip
@@ -154,7 +151,7 @@ def test_a_corner_that_a_long_robot_cannot_turn_is_proven_though_it_is_wide_enou
     proven(problem(*ends, corridor, 0.0, long_))
 
 
-def test_the_border_of_a_map_and_its_unknown_cells_are_walls():
+def test_border_of_a_map_and_its_unknown_cells_are_walls():
     cells = np.zeros((40, 80), dtype=np.int64)
     cells[:, 38:42] = -1
     ends = {"start": Pose2(1.0, 1.0, 0.0), "dock": Dock(Pose2(3.0, 1.0, 0.0)), "robot": Robot(BODY, LIMITS)}
@@ -163,7 +160,7 @@ def test_the_border_of_a_map_and_its_unknown_cells_are_walls():
     assert prove_impossible(dataclasses.replace(walled, unknown_is_obstacle=False), time_budget=ENOUGH) is None
 
 
-def test_a_thick_wall_of_many_small_pieces_is_as_closed_as_one():
+def test_thick_wall_of_many_small_pieces_is_as_closed_as_one():
     cells = np.zeros((40, 80), dtype=bool)
     cells[:, 30:50] = np.indices((40, 20)).sum(axis=0) % 3 > 0
     ends = {"start": Pose2(0.75, 1.0, 0.0), "dock": Dock(Pose2(3.25, 1.0, 0.0)), "robot": Robot(BODY, LIMITS)}
@@ -175,31 +172,31 @@ def test_start_and_goal_at_one_place_are_joined():
     assert prove_impossible(shut, time_budget=ENOUGH) is None
 
 
-def test_the_taper_near_the_goal_and_the_relief_near_the_start_count():
+def test_taper_near_the_goal_and_the_relief_near_the_start_count():
     def bay(half):
         return [box(-0.6, -1.0, 0.5, -half), box(-0.6, half, 0.5, 1.0), box(0.5, -1.0, 0.7, 1.0)]
 
     away, docked = (-3.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     # on the way out of the bay the taper asks for less than the 5 cm that there are
-    assert prove_impossible(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 10.0)), time_budget=2.0) is None
+    assert prove_impossible(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 10.0)), time_budget=0.5) is None
     proven(problem(away, docked, bay(0.35), ClearanceRule(0.3, 0.0, 1.0)))
     # 2 cm on both sides are what the robot starts with, and what may be granted for its own length
-    assert prove_impossible(problem(docked, away, bay(0.32), 0.2), time_budget=2.0) is None
+    assert prove_impossible(problem(docked, away, bay(0.32), 0.2), time_budget=0.5) is None
     proven(problem(away, docked, bay(0.32), 0.2))
 
 
-@pytest.mark.parametrize("number", range(12))
-def test_a_scene_carved_around_a_motion_is_never_proven_impossible(number):
+@pytest.mark.parametrize("number", range(6))
+def test_scene_carved_around_a_motion_is_never_proven_impossible(number):
     case = impossibilities.draw(rng_of("impossibilities", 11, number))
     assert impossibilities.judge({**case, "budget": 0.1}).outcome == "not proven"
 
 
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
 def test_no_member_of_a_feasible_family_is_proven_impossible(family):
-    assert prove_impossible(instance(family, 3).problem, time_budget=0.1) is None
+    assert prove_impossible(instance(family, 3).problem, time_budget=0.05) is None
 
 
-def test_the_search_stops_when_it_is_told_to():
+def test_search_is_cancelled_and_has_a_budget():
     asked = 0
 
     def told():
@@ -224,14 +221,14 @@ def ellipse(corners, length, width):
     return Footprint(np.column_stack((length * np.cos(angles), width * np.sin(angles))))
 
 
-def test_the_discs_of_a_footprint_are_made_under_the_clock_and_once():
+def test_discs_of_a_footprint_are_made_under_the_clock_and_once():
     asked = gap(0.5, body=ellipse(64, 0.5, 0.3))
     assert looks(asked, 50) == 51, "interrupted while they are made"
     first = looks(asked)
     assert looks(asked) < first - 200
 
 
-def test_a_warm_robot_pays_for_its_discs_no_more():
+def test_warm_up_computes_the_discs():
     asked = gap(0.5, body=ellipse(48, 0.5, 0.29))
     warm_up(robot=asked.robot)
     first = looks(asked)
@@ -252,7 +249,7 @@ def test_what_no_disc_passes_is_proven_without_headings_and_the_rest_with_them()
     assert proven(bay).headings > 1
 
 
-def test_a_search_goes_on_where_it_was_interrupted():
+def test_search_continues_after_an_interruption():
     asked, answers = gap(0.66), iter(range(10**6))
     prepare_footprint(asked.robot.footprint)  # is not resumed, but made once for all calls
     search = ImpossibilitySearch(asked)
@@ -272,12 +269,12 @@ def test_a_search_goes_on_where_it_was_interrupted():
 # the checker
 
 
-def test_a_proof_with_whole_tiles_is_checked_too():
+def test_proof_with_whole_tiles_is_checked_too():
     outline = np.array([[0.5, -0.5], [0.5, 0.5], [0.3, 0.5], [0.3, -0.3], [-0.5, -0.3], [-0.5, -0.5]])
     assert len(proven(gap(0.15, 0.0, thick=0.05, body=Footprint(outline))).whole) > 0
 
 
-def test_the_checker_knows_nothing_of_the_search():
+def test_checker_does_not_import_the_search():
     imported = {
         node.module
         for node in ast.walk(ast.parse(inspect.getsource(impossibility)))
@@ -286,7 +283,7 @@ def test_the_checker_knows_nothing_of_the_search():
     assert not any("cell_decomposition" in str(module) for module in imported)
 
 
-def test_a_proof_is_the_same_after_a_file(narrow):
+def test_proof_is_the_same_after_a_file(narrow):
     asked, proof = narrow
     text = json.dumps(proof.as_dict())
     again = ImpossibilityProof.from_dict(json.loads(text))
@@ -322,17 +319,17 @@ def without_a_tile(proof):
             "not within the footprint",
         ),
         (lambda proof: dataclasses.replace(proof, cell=0.5 * proof.cell), ""),
-        (lambda proof: dataclasses.replace(proof, cell=-proof.cell), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, cell=math.nan), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, origin=(math.nan, 0.0)), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, centre=(math.nan, 0.0)), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, discs=np.full((1, 3), math.nan)), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, cell=-proof.cell), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, cell=math.nan), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, origin=(math.nan, 0.0)), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, centre=(math.nan, 0.0)), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, discs=np.full((1, 3), math.nan)), "tiles are invalid"),
         (lambda proof: dataclasses.replace(proof, discs=proof.discs[:0]), "not blocked"),
-        (lambda proof: dataclasses.replace(proof, discs=np.zeros((10**6, 3))), "larger than any"),
-        (lambda proof: dataclasses.replace(proof, headings=0), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles - [1, 0, 0]), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles.astype(float)), "tiles are none"),
-        (lambda proof: dataclasses.replace(proof, whole=np.zeros((10**6, 3), dtype=int)), "larger than any"),
+        (lambda proof: dataclasses.replace(proof, discs=np.zeros((10**6, 3))), "exceeds the size"),
+        (lambda proof: dataclasses.replace(proof, headings=0), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles - [1, 0, 0]), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles.astype(float)), "tiles are invalid"),
+        (lambda proof: dataclasses.replace(proof, whole=np.zeros((10**6, 3), dtype=int)), "exceeds the size"),
         (lambda proof: dataclasses.replace(proof, whole=np.array([[-12, 0, 0]])), "overlap"),
         (lambda proof: dataclasses.replace(proof, inside=tuple(cells * 2 for cells in proof.inside)), "do not fit"),
         (lambda proof: dataclasses.replace(proof, headings=2 * proof.headings), "do not fit"),
@@ -340,14 +337,14 @@ def without_a_tile(proof):
         (lambda proof: dataclasses.replace(proof, inside=tuple(cells | True for cells in proof.inside)), "both ends"),
     ],
 )
-def test_a_forged_proof_is_refused(narrow, forge, reason):
+def test_forged_proof_is_refused(narrow, forge, reason):
     asked, proof = narrow
     verdict = check_impossibility(forge(proof), asked)
     assert not verdict.proven
     assert reason in verdict.reason
 
 
-def test_a_proof_for_a_narrower_gap_proves_nothing_of_a_wider_one(narrow):
+def test_proof_for_a_narrower_gap_proves_nothing_of_a_wider_one(narrow):
     _, proof = narrow
     verdict = check_impossibility(proof, gap(0.71, turn=0.3))
     assert not verdict.proven
@@ -373,6 +370,6 @@ def test_a_proof_for_a_narrower_gap_proves_nothing_of_a_wider_one(narrow):
         {"problem": {}},
     ],
 )
-def test_a_file_that_holds_no_proof_is_refused_by_name(narrow, change):
+def test_file_that_holds_no_proof_is_refused_by_name(narrow, change):
     with pytest.raises(InvalidFile, match="impossibility"):
         ImpossibilityProof.from_dict({**narrow[1].as_dict(), **change})

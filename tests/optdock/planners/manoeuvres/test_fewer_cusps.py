@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
@@ -16,8 +16,8 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.segments import PolylineSegment, TurnSegment
 from optdock.planners.manoeuvres.arcs import advance
-from optdock.planners.manoeuvres.fewer_cusps import fewer_cusps
 from optdock.planning.pipeline import plan_dock
+from optdock.planning.refinement import fewer_cusps
 from optdock.plugins.interfaces import GlobalPlanner
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
@@ -45,6 +45,7 @@ def asked(path, **start):
 GEARS = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-1.0, 1.0)), min_size=1, max_size=5)
 
 
+@settings(max_examples=30)
 @given(GEARS, st.sampled_from([1.0, -1.0]))
 def test_ends_stay_and_gears_alternate(gears, first):
     path = driven(*((first * (-1.0) ** k * length, bend) for k, (length, bend) in enumerate(gears)))
@@ -58,7 +59,7 @@ def test_ends_stay_and_gears_alternate(gears, first):
         assert simpler.length <= sum(lengths) + 0.5
 
 
-def test_the_shortest_gear_is_left_out_first():
+def test_shortest_gear_is_left_out_first():
     path = driven((1.0, 0.0), (-0.3, 0.2), (1.0, 0.0), (-0.02, 0.5), (2.0, 0.0))
     first, second = itertools.islice(fewer_cusps(path, asked(path)), 2)
     assert [segment.length for segment in first.segments] == pytest.approx([1.0, 0.3, 2.98], abs=0.03)
@@ -74,14 +75,14 @@ def test_gears_that_are_long_or_beside_a_turn_stay():
         assert list(fewer_cusps(path, asked(path))) == []
 
 
-def test_a_robot_in_motion_keeps_its_first_gear():
+def test_robot_in_motion_keeps_its_first_gear():
     path = driven((0.1, 0.0), (-1.0, 0.3))
     assert [len(one.segments) for one in fewer_cusps(path, asked(path))] == [1]
     assert [len(one.segments) for one in fewer_cusps(path, asked(path, start_speed=-0.1))] == [1]
     assert list(fewer_cusps(path, asked(path, start_speed=0.1))) == []
 
 
-def test_a_second_gear_shorter_than_the_first_cannot_go_on_alone():
+def test_second_gear_shorter_than_the_first_cannot_go_on_alone():
     path = driven((0.1, 0.0), (-0.05, 0.0))
     assert list(fewer_cusps(path, asked(path))) == []
 
@@ -95,7 +96,7 @@ class Offers(GlobalPlanner):
         return self.path
 
 
-def test_a_plan_has_no_gear_of_centimetres_that_nobody_needs():
+def test_plan_has_no_unnecessary_gear_of_centimetres():
     plan = plan_dock(asked(Offers.path), planner=Offers(), time_budget=20.0)
     offered, simpler = plan.tried
     assert simpler.stage == "fewer cusps"
@@ -103,7 +104,7 @@ def test_a_plan_has_no_gear_of_centimetres_that_nobody_needs():
     assert plan.price == simpler.price < offered.price - 2.0
 
 
-def test_a_stop_within_a_gear_is_left_out_before_a_gear_is():
+def test_stop_within_a_gear_is_left_out_before_a_gear_is():
     path = driven((1.0, 0.8), (0.8, -0.8), (-0.4, 0.3), (0.0, 0.5), (1.5, 0.0), (0.5, 1.0))
     first, second, *rest = fewer_cusps(path, asked(path))
     assert [int(one.direction) for one in first.segments] == [1, -1, 0, 1, 1]
@@ -117,7 +118,7 @@ def test_a_stop_within_a_gear_is_left_out_before_a_gear_is():
     assert all(len(simpler.segments) == 5 for simpler in rest)
 
 
-def test_a_stop_that_a_smoother_can_do_without_is_left_out():
+def test_unnecessary_stop_is_left_out():
     """Both curvatures fit into one gear where there is room."""
     path = driven((1.5, 0.6), (1.5, -0.6))
     simpler = next(iter(fewer_cusps(path, asked(path))))

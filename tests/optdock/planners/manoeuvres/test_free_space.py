@@ -57,7 +57,7 @@ def test_free_is_what_keeps_the_required_clearance(footprint, margin):
     assert np.array_equal(space.is_free(poses, margin)[decided], (exact >= required)[decided])
 
 
-def test_the_quick_look_never_gives_up_a_free_pose():
+def test_coarse_check_accepts_every_free_pose():
     problem = scene(3, Footprint(BENT))
     space = FreeSpace(problem, never)
     poses = poses_around(4)
@@ -80,7 +80,7 @@ def test_bounds_of_the_field_hold_and_are_close():
     assert np.all(np.isneginf(field.bounds(np.array([[50.0, 0.0]]))[0]))
 
 
-def test_the_margin_gives_way_at_both_ends_and_to_the_rule():
+def test_margin_tapers_at_both_ends():
     problem = scene(1, Footprint.rectangle(0.5, 0.4, 0.6))
     space = FreeSpace(problem, never)
     poses = poses_around(7, 400)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
@@ -21,9 +21,8 @@ from optdock.model.robot import Robot
 from optdock.model.trajectory import braking_time
 from optdock.planners.manoeuvres import turns
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
+from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner, turning_radius
 from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price, least_prices
-from optdock.planners.manoeuvres.stages import turning_radius
 from optdock.plugins.interfaces import GlobalPlanner, PluginContext
 from optdock.plugins.registry import timed_by
 from optdock.verification import certify_path
@@ -76,7 +75,7 @@ def guesses(problem, **options):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_guesses_break_no_rule_but_that_curvature_jumps_where_arcs_meet(name):
+def test_guesses_violate_only_the_curvature_between_arcs(name):
     problem = SCENES[name]
     found = list(itertools.islice(guesses(problem), 3))
     assert found
@@ -87,18 +86,11 @@ def test_guesses_break_no_rule_but_that_curvature_jumps_where_arcs_meet(name):
         assert guess.path.end.gap_to(problem.goal) <= 1e-9
 
 
-def test_the_scenes_need_every_stage():
+def test_scenes_need_every_stage():
     stages = {name: next(guesses(problem)).stage for name, problem in SCENES.items()}
     assert stages["before the dock"] == "Reeds-Shepp"
     assert stages["parallel slot"] == "hybrid A*"
     assert stages["around a rack"] == "roadmap"
-
-
-def test_the_same_question_has_the_same_answers():
-    first, second = (
-        [guess.path.digest for guess in itertools.islice(guesses(SCENES["parallel slot"]), 2)] for _ in "ab"
-    )
-    assert first == second
 
 
 def test_guesses_are_different_ways():
@@ -109,7 +101,7 @@ def test_guesses_are_different_ways():
     assert all(np.abs(a - b).max() > 0.2 for a, b in itertools.combinations(seen, 2))
 
 
-def test_it_ends_once_no_later_guess_can_be_better():
+def test_search_ends_when_no_later_guess_can_be_better():
     problem, best = SCENES["before the dock"], [math.inf]
     offered = []
     for guess in guesses(problem, better_than=lambda: best[0]):
@@ -120,14 +112,14 @@ def test_it_ends_once_no_later_guess_can_be_better():
     assert list(guesses(problem, better_than=lambda: 0.0)) == []
 
 
-def test_a_closed_room_is_refused_and_the_message_claims_no_proof():
+def test_closed_room_is_refused_and_the_message_claims_no_proof():
     ring = [box(-1, -1, 1, -0.8), box(-1, 0.8, 1, 1), box(-1, -1, -0.8, 1), box(0.8, -1, 1, 1)]
     problem = DockingProblem(Pose2(3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, ring, ClearanceRule(0.05, 0.0))
     with pytest.raises(NoValidPathCouldBeFound, match="there may still be one"):
         list(guesses(problem))
 
 
-def test_a_dock_that_can_be_entered_from_one_side_only_says_so():
+def test_message_names_the_gear_in_which_the_dock_can_be_entered():
     problem = at_a_wall(Pose2(-2.0, 0.5, 0.3), direction=DockDirection.BACKWARD)
     with pytest.raises(NoValidPathCouldBeFound, match=r"backward.*0\.00 m.*forward"):
         next(guesses(problem))
@@ -135,20 +127,20 @@ def test_a_dock_that_can_be_entered_from_one_side_only_says_so():
     assert int(next(guesses(both)).path.segments[-1].direction) == 1
 
 
-def test_it_polls_and_stops():
+def test_search_is_cancelled():
     count = itertools.count()
     with pytest.raises(PlannerCancelled):
         list(guesses(SCENES["around a rack"], cancel_checker=lambda: next(count) == 40))
 
 
-def test_it_needs_a_problem_and_to_be_configured():
+def test_planner_needs_a_problem_and_configuration():
     with pytest.raises(InvalidValue, match="needs a problem"):
         ManoeuvrePlanner().configure(PluginContext(footprint=ROBOT.footprint))
     with pytest.raises(LifecycleError):
         ManoeuvrePlanner().create_plan(Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0))
 
 
-def test_a_planner_of_one_path_offers_that_one():
+def test_create_plans_of_a_planner_with_one_path():
     class One(GlobalPlanner):
         def create_plan(self, start, goal, cancel_checker=None):
             return Path.from_poses([start, goal])
@@ -168,6 +160,7 @@ def ruckig_duration(length, speed, limits):
     return profile.duration
 
 
+@settings(max_examples=40)
 @given(
     length=st.floats(0.001, 30.0),
     speed=st.floats(0.0, 1.0),
@@ -179,7 +172,7 @@ def ruckig_duration(length, speed, limits):
         max_jerk=st.floats(0.3, 20.0),
     ),
 )
-def test_the_least_price_of_one_gear_is_what_ruckig_needs(length, speed, limits):
+def test_least_price_of_one_gear_is_what_ruckig_needs(length, speed, limits):
     speed = min(speed, limits.max_speed)
     assume(length > 1.05 * speed * 0.5 * braking_time(speed, limits.max_deceleration, limits.max_jerk))
     problem = DockingProblem(
@@ -199,7 +192,7 @@ def test_every_gear_has_its_price_and_every_cusp():
     assert expected[0] == pytest.approx(one + two + three + 2.0 * CUSP_PRICE)
 
 
-def test_the_price_of_a_way_depends_on_no_other_even_of_one_that_leaves_no_room_to_brake():
+def test_price_of_a_way_depends_on_no_other_even_of_one_that_leaves_no_room_to_brake():
     problem = DockingProblem(Pose2(-3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, start_speed=0.4)
     ways = np.array([[3.0, 0.0, 0.0], [0.01, -0.1, 0.2], [1.0, -0.1, 0.3], [0.0002, 4.0, 0.0]])
     together, alone = least_prices(ways, problem), [least_prices(way[None], problem)[0] for way in ways]
@@ -208,6 +201,7 @@ def test_the_price_of_a_way_depends_on_no_other_even_of_one_that_leaves_no_room_
     assert driven < together[1] < driven + 3.0
 
 
+@settings(max_examples=40)
 @given(
     length=st.floats(0.01, 6.0),
     zone=st.tuples(st.floats(0.05, 0.7), st.floats(0.05, 1.0)),
@@ -224,21 +218,21 @@ def test_no_motion_is_cheaper_than_its_least_price(length, zone, limits):
     assert 0.5 * driven <= least_price(path, problem) <= 1.025 * driven + 1e-3
 
 
-def test_gear_changes_leave_out_what_leads_nowhere():
+def test_gear_changes_ignore_zero_lengths():
     lengths = np.array([[1.0, 0.0, -1.0, 1e-9, -2.0], [0.0, -1.0, 2.0, -1.0, 0.0], [1.0, 1.0, 0.0, 0.0, 1.0]])
     assert gear_changes(lengths).tolist() == [1.0, 2.0, 0.0]
 
 
-def test_the_turning_radius_stays_finite_where_nothing_bounds_the_curvature():
+def test_turning_radius_stays_finite_where_nothing_bounds_the_curvature():
     free = dataclasses.replace(ROBOT, limits=MotionLimits())
     problem = dataclasses.replace(SCENES["before the dock"], robot=free)
     assert 0.0 < turning_radius(problem) < ROBOT.footprint.circumscribed_radius
     assert turning_radius(SCENES["before the dock"]) == pytest.approx(1.0 / 1.5)
 
 
-def test_where_no_line_leads_the_robot_turns_nowhere():
+def test_no_guesses_of_turns_without_a_free_line():
     """No place to turn at is not an error: it ended the search of robots that turn in place."""
     space = FreeSpace(at_a_wall(Pose2(-2.0, 0.5, 0.3)), lambda: None)
-    found = turns._TurnRoom.at(np.zeros((0, 3)), space, Effort(1.0, 0.0, 4, 100))
-    assert found.left.shape == found.right.shape == (0,)
-    assert found.allows(np.zeros(0), np.zeros(0, dtype=np.int64)).shape == (0,)
+    none = np.zeros(0, dtype=np.int64)
+    found = turns._allowed_turns(np.zeros((0, 3)), np.zeros(0), none, space, Effort(1.0, 0.0, 4, 100))
+    assert found.shape == (0,)

@@ -32,7 +32,7 @@ def reversing(path):
 
 
 @pytest.mark.parametrize("start", [Pose2(0.5, 1.0, 1.5), Pose2(2.0, 1.0, 1.5)])
-def test_a_robot_whose_metres_in_reverse_are_dear_turns_round(start):
+def test_robot_with_a_price_of_reversing_turns_round(start):
     cheap, dear = (plan_dock(problem(price, start), time_budget=10.0) for price in (0.0, 20.0))
     assert reversing(cheap.path) > 1.0
     assert reversing(dear.path) == 0.0
@@ -41,7 +41,7 @@ def test_a_robot_whose_metres_in_reverse_are_dear_turns_round(start):
 
 @pytest.mark.parametrize("price", [0.0, 0.5, 3.0])
 @pytest.mark.parametrize("start", [Pose2(1.0, 0.8, 2.0), Pose2(2.0, -0.5, -0.3)])
-def test_the_price_is_time_and_stops_and_metres_in_reverse(price, start):
+def test_price_is_time_and_stops_and_metres_in_reverse(price, start):
     asked = problem(price, start)
     plan = plan_dock(asked, time_budget=10.0)
     stops = len(plan.path.segments) - 1
@@ -52,7 +52,7 @@ def test_the_price_is_time_and_stops_and_metres_in_reverse(price, start):
     assert least_prices(ways, asked)[0] == pytest.approx(least_price(plan.path, asked))
 
 
-def test_a_dock_that_is_entered_backwards_is_entered_backwards_at_any_price():
+def test_dock_that_is_entered_backwards_is_entered_backwards_at_any_price():
     plan = plan_dock(problem(50.0, Pose2(2.5, 0.3, 0.2), "backward"), time_budget=5.0)
     assert plan.path.segments[-1].direction == -1
 
@@ -63,12 +63,12 @@ def test_only_a_price_above_zero_makes_another_robot():
 
 
 @pytest.mark.parametrize("price", [-0.1, math.nan, math.inf, "cheap", True])
-def test_a_price_is_a_number(price):
+def test_price_is_a_number(price):
     with pytest.raises(InvalidValue, match=r"robot\.reverse_price"):
         dataclasses.replace(ROBOT, reverse_price=price)
 
 
-def test_it_is_a_key_of_scenarios(tmp_path):
+def test_reverse_price_is_a_scenario_key(tmp_path):
     file = tmp_path / "scenario.yaml"
     save_scenario(file, Scenario(problem(0.75)))
     assert "reverse_price: 0.75" in file.read_text()

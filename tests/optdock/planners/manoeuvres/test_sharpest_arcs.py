@@ -11,10 +11,9 @@ from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
-from optdock.planners.manoeuvres.arcs import advance
-from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
-from optdock.planners.manoeuvres.stages import Stages
-from optdock.planners.manoeuvres.tree import ArcTree
+from optdock.planners.manoeuvres.arcs import ArcTree, advance
+from optdock.planners.manoeuvres.end_trees import sharpest_arcs
+from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 
 CAR = Robot(Footprint.rectangle(0.7, 0.2, 0.6), MotionLimits(max_curvature=1.2, max_curvature_rate=6.0))
 
@@ -37,7 +36,7 @@ def chains(problem):
 
 
 @pytest.mark.parametrize("gap", [0.01, 0.02, 0.04])
-def test_a_robot_along_a_wall_gets_away_from_it(gap):
+def test_robot_along_a_wall_gets_away_from_it(gap):
     tree, ends, space, effort = chains(beside(gap))
     full = 1.0 / effort.radius
     signs = set()
@@ -59,7 +58,7 @@ def test_a_robot_along_a_wall_gets_away_from_it(gap):
     assert 1.0 in signs  # backward the nose swings out, which is further from the axle
 
 
-def test_a_wall_on_the_other_side_gives_the_mirrored_arcs():
+def test_wall_on_the_other_side_gives_the_mirrored_arcs():
     (one, ends, _, _), (other, mirrored, _, _) = chains(beside(0.02)), chains(beside(0.02, side=-1.0))
     assert ends.size == mirrored.size > 0
 
@@ -75,7 +74,7 @@ def test_in_the_open_full_lock_is_free_at_once():
     assert np.allclose(np.abs(tree.curvatures[1:]), 1.0 / effort.radius)
 
 
-def test_where_nothing_is_left_no_chain_leads_out():
+def test_no_chain_leads_out_without_slack():
     tree, ends, _, _ = chains(beside(0.0))
     assert ends.size == 0
     assert len(tree) == 1
