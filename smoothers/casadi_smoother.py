@@ -1,4 +1,4 @@
-"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that stands in its way."""
+"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that cannot be kept."""
 
 from __future__ import annotations
 
@@ -40,27 +40,26 @@ if TYPE_CHECKING:
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
 _SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
-_READ_AROUND = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
-_SPACING = 0.2  # [m] between the points that say where a path is
+_READ_AROUND = 1.5  # [m] beyond the footprint: region of the costmap around the path
+_SPACING = 0.2  # [m] between the points that represent a path
 _CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
 _TAPER = 0.5  # [m] before the goal, over which the required clearance falls to what the input keeps there
 _KNOWS_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
-# An input further than this from the start or the goal of the problem of the call is one for another problem: [m], or
-# this share of its length. Docks are found within decimetres of where maps have them, and a search that begins at the
-# input mends about as much; beyond that nothing of the input is left to be near to.
+# Largest distance of an input from the start or the goal of the problem of the call: [m], or share of its length.
+# Detected docks are within decimetres of their map positions; a path farther away is one for another problem.
 _ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
 
 
 class CasadiSmootherParameters(PluginParameters):
-    """Parameters of `CasadiSmoother`; the limits are used only where no problem is given."""
+    """Parameters of `CasadiSmoother`; the limits are used only without a problem."""
 
     max_curvature: float = Field(2.5, gt=0, description="1 / smallest turning radius [1/m]")
     max_curvature_rate: float = Field(10.0, gt=0, description="largest |d curvature / ds| [1/m^2]")
-    clearance: float = Field(0.0, ge=0, description="required from obstacles where no problem says so [m]")
+    clearance: float = Field(0.0, ge=0, description="required clearance without a problem [m]")
     kept_clearance: float = Field(
-        0.3, ge=0, description="where no problem says so, as much as the input keeps is required, up to this [m]"
+        0.3, ge=0, description="without a problem, the clearance of the input is required, up to this value [m]"
     )
-    final_straight: float = Field(0.0, ge=0, description="straight run at the end where no problem says so [m]")
+    final_straight: float = Field(0.0, ge=0, description="straight run at the end without a problem [m]")
     length_weight: float = Field(1.0, gt=0, description="cost per metre [1/m]")
     curvature_weight: float = Field(0.4, ge=0, description="cost of curvature, relative to its limit [1/m]")
     curvature_rate_weight: float = Field(0.15, gt=0, description="cost of curvature rate, relative to its limit [1/m]")
@@ -81,11 +80,11 @@ class CasadiSmootherParameters(PluginParameters):
 
 
 class CasadiSmoother(Smoother):
-    """Minimizes length, curvature, curvature rate and distance to the input under the problem's hard bounds.
+    """Minimize length, curvature, curvature rate and distance to the input under the problem's hard bounds.
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
-    `optdock.verification` before it is returned. Gears keep their order; cusps may move, turns in place stay where they
-    are. Every thread has solvers of its own.
+    `optdock.verification`. Gears keep their order; cusps may move, turns in place keep their positions. Instances can
+    be used in several threads.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
@@ -101,34 +100,34 @@ class CasadiSmoother(Smoother):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A certified clothoid path between the start and the goal of `problem`, near `path`.
+        """Return a certified clothoid path between the start and the goal of `problem`, near `path`.
 
-        Where `problem` is given, the ends of the result are its start and goal, whatever ends `path` has: it may begin
-        behind the robot, or end where the dock was thought to be. A path that passes the start, or ends beside the
-        goal, by more than 1 m and more than a fifth of its length is one for another problem, and refused.
+        If `problem` is given, the result leads from its start to its goal; `path` may begin behind the robot or end at
+        an earlier estimate of the dock. A path that passes the start, or ends next to the goal, by more than 1 m and
+        more than a fifth of its length is refused.
 
         Args:
-            path: The input, from any source.
-            max_time: Wall-clock seconds for the whole call.
-            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
-                configured problem, with the ends of `path` where they are others; where none is configured, from the
-                first pose of `path` to its last, with the footprint and the costmap of the context and the limits of
-                the parameters. The least clearance of the result is then no less than that of `path`, up to
-                `kept_clearance`. Without a costmap nothing is known of obstacles, which the report says (`warning`).
-            warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
+            path: Input, from any source.
+            max_time: Wall-clock time for the whole call [s].
+            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
+                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
+                `path` with the footprint and costmaps of the context and the limits of the parameters. The least
+                clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
+                obstacle is known, and the report has a `warning`.
+            warm_start: Earlier result with the same gears; returned if it is still certified and no other is found.
             cancel_checker: Polled every iteration.
 
         Raises:
-            InvalidPath: The path is none, names another frame than the problem, or is one for another problem.
-            InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint; `problem` or
-                `warm_start` is of another class.
-            FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `turn`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
-                `obstacle` say where and by how much, with `clearance` what is measured there and what is `required`.
-                The best path that a search found, which breaks that bound, is the `path` of `partial`.
-            SmootherTimedOut: No certified path within `max_time`. The path of the last iterate, which breaks bounds, is
-                the `path` of `partial`: as a `warm_start` it lets a later call go on from there.
-            SmootherCancelled: `cancel_checker` returned True.
+            InvalidPath: If `path` is not a Path, has another frame than the problem, or leads elsewhere.
+            InvalidValue: If `max_time` is not finite or negative, there is neither a problem nor a footprint, or
+                `problem` or `warm_start` is of another class.
+            FailedToSmoothPath: If a bound cannot be kept. `where["reason"]` is `start_in_collision`,
+                `start_curvature`, `direction`, `turn`, `approach_blocked`, `goal_unreachable` or `clearance`; `where`
+                also has `s` [m], `pose`, `amount`, `obstacle`, and for clearance the measured `clearance` and
+                the `required` one. The best path found is the `path` of `partial`.
+            SmootherTimedOut: If no path is certified within `max_time`. The path of the last iterate is the `path` of
+                `partial`, a `warm_start` for a later call.
+            SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
         self.check_task(path, problem, warm_start)
@@ -158,7 +157,7 @@ class CasadiSmoother(Smoother):
     def _smoothed_alone(
         self, path: Path, deadline: Deadline, warm_start: Path | None, cancel_checker: Callable[[], bool]
     ) -> SmoothingResult:
-        """A path of which nothing is known but its poses, and the costmap around it."""
+        """Smooth a path without a problem, among the cells of the costmap around it."""
         pool, chosen = pool_of_this_thread(), self.parameters
         built = pool.build_time
         free = self._between_ends(path, ClearanceRule(0.0), max(chosen.clearance, chosen.kept_clearance))
@@ -196,32 +195,32 @@ class CasadiSmoother(Smoother):
         return solver.follow_strategy(self.call_for(path, wanted, warm_start)), solver
 
     def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
-        """What the parameters and the arguments of a call ask for."""
+        """Return the task of a call, with the weights and the resolution of the parameters."""
         chosen = self.parameters
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
-        # An earlier result that cannot stand in this frame is none for this problem.
+        # An earlier result in another frame is left out.
         usable = earlier is not None and may_be_one_frame(earlier.frame, problem.frame)
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
         return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
 
     def warm_up(self) -> None:
-        """Build what the first call would build, load the solvers, and measure how fast this machine is."""
+        """Build the programs of a first call, load the solvers, and measure the speed of this machine."""
         start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
-        # A wall beside the input and a post on it: pushing out is warmed up too.
+        # A wall next to the input and a post on it: the push-out is loaded too.
         obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
         path = Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal])
         pool, chosen, paces = pool_of_this_thread(), self.settings.anytime, []
-        for _ in range(3):  # the first call loads and builds, the others are measured
+        for _ in range(3):  # the first call builds, the others are measured
             deadline = Deadline(10.0, self.context.clock)
             solver = Solver(pool, deadline, never_cancelled, self.settings)
-            with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
+            with contextlib.suppress(SmootherException):  # with unusual parameters the call may fail, after building
                 solver.follow_strategy(self.call_for(path, problem))
             paces.append(solver.times.pace)
         prepare_programs(pool, self.settings.step)
@@ -233,21 +232,14 @@ class CasadiSmoother(Smoother):
         return problem_between_ends(path, self.context, limits, rule, chosen.final_straight, reach)
 
     def _confirm(self, result: Path, rule: ClearanceRule) -> None:
-        """Certify a result that left the part of the costmap which was read around its input."""
+        """Certify a result that leaves the region of the costmap around its input."""
         certificate = certify_path(result, self._between_ends(result, rule, rule.required))
         if not certificate.certified:
             raise refuse_certificate(certificate, result).error()
 
 
 def _check_way(path: Path, problem: DockingProblem) -> None:
-    """Refuse a path that does not lead from the problem's start to its goal.
-
-    It may begin far behind a robot that is under way, so that any place on it counts for the start, the end only for
-    the goal.
-
-    Raises:
-        InvalidPath: It passes the start, or ends beside the goal, too far away.
-    """
+    """Refuse a path that passes the start of the problem, or ends next to its goal, too far away."""
     allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.driven)
     off = path.end.distance_to(problem.goal)
     what = f"ends {off:.2f} m from the goal"
@@ -261,10 +253,10 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
-    """The configured problem; where `path` begins or ends elsewhere, with that end instead.
+    """Return the configured problem with the ends of `path` where they differ.
 
-    A path that begins elsewhere begins at rest with free steering. One that ends elsewhere does not dock: the station
-    is an obstacle like others, and no gear, final straight or slow approach is asked for.
+    Another start is at rest with free steering. Another end is no dock: the station is an obstacle, and no gear, final
+    straight or slow approach is required.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
         problem = problem.starting_at(path.start)
@@ -275,22 +267,20 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 
 
 def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
-    """A rule under which no path comes closer to an obstacle than this one does at its closest.
-
-    It lets the ends be as close as they are, and asks elsewhere for the least that the path keeps there.
+    """Return a rule that requires the least clearance of `path`, and permits the clearance of its ends.
 
     Args:
-        path: Its poses.
-        problem: The robot and the obstacles.
-        least: What is required where the path keeps less [m].
-        most: What is required where it keeps more [m].
+        path: Path.
+        problem: Robot and obstacles.
+        least: Lower bound of the required clearance [m].
+        most: Upper bound of the required clearance [m].
     """
     poses = path.sample(_CLEARANCE_SPACING).poses
     kept, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=most)
     from_goal, from_start = (
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )
-    # What the path keeps near the goal the rule may fall to there; near the start it asks for little by itself.
+    # The rule may fall to the clearance near the goal; near the start it requires little anyway.
     at_goal = max(0.0, float(kept[from_goal < _TAPER].min()))
     counts = (kept < ClearanceRule.leaving(from_start, float(kept[0]))) & (from_goal > _SAME_POSE)
     share = np.minimum(1.0, from_goal[counts] / _TAPER)
@@ -306,20 +296,18 @@ def problem_between_ends(
     final_straight: float,
     reach: float,
 ) -> DockingProblem:
-    """From the first pose of `path` to its last, among the occupied cells of the context's costmaps around it.
-
-    The problem holds the cells that were read, not the grid; `covers` tells whether a result stayed among them.
+    """Return the problem between the ends of `path`, with the occupied cells around it; see `covers`.
 
     Args:
-        path: Where to read.
-        context: What is known.
-        limits: Of the robot.
-        rule: Of clearance.
-        final_straight: At the end [m].
-        reach: The largest clearance that matters [m].
+        path: Input.
+        context: Footprint and costmaps.
+        limits: Limits of the robot.
+        rule: Clearance rule.
+        final_straight: Straight run at the end [m].
+        reach: Largest clearance that matters [m].
 
     Raises:
-        InvalidValue: The context has no footprint.
+        InvalidValue: If the context has no footprint.
     """
     if context.footprint is None:
         raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
@@ -337,7 +325,7 @@ def problem_between_ends(
 
 
 def covers(path: Path, result: Path) -> bool:
-    """Whether the costmap read around `path` holds every cell that the footprint can meet on `result`."""
+    """Whether the region read around `path` contains every cell that the footprint can reach on `result`."""
     points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
     slack = _READ_AROUND - _SPACING
     inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)

@@ -1,4 +1,4 @@
-"""The basis: splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
+"""Splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
 
 Curvature is linear between knots, so the heading is linear in the knot curvatures: with `u` in [0, 1] along a gear of
 length L, `yaw(u) = yaw_start + L * integral_0^u hats(t) dt . K`. The integrals do not depend on the problem: a basis is
@@ -29,28 +29,20 @@ _GAUSS = readonly(np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
 
 @dataclass(frozen=True, eq=False)
 class Basis(FrozenArrays):
-    """Arrays that depend on the shape alone. Nodes are interval ends; a cusp is a node of both of its gears.
+    """Arrays that depend only on the shape. Nodes are interval ends; a cusp is a node of both of its gears.
 
     Args:
         shape: Per gear: knot spans and intervals per span.
-        num_knots: Knots of all gears.
-        num_gears: Gears.
-        num_nodes: Nodes of all gears.
-        num_intervals: Intervals of all gears.
+        num_knots, num_gears, num_nodes, num_intervals: Totals over all gears.
         size: Number of path variables: knot curvatures, then gear lengths.
-        knot_gear: Gear of each knot, Shape (num_knots,).
-        node_gear: Gear of each node, Shape (num_nodes,).
-        interval_gear: Gear of each interval, Shape (num_intervals,).
-        span_gear: Gear of each span.
+        knot_gear, node_gear, interval_gear, span_gear: Gear of each knot, node, interval and span.
         knot_members: Shape (num_knots, num_gears), 1 where the knot belongs to the gear.
-        first_knots: Of every gear.
-        last_knots: Of every gear.
-        last_nodes: Of every gear.
+        first_knots, last_knots, last_nodes: Indices for each gear, Shape (num_gears,).
         left: Node at which each interval begins; it ends at the next one.
         position_of: Interval boundary (0 to num_intervals) of each node.
         fraction: Share of its gear's length at which each node lies.
         gauss_headings: Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval.
-        gauss_shares: Shape (2 num_intervals, num_gears), share of its gear's length that each Gauss point stands for.
+        gauss_shares: Shape (2 num_intervals, num_gears), weight of each Gauss point as a share of its gear's length.
         gauss_members: Shape (2 num_intervals, num_gears), 1 where the Gauss point belongs to the gear.
         node_headings: Shape (num_nodes, num_knots), heading at the nodes.
         node_curvatures: Shape (num_nodes, num_knots), curvature at the nodes: the hat functions.
@@ -92,12 +84,7 @@ class Basis(FrozenArrays):
 
 @lru_cache(maxsize=64)
 def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.fit_smoothing) -> Basis:
-    """The basis of a shape, built once; its arrays are read-only.
-
-    Args:
-        shape: Per gear: knot spans and intervals per span.
-        fit_smoothing: Weight of the squared curvature rate in `fit`.
-    """
+    """Return the basis of a shape, with read-only arrays; `fit_smoothing` weights the curvature rate in `fit`."""
     spans = np.array([q for q, _ in shape])
     cells = np.array([q * r for q, r in shape])
     gears = np.arange(len(spans))

@@ -1,7 +1,7 @@
-"""The roll-out: exact driving of a curvature spline at fixed nodes, and its derivatives.
+"""Poses of a curvature spline at fixed nodes (the roll-out), and their derivatives.
 
 Headings are exact, `yaw = yaw_start + W (L K)`; positions are 2-point Gauss sums of `d L / (2 n) (cos yaw, sin yaw)`
-over every interval, within some 1e-9 m of the clothoid. Everything is a function of plain arrays and of the basis.
+over every interval, within about 1e-9 m of the clothoid.
 """
 
 from __future__ import annotations
@@ -51,14 +51,7 @@ class Sensitivity(NamedTuple):
 
 
 def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> Rollout:
-    """Drive from a pose.
-
-    Args:
-        basis: Shape of the path.
-        variables: Curvatures and lengths.
-        start: Shape (3,) [m, m, rad].
-        signs: Gears, Shape (num_gears,).
-    """
+    """Return the path from the pose `start`, Shape (3,), in the gears `signs`, Shape (num_gears,)."""
     curvature, lengths = variables
     turned = lengths[basis.knot_gear] * curvature
     gears = basis.interval_gear
@@ -81,7 +74,7 @@ def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: Float
 
 
 def sensitivity(basis: Basis, variables: Variables, rollout: Rollout) -> Sensitivity:
-    """Derivatives of all node poses."""
+    """Return the derivatives of all node poses."""
     turns = _heading_derivatives(basis.gauss_headings, basis, variables)
     own = basis.num_knots + basis.interval_gear
     inverse = 1.0 / variables.lengths[basis.interval_gear]

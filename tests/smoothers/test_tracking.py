@@ -24,7 +24,7 @@ from smoothers.scp.nlp import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
-from smoothers.scp.tracking import strayed, track
+from smoothers.scp.initial_guess import strayed, track
 
 CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_curvature=0.25, max_curvature_rate=0.44))
 # Gear, curvature [1/m] and length [m]: words of full arcs, as Reeds-Shepp paths are, with pieces of a few decimetres.

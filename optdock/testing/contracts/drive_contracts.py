@@ -107,7 +107,8 @@ class ControllerContract(PluginContract[Controller]):
         """`compute_velocity_commands`: a trajectory or a path, with or without the tolerances of a goal checker."""
         task = s_curve_drive(ORIGIN)
         accepted = _UnreachedGoal(Tolerances()), _UnreachedGoal(Tolerances(x=0.02, y=0.02, yaw=0.05))
-        for follow, checker in ((task, None), (task.path, None), *((task, checker) for checker in accepted)):
+        runs: list[tuple[Path | Trajectory, GoalChecker | None]] = [(task, None), (task.path, None)]
+        for follow, checker in (*runs, *((task, checker) for checker in accepted)):
             self._require_arrival(self._drive(self._following(follow), _CYCLES, checker), task.path.end)
 
     def test_a_reverse_gear_is_driven_or_refused(self) -> None:
@@ -232,7 +233,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
     def test_a_robot_at_rest_at_the_goal_has_arrived(self) -> None:
         """`is_goal_reached`: True at the goal for any sequence of poses: empty, single, or repeated ones."""
         close, repeated = [GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], [GOAL] * 5
-        paths = [], [GOAL], repeated, close, _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))
+        paths: tuple[Sequence[Pose2], ...] = [], [GOAL], repeated, close, _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))
         for path in paths:
             reached = self.ready_plugin().is_goal_reached(GOAL, GOAL, _REST, path)
             require(reached is True, f"at the goal, at rest, it is reached (path of {len(path)} poses), got {reached}")

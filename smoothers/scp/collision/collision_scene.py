@@ -1,4 +1,4 @@
-"""The scene: convex obstacles, the convex parts of the body, and the clearance required at a pose, as plain arrays."""
+"""Scene of the collision constraints: convex obstacles, convex parts of the body, and required clearance, as arrays."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ class Points(NamedTuple):
     y: FloatArray
 
     def columns(self, chosen: IntArray | BoolArray) -> Points:
-        """The chosen pairs."""
+        """Return the chosen pairs."""
         return Points(self.x[:, chosen], self.y[:, chosen])
 
     def along(self, axis: Points) -> FloatArray:
-        """Heights along one axis per pair, Shape (1, p). Shape (k, p)."""
+        """Return the coordinates along one axis per pair, Shape (1, p). Shape (k, p)."""
         heights: FloatArray = axis.x * self.x + axis.y * self.y
         return heights
 
     def across(self, axis: Points) -> FloatArray:
-        """Coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
+        """Return the coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
         coordinates: FloatArray = axis.x * self.y - axis.y * self.x
         return coordinates
 
     def at(self, row: IntArray) -> Points:
-        """One point per pair. Shape (1, p)."""
+        """Return the point in row `row` of every pair. Shape (1, p)."""
         columns = np.arange(row.size)
         return Points(self.x[row, columns][None], self.y[row, columns][None])
 
@@ -62,7 +62,7 @@ class Body(NamedTuple):
     width: float
 
 
-# Which part of the rule decides.
+# The part of the clearance rule that decides.
 DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 
@@ -72,8 +72,8 @@ class Requirement(NamedTuple):
     Attributes:
         value: Shape (n,) [m].
         gradient: By position, Shape (n, 2).
-        rule: Which one decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`.
-        leaving: What the growth from the start alone would ask for, Shape (n,) [m].
+        rule: Part that decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`.
+        leaving: Requirement by the growth from the start alone, Shape (n,) [m].
     """
 
     value: FloatArray
@@ -87,14 +87,13 @@ class Scene:
     """Obstacles near the path, the body, and the clearance rule.
 
     Args:
-        obstacles: Near the input path.
-        body: What moves.
+        obstacles: Obstacles near the input path.
+        body: The robot.
         rule: Clearance rule.
-        start: Start position, Shape (2,) [m].
-        goal: Goal position, Shape (2,) [m].
+        start, goal: Positions, Shape (2,) [m].
         start_clearance: Clearance of the start pose [m].
-        settings: Which pairs are looked at, and how.
-        start_relief: Of the clearance rule [m].
+        settings: Selection of pairs.
+        start_relief: Length of the weaker rule near the start [m].
 
     Attributes:
         outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
@@ -124,7 +123,7 @@ class Scene:
         object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
 
     def required(self, positions: FloatArray) -> Requirement:
-        """What is required at robot positions, Shape (n, 2) [m]."""
+        """Return the required clearance at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
         from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
         docking = self.rule.near_goal(from_goal)
@@ -142,7 +141,7 @@ class Scene:
         return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
 
     def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
-        """How fast what is required grows with the distance from an end at which `least` is enough, Shape (n,)."""
+        """Slope of the requirement over the distance from an end where `least` is required, Shape (n,)."""
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
@@ -150,7 +149,7 @@ class Scene:
 
 @lru_cache(maxsize=16)
 def body_of(footprint: Footprint) -> Body:
-    """The padded parts of a footprint, once per footprint object."""
+    """Return the padded parts of a footprint, computed once per footprint."""
     width = max(len(part.vertices) for part in footprint.bodies)
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
@@ -167,7 +166,7 @@ def _padded(rows: FloatArray, count: int) -> FloatArray:
 def scene_around(
     problem: DockingProblem, positions: FloatArray, start_clearance: float, settings: CollisionSettings
 ) -> Scene:
-    """The scene within reach of a path through `positions`, Shape (n, 2) [m]."""
+    """Return the scene within reach of a path through `positions`, Shape (n, 2) [m]."""
     body = body_of(problem.robot.footprint)
     reach = body.radius + problem.path_clearance.required + settings.crop
     near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
@@ -182,7 +181,7 @@ class BodyAtNodes(NamedTuple):
     Attributes:
         corners: Scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m].
         inward: Inward normals of the body's edges, likewise.
-        required: Clearance required at the nodes.
+        required: Required clearance at the nodes.
         cosine, sine: Of the yaw, Shape (nodes,).
     """
 
@@ -194,7 +193,7 @@ class BodyAtNodes(NamedTuple):
 
 
 def body_at_nodes(scene: Scene, poses: FloatArray) -> BodyAtNodes:
-    """The body at all poses, Shape (nodes, 3)."""
+    """Return the body at all poses, Shape (nodes, 3)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     shape = (scene.body.vertices.shape[1], -1)
     turned = []
