@@ -34,8 +34,6 @@ from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.plugins.lifecycle import PluginContext
-    from smoothers.scp.search import Incumbent, SearchOutcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
@@ -44,7 +42,7 @@ _READ_AROUND = 1.5  # [m] beyond the footprint: region of the costmap around the
 _SPACING = 0.2  # [m] between the points that represent a path
 _CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
 _TAPER = 0.5  # [m] before the goal, over which the required clearance falls to what the input keeps there
-_KNOWS_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
+_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
 # Largest distance of an input from the start or the goal of the problem of the call: [m], or share of its length.
 # Detected docks are within decimetres of their map positions; a path farther away is one for another problem.
 _ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
@@ -132,67 +130,61 @@ class CasadiSmoother(Smoother):
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
         self.check_task(path, problem, warm_start)
         with garbage_collection_paused():
-            return self._smoothed(path, deadline, problem, warm_start, cancel_checker)
+            wanted = self.context.problem_at_hand(problem)
+            if wanted is None:
+                return self._smooth_alone(path, warm_start, deadline, cancel_checker)
+            if problem is None:
+                wanted = configured_problem(path, wanted)
+            else:
+                _check_way(path, wanted)
+            return self._solve(self.call_for(path, wanted, warm_start), deadline, cancel_checker)
 
-    def _smoothed(
-        self,
-        path: Path,
-        deadline: Deadline,
-        problem: DockingProblem | None,
-        warm_start: Path | None,
-        cancel_checker: Callable[[], bool],
-    ) -> SmoothingResult:
-        pool = pool_of_this_thread()
-        built = pool.build_time
-        wanted = self.context.problem_at_hand(problem)
-        if wanted is None:
-            return self._smoothed_alone(path, deadline, warm_start, cancel_checker)
-        if problem is None:
-            wanted = configured_problem(path, wanted)
-        else:
-            _check_way(path, wanted)
-        best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
-        return _result(best, solver.outcome, deadline, pool.build_time - built)
-
-    def _smoothed_alone(
-        self, path: Path, deadline: Deadline, warm_start: Path | None, cancel_checker: Callable[[], bool]
+    def _smooth_alone(
+        self, path: Path, warm_start: Path | None, deadline: Deadline, cancel_checker: Callable[[], bool]
     ) -> SmoothingResult:
         """Smooth a path without a problem, among the cells of the costmap around it."""
-        pool, chosen = pool_of_this_thread(), self.parameters
-        built = pool.build_time
+        chosen, context = self.parameters, self.context
         free = self._between_ends(path, ClearanceRule(0.0), max(chosen.clearance, chosen.kept_clearance))
-        is_known = self.context.costmap is not None or self.context.local_costmap is not None
+        is_known = context.costmap is not None or context.local_costmap is not None
         rule = kept_clearance(path, free, chosen.clearance, chosen.kept_clearance if is_known else 0.0)
-        wanted = dataclasses.replace(free, clearance=rule)
+        call = self.call_for(path, dataclasses.replace(free, clearance=rule), warm_start)
         try:
-            best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
+            result = self._solve(call, deadline, cancel_checker)
         except FailedToSmoothPath as error:
             if rule.required > chosen.clearance:
                 kept = f"as much as the input keeps, up to kept_clearance = {chosen.kept_clearance:g} m"
                 error.args = (f"{error}; {rule.required:.4f} m are required, {kept}",)
             raise
-        if not covers(path, best.path):
-            self._confirm(best.path, rule)
-        result = _result(best, solver.outcome, deadline, pool.build_time - built)
+        if not covers(path, result.path):
+            certificate = certify_path(result.path, self._between_ends(result.path, rule, rule.required))
+            if not certificate.certified:
+                raise refuse_certificate(certificate, result.path).error()
         if is_known:
             return result
-        self.context.logger.warning("%s: %s", self.context.name, _KNOWS_NO_OBSTACLES)
-        return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_KNOWS_NO_OBSTACLES))
+        context.logger.warning("%s: %s", context.name, _NO_OBSTACLES)
+        return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_NO_OBSTACLES))
 
-    def _solved(
-        self,
-        path: Path,
-        wanted: DockingProblem,
-        deadline: Deadline,
-        warm_start: Path | None,
-        cancel_checker: Callable[[], bool],
-    ) -> tuple[Incumbent, Solver | TurningSolver]:
-        path = path.with_frame(wanted.frame)
-        if wanted.robot.turns_in_place and wanted.start_speed == 0.0:
-            path = with_turns(path)
-        chosen = TurningSolver if path.turns else Solver
-        solver = chosen(pool_of_this_thread(), deadline, cancel_checker, self.settings)
-        return solver.follow_strategy(self.call_for(path, wanted, warm_start)), solver
+    def _solve(self, call: Call, deadline: Deadline, cancel_checker: Callable[[], bool]) -> SmoothingResult:
+        """Run the strategy, piece by piece where the path turns in place."""
+        pool, robot = pool_of_this_thread(), call.problem.robot
+        built = pool.build_time
+        if robot.turns_in_place and call.problem.start_speed == 0.0:
+            call = call._replace(path=with_turns(call.path))
+        chosen = TurningSolver if call.path.turns else Solver
+        solver = chosen(pool, deadline, cancel_checker, self.settings)
+        best, outcome = solver.follow_strategy(call), solver.outcome
+        report = SmoothingReport(
+            status=best.given or (SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED),
+            cost=best.cost,
+            iterations=outcome.iterations,
+            setup_s=outcome.setup_time - (pool.build_time - built),
+            build_s=pool.build_time - built,
+            certify_s=outcome.certify_time,
+            first_certified_s=outcome.first_certified,
+            total_s=deadline.elapsed,
+            certificate=best.certificate,
+        )
+        return SmoothingResult(best.path, outcome.converged, report)
 
     def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
         """Return the task of a call, with the weights and the resolution of the parameters."""
@@ -204,6 +196,7 @@ class CasadiSmoother(Smoother):
         usable = earlier is not None and may_be_one_frame(earlier.frame, problem.frame)
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
+        path = path.with_frame(problem.frame)
         return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
 
     def warm_up(self) -> None:
@@ -227,15 +220,21 @@ class CasadiSmoother(Smoother):
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
-        chosen = self.parameters
+        """The problem between the ends of `path`, with the occupied cells around it up to `reach` [m]; see `covers`."""
+        chosen, context = self.parameters, self.context
+        if context.footprint is None:
+            raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
+        points = path.sample(_SPACING).poses[:, :2]
+        around = context.footprint.circumscribed_radius + reach + _READ_AROUND
+        region = points.min(axis=0) - around, points.max(axis=0) + around
+        obstacles = ObstacleSet.empty()
+        if context.costmap is not None:
+            obstacles = obstacles_from_costmap(context.costmap, region=region)
+        if context.local_costmap is not None and context.local_costmap is not context.costmap:
+            obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
         limits = MotionLimits(max_curvature=chosen.max_curvature, max_curvature_rate=chosen.max_curvature_rate)
-        return problem_between_ends(path, self.context, limits, rule, chosen.final_straight, reach)
-
-    def _confirm(self, result: Path, rule: ClearanceRule) -> None:
-        """Certify a result that leaves the region of the costmap around its input."""
-        certificate = certify_path(result, self._between_ends(result, rule, rule.required))
-        if not certificate.certified:
-            raise refuse_certificate(certificate, result).error()
+        dock, robot = Dock(path.end, final_straight=chosen.final_straight), Robot(context.footprint, limits)
+        return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
 
 
 def _check_way(path: Path, problem: DockingProblem) -> None:
@@ -288,61 +287,9 @@ def kept_clearance(path: Path, problem: DockingProblem, least: float, most: floa
     return ClearanceRule(required, min(at_goal, required), _TAPER)
 
 
-def problem_between_ends(
-    path: Path,
-    context: PluginContext,
-    limits: MotionLimits,
-    rule: ClearanceRule,
-    final_straight: float,
-    reach: float,
-) -> DockingProblem:
-    """Return the problem between the ends of `path`, with the occupied cells around it; see `covers`.
-
-    Args:
-        path: Input.
-        context: Footprint and costmaps.
-        limits: Limits of the robot.
-        rule: Clearance rule.
-        final_straight: Straight run at the end [m].
-        reach: Largest clearance that matters [m].
-
-    Raises:
-        InvalidValue: If the context has no footprint.
-    """
-    if context.footprint is None:
-        raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
-    points = path.sample(_SPACING).poses[:, :2]
-    around = context.footprint.circumscribed_radius + reach + _READ_AROUND
-    region = points.min(axis=0) - around, points.max(axis=0) + around
-    obstacles = ObstacleSet.empty()
-    if context.costmap is not None:
-        obstacles = obstacles_from_costmap(context.costmap, region=region)
-    if context.local_costmap is not None and context.local_costmap is not context.costmap:
-        obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
-    dock = Dock(path.end, final_straight=final_straight)
-    robot = Robot(context.footprint, limits)
-    return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
-
-
 def covers(path: Path, result: Path) -> bool:
     """Whether the region read around `path` contains every cell that the footprint can reach on `result`."""
     points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
     slack = _READ_AROUND - _SPACING
     inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)
     return bool(inside.all())
-
-
-def _result(best: Incumbent, outcome: SearchOutcome, deadline: Deadline, build: float) -> SmoothingResult:
-    searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
-    report = SmoothingReport(
-        status=best.given or searched,
-        cost=best.cost,
-        iterations=outcome.iterations,
-        setup_s=outcome.setup_time - build,
-        build_s=build,
-        certify_s=outcome.certify_time,
-        first_certified_s=outcome.first_certified,
-        total_s=deadline.elapsed,
-        certificate=best.certificate,
-    )
-    return SmoothingResult(best.path, outcome.converged, report)

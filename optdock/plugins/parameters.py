@@ -43,18 +43,13 @@ class PluginParameters(BaseModel):
 P = TypeVar("P", bound=PluginParameters)
 
 
-def closest(name: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """Return `; did you mean ...?` for a misspelt name, or the empty string.
-
-    Args:
-        name: Misspelt name.
-        known: Known names.
-        likeness: Least ratio of `difflib`, 1 for equal names.
+def closest(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean ...?` with the known name closest to `name`, or the empty string.
 
     >>> closest("toleranse", ["tolerance", "step"])
     '; did you mean tolerance?'
     """
-    found = difflib.get_close_matches(name, list(known), n=1, cutoff=likeness)
+    found = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {found[0]}?" if found else ""
 
 

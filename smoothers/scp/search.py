@@ -57,8 +57,6 @@ __all__ = [
     "SearchOutcome",
     "Solver",
     "direct_line",
-    "earlier_answer",
-    "input_answer",
     "is_clothoid_answer",
     "straight_line",
 ]
@@ -155,13 +153,6 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
     return True
 
 
-def earlier_answer(call: Call, settings: AnytimeSettings) -> Path | None:
-    """Return the earlier result if it is a clothoid answer."""
-    if call.earlier is None or not is_clothoid_answer(call.earlier, call.problem, settings):
-        return None
-    return call.earlier
-
-
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
     """Return the straight line to the goal from a start on its axis, hardly longer than the final straight; or None."""
     problem = call.problem
@@ -183,13 +174,13 @@ def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSetting
     return ClothoidSegment(ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), sign))
 
 
-def input_answer(call: Call, settings: AnytimeSettings) -> Path | None:
-    """Return the input if it is a clothoid answer; a certified input is never replaced by a costlier path."""
-    return call.path if is_clothoid_answer(call.path, call.problem, settings) else None
+def _if_answer(path: Path | None, call: Call, settings: AnytimeSettings) -> Path | None:
+    return path if path is not None and is_clothoid_answer(path, call.problem, settings) else None
 
 
 STRATEGY: tuple[Given | Search, ...] = (
-    Given(SmoothingStatus.INPUT_KEPT, input_answer),
+    # A certified input is never replaced by a costlier path.
+    Given(SmoothingStatus.INPUT_KEPT, lambda call, settings: _if_answer(call.path, call, settings)),
     Given(SmoothingStatus.STRAIGHT, direct_line, ends_all=True),
     # The first search that ends with a certified path, or at the time limit, is the last one.
     Search(lambda guesses: guesses.rest_of_earlier),
@@ -203,7 +194,7 @@ STRATEGY: tuple[Given | Search, ...] = (
     Search(lambda guesses: guesses.first, relieved=True),
     Search(lambda guesses: guesses.on_the_input, relieved=True),
     Search(lambda guesses: guesses.other, relieved=True, after_the_goal=True),
-    Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
+    Given(SmoothingStatus.WARM_START_KEPT, lambda call, settings: _if_answer(call.earlier, call, settings)),
 )
 """Candidates and searches, in order."""
 

@@ -129,9 +129,9 @@ def test_a_straight_piece_in_the_way_of_an_obstacle_is_bent():
 @pytest.mark.parametrize(
     ("path", "options", "word"),
     [
-        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "does not do that"),
+        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "cannot turn in place"),
         (STRAIGHT, {"start_speed": 0.1}, "the robot moves at 0.1 m/s"),
-        (chained(Pose2(0.0, 0.0, 0.0), [(1.0, 0.0)], 0.8), {}, "asks for a final straight"),
+        (chained(Pose2(0.0, 0.0, 0.0), [(1.0, 0.0)], 0.8), {}, "requires a final straight"),
     ],
 )
 def test_turns_that_cannot_be_are_refused_by_name(path, options, word):
