@@ -42,20 +42,19 @@ def smoother():
 
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
 def test_a_feasible_problem_is_solved_and_an_independent_checker_agrees(smoother, family):
-    for seed in range(2):
-        case = instance(family, seed)
-        result = smoother.smooth(case.raw_path, LONG, problem=case.problem)
-        assert result.completed
-        assert certify_path(result.path, case.problem).certified
-        assert dense_check(result.path, case.problem).faults == ()
-        assert all(isinstance(segment, ClothoidSegment) for segment in result.path.segments)
-        wanted = [segment.direction for segment in case.raw_path.segments]
-        assert [segment.direction for segment in result.path.segments] == wanted
+    case = instance(family, 0)
+    result = smoother.smooth(case.raw_path, LONG, problem=case.problem)
+    assert result.completed
+    assert certify_path(result.path, case.problem).certified
+    assert dense_check(result.path, case.problem).faults == ()
+    assert all(isinstance(segment, ClothoidSegment) for segment in result.path.segments)
+    wanted = [segment.direction for segment in case.raw_path.segments]
+    assert [segment.direction for segment in result.path.segments] == wanted
 
 
 @pytest.mark.parametrize("family", INFEASIBLE_FAMILIES)
 def test_an_infeasible_problem_is_refused_for_its_reason(smoother, family):
-    for seed in range(3):
+    for seed in range(2):
         case = instance(family, seed)
         with pytest.raises(FailedToSmoothPath) as caught:
             smoother.smooth(case.raw_path, LONG, problem=case.problem)

@@ -117,7 +117,7 @@ def least_clearance(path, blocks):
     return float(shapely.distance(outlines(path.sample(0.002).poses), blocks).min())
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.integers(0, 10_000))
 def test_what_is_smoothed_comes_no_closer_than_its_input(seed):
     raw, costmap, blocks = random_scene(np.random.default_rng(seed))

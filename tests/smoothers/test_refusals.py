@@ -36,8 +36,8 @@ def measured(pose, problem):
     return required, clearance, problem.all_obstacles.name_of(row)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_clearance_refusal_is_what_is_measured_at_its_pose(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clearance_refusal_names_the_worst_measured_pose(seed):
     problem, error = refusal_of("gap_blocked", seed)
     where, path = error.where, error.partial.path
     assert where["reason"] == "clearance"
@@ -49,18 +49,12 @@ def test_a_clearance_refusal_is_what_is_measured_at_its_pose(seed):
     assert path.pose_at(where["s"]).gap_to(pose) < EXACT
     assert where["amount"] > 0.0
     assert f"{where['amount']:.4f} m closer to {obstacle}" in str(error)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_pose_of_the_best_path_is_much_worse_than_the_one_that_is_named(seed):
-    problem, error = refusal_of("gap_blocked", seed)
-    path = error.partial.path
-    for s in np.linspace(0.0, path.length, 400):
+    for s in np.linspace(0.0, path.length, 200):
         required, clearance, _ = measured(path.pose_at(s), problem)
-        assert required - clearance <= error.where["amount"] + 5e-3
+        assert required - clearance <= where["amount"] + 5e-3
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_path_that_misses_the_goal_ends_where_the_refusal_says(seed):
     problem, error = refusal_of("too_close", seed)
     path, where = error.partial.path, error.where

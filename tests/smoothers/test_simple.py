@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
@@ -148,6 +148,7 @@ def test_refinement_goes_on_where_the_first_pass_stopped():
     assert again == pytest.approx(smoothed(corner(), refinement_num=1)[:, :2], abs=1e-9)
 
 
+@settings(max_examples=20)
 @given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-3.0, 3.0), st.sampled_from([bow, there_and_back]))
 def test_a_moved_path_is_smoothed_to_the_moved_result(x, y, yaw, shape):
     frame = Pose2(x, y, yaw)
@@ -236,7 +237,7 @@ def test_what_a_time_limit_leaves_has_entered_nothing_either():
         assert (blocked.cost_at(points) == FREE_SPACE).all()
 
 
-@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.4, 2.0, math.pi, 9.0])
+@pytest.mark.parametrize("yaw", [-3.0, 0.4, math.pi, 9.0])
 @pytest.mark.parametrize("shape", [bow, there_and_back])
 def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
     """The seed: preserve start and end poses; Nav2's smoother turns the start along the first step."""

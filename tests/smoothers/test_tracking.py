@@ -18,13 +18,12 @@ from optdock.verification import pose_clearances
 from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import rate_is_kept
-from smoothers.scp.initial_guess import InitialGuesses
+from smoothers.scp.initial_guess import InitialGuesses, strayed, track
 from smoothers.scp.loop import evaluated
 from smoothers.scp.nlp import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
-from smoothers.scp.initial_guess import strayed, track
 
 CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_curvature=0.25, max_curvature_rate=0.44))
 # Gear, curvature [1/m] and length [m]: words of full arcs, as Reeds-Shepp paths are, with pieces of a few decimetres.
@@ -100,7 +99,7 @@ def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_
     begun = evaluated(free.nlp, free.first.variables)[0].rollout.poses
     assert free.first.variables is free.pursued
     # Boxes where corners of the drive pass and the input does not.
-    corners = transform_points(begun, CAR.footprint.vertices).reshape(-1, 2)
+    corners = transform_points(begun[::2], CAR.footprint.vertices).reshape(-1, 2)
     boxes = [ObstacleSet.from_rectangles(at[None] - 0.15, at[None] + 0.15, "box") for at in corners]
     beside = [box for box in boxes if pose_clearances(poses, CAR.footprint, box)[0].min() > 0.02]
     obstacles = functools.reduce(ObstacleSet.__add__, beside)

@@ -84,8 +84,8 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         return ((ORIGIN, GOAL), (Pose2(0.2, -0.8, 0.3), GOAL), (Pose2(-0.5, 1.2, -0.2), Pose2(2.8, 0.0, 0.1)))
 
     def exercise(self, plugin: GlobalPlanner) -> object:
-        """Return the poses of the paths of all queries."""
-        return tuple(sampled(plugin.create_plan(start, goal)) for start, goal in self.queries())
+        """Return the poses of the path of the first query."""
+        return sampled(plugin.create_plan(*self.queries()[0]))
 
     def test_the_path_leads_from_start_to_goal_in_their_frame(self) -> None:
         """`create_plan`: a path of positive length from `start` to `goal`, in the frame of the problem."""
@@ -124,7 +124,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         """`create_plan`: PlannerException with a reason where there is no path; no other exception."""
         planner, draw = self.ready_plugin(), np.random.default_rng(3)
         odd = [(GOAL, GOAL), (GOAL @ Pose2(1e-9, 0.0, 0.0), GOAL), (Pose2(1e6, -1e6, 9.0), GOAL)]
-        odd += [(GOAL @ Pose2(*draw.normal(size=3)), GOAL) for _ in range(25)]
+        odd += [(GOAL @ Pose2(*draw.normal(size=3)), GOAL) for _ in range(12)]
         for start, goal in odd:
             path = attempted(partial(planner.create_plan, start, goal), PlannerException)
             if path is not None:
@@ -261,7 +261,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         for path in self.paths():
             for limits in self.limits():
                 for zone in (SpeedZone(), SpeedZone(0.15, 0.4)):
-                    for start in ((0.0, 0.0), (0.2, 0.0), (0.2, -0.2), (0.15, 0.1)):
+                    for start in ((0.0, 0.0), (0.2, -0.2), (0.15, 0.1)):
                         yield path, limits, zone, start
 
     def test_a_motion_that_is_ok_is_certified(self) -> None:
