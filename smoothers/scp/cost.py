@@ -53,22 +53,15 @@ class Quadratic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CostModel:
-    """The cost of one problem.
-
-    Args:
-        basis: Shape of the path.
-        weights: Weights of the terms.
-        scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
-        reference: Input path at the nodes.
-        turning_at_cusps: Cost of steering by the reference curvature at rest [m]; 0 for robots without steered wheels.
-        easing: Weights of the curvature rate, at most 1, Shape (number of spans,); None: 1 everywhere.
-    """
+    """The cost of one problem."""
 
     basis: Basis
-    weights: Weights
-    scales: tuple[float, float]
-    reference: InputNodes
+    weights: Weights  # weights of the terms
+    scales: tuple[float, float]  # reference curvature [1/m] and reference curvature rate [1/m^2]
+    reference: InputNodes  # input path at the nodes
+    # cost of steering by the reference curvature at rest [m]; 0 for robots without steered wheels
     turning_at_cusps: float = 0.0
+    # weights of the curvature rate, at most 1, Shape (number of spans,); None: 1 everywhere
     easing: FloatArray | None = None
 
     @cached_property

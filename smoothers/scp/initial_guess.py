@@ -42,18 +42,12 @@ __all__ = ["EarlierResult", "InitialGuesses", "pure_pursuit", "rest_of_earlier_r
 
 @dataclass(frozen=True, eq=False)
 class InitialGuesses:
-    """The guesses for one program.
-
-    Args:
-        nlp: Program.
-        earlier: Rest of an earlier result, or None.
-        pool: Convex programs, for tracking.
-        is_late: Whether there is no time for another iteration; called before and within tracking.
-    """
+    """The guesses for one program."""
 
     nlp: NonlinearProgram
-    earlier: EarlierResult | None = None
-    pool: ProgramPool = field(default_factory=pool_of_this_thread)
+    earlier: EarlierResult | None = None  # rest of an earlier result, or None
+    pool: ProgramPool = field(default_factory=pool_of_this_thread)  # convex programs, for tracking
+    # whether there is no time for another iteration; called before and within tracking
     is_late: Callable[[], bool] = never_late
 
     @property
@@ -166,19 +160,12 @@ class InitialGuesses:
 
 
 class EarlierResult(NamedTuple):
-    """The rest of an earlier result ahead of the robot.
+    """The rest of an earlier result ahead of the robot."""
 
-    Attributes:
-        path: Earlier result.
-        first: Index of the first gear that is left.
-        begin: Arc length within that gear [m].
-        lengths: Remaining lengths of the gears without the final straight, Shape (num_gears,) [m].
-    """
-
-    path: Path
-    first: int
-    begin: float
-    lengths: FloatArray
+    path: Path  # earlier result
+    first: int  # index of the first gear that is left
+    begin: float  # arc length within that gear [m]
+    lengths: FloatArray  # remaining lengths of the gears without the final straight, Shape (num_gears,) [m]
 
     def variables(self, basis: Basis) -> Variables:
         """Return its curvatures at the knots of `basis`."""
@@ -373,19 +360,12 @@ class _TrackedPath(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _LeastSquares:
-    """The residuals of one program at every node, across and along the input.
-
-    Attributes:
-        nlp: Program.
-        axes: Unit vectors across and along the input, Shape (num_nodes, 2) each.
-        weights: Weights of the squared residuals, Shape (num_nodes,) each.
-        smoothness: Weight of the integral of the squared curvature rate.
-    """
+    """The residuals of one program at every node, across and along the input."""
 
     nlp: NonlinearProgram
-    axes: tuple[FloatArray, FloatArray]
-    weights: tuple[FloatArray, FloatArray]
-    smoothness: float
+    axes: tuple[FloatArray, FloatArray]  # unit vectors across and along the input, Shape (num_nodes, 2) each
+    weights: tuple[FloatArray, FloatArray]  # weights of the squared residuals, Shape (num_nodes,) each
+    smoothness: float  # weight of the integral of the squared curvature rate
 
     @classmethod
     def of(cls, nlp: NonlinearProgram) -> _LeastSquares:

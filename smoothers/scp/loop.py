@@ -39,45 +39,26 @@ __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"
 
 
 class SearchGuess(NamedTuple):
-    """First variables of a search, and its first step bounds.
+    """First variables of a search, and its first step bounds."""
 
-    Attributes:
-        variables: Curvatures and lengths.
-        trust_region: First bound of the heading changes of a step [rad].
-        proximal: First weight of the squared motion of a step.
-        patience: Iterations within which the shortfall of an infeasible iterate must shrink.
-    """
-
-    variables: Variables
-    trust_region: float
-    proximal: float
-    patience: int
+    variables: Variables  # curvatures and lengths
+    trust_region: float  # first bound of the heading changes of a step [rad]
+    proximal: float  # first weight of the squared motion of a step
+    patience: int  # iterations within which the shortfall of an infeasible iterate must shrink
 
 
 class Iterate(NamedTuple):
-    """Variables with their roll-out and constraint values.
+    """Variables with their roll-out and constraint values."""
 
-    Attributes:
-        variables: Knot curvatures and gear lengths.
-        rollout: Driven path.
-        cost: Value of the cost.
-        clearance: Near pairs.
-        zones: Largest shortfall of clearance and view in each zone, >= 0, Shape (zones,) [m].
-        end_error: Shape (3,) [m, m, rad].
-        on_goal: Whether the path ends at the target.
-        feasible: Whether the path may be certified.
-        view: View margins, or None without a required view.
-    """
-
-    variables: Variables
+    variables: Variables  # knot curvatures and gear lengths
     rollout: Rollout
-    cost: float
-    clearance: Clearance
-    zones: FloatArray
-    end_error: FloatArray
-    on_goal: bool
-    feasible: bool
-    view: SeenPlaces | None = None
+    cost: float  # value of the cost
+    clearance: Clearance  # near pairs
+    zones: FloatArray  # largest shortfall of clearance and view in each zone, >= 0, Shape (zones,) [m]
+    end_error: FloatArray  # Shape (3,) [m, m, rad]
+    on_goal: bool  # whether the path ends at the target
+    feasible: bool  # whether the path may be certified
+    view: SeenPlaces | None = None  # view margins, or None without a required view
 
     @property
     def shortfall(self) -> float:

@@ -46,18 +46,12 @@ _TRACKED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Ends and gears of the path.
+    """Ends and gears of the path."""
 
-    Args:
-        start, target: Poses, Shape (3,) [m, m, rad].
-        signs: Gears, Shape (num_gears,).
-        reach: Largest goal error for Newton steps [m, rad].
-    """
-
-    start: FloatArray
+    start: FloatArray  # poses, Shape (3,) [m, m, rad]
     target: FloatArray
-    signs: FloatArray
-    reach: float = 0.5
+    signs: FloatArray  # gears, Shape (num_gears,)
+    reach: float = 0.5  # largest goal error for Newton steps [m, rad]
 
     def error(self, rollout: Rollout) -> FloatArray:
         """Return the last pose minus the target, Shape (3,)."""
@@ -67,61 +61,36 @@ class Ends:
 
 @dataclass(frozen=True, eq=False)
 class VariableBounds:
-    """Bounds of the variables and of the curvature rate.
+    """Bounds of the variables and of the curvature rate."""
 
-    Args:
-        lower, upper: Bounds of knot curvatures and gear lengths, Shape (size,).
-        rate: Largest curvature rate [1/m^2]; may be infinite.
-    """
-
-    lower: FloatArray
+    lower: FloatArray  # bounds of knot curvatures and gear lengths, Shape (size,)
     upper: FloatArray
-    rate: float
+    rate: float  # largest curvature rate [1/m^2]; may be infinite
 
 
 class TracedInput(NamedTuple):
-    """The input path at the nodes, without its final straight.
+    """The input path at the nodes, without its final straight."""
 
-    Attributes:
-        positions: Shape (num_nodes, 2) [m].
-        headings: Direction of each chord, continuous, Shape (num_intervals,) [rad].
-        end_yaw: Yaw of the input's last pose, continuous with the headings [rad].
-    """
-
-    positions: FloatArray
-    headings: FloatArray
-    end_yaw: float
+    positions: FloatArray  # Shape (num_nodes, 2) [m]
+    headings: FloatArray  # direction of each chord, continuous, Shape (num_intervals,) [rad]
+    end_yaw: float  # yaw of the input's last pose, continuous with the headings [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """Cost and constraints.
-
-    Args:
-        basis: Shape of the path.
-        ends: Start, target before the final straight, gears.
-        bounds: Bounds that iterates keep exactly.
-        inner_bounds: Slightly tighter bounds of the steps.
-        cost: Cost model.
-        scene: Obstacles and clearance rule.
-        traced: Input at the nodes.
-        lengths: First gear lengths, Shape (num_gears,) [m].
-        radius: Smallest turning radius, at least 0.5 m [m].
-        settings: Constants of the method.
-        view: Required view along the path, or None.
-    """
+    """Cost and constraints."""
 
     basis: Basis
-    ends: Ends
-    bounds: VariableBounds
-    inner_bounds: VariableBounds
+    ends: Ends  # start, target before the final straight, gears
+    bounds: VariableBounds  # bounds that iterates keep exactly
+    inner_bounds: VariableBounds  # slightly tighter bounds of the steps
     cost: CostModel
-    scene: Scene
-    traced: TracedInput
-    lengths: FloatArray
-    radius: float
+    scene: Scene  # obstacles and clearance rule
+    traced: TracedInput  # input at the nodes
+    lengths: FloatArray  # first gear lengths, Shape (num_gears,) [m]
+    radius: float  # smallest turning radius, at least 0.5 m [m]
     settings: Settings
-    view: ViewBound | None = None
+    view: ViewBound | None = None  # required view along the path, or None
 
 
 class Formulation(NamedTuple):

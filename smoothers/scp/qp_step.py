@@ -61,27 +61,17 @@ class QpStep(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Columns and rows of a program.
+    """Columns and rows of a program."""
 
-    Attributes:
-        path: Columns of the step: knot curvatures, then gear lengths.
-        goal_above, goal_below: Columns of the three slacks e+ and e-.
-        clearance_slack: Columns of the slacks of clearance, one per zone of the path.
-        goal: Rows of the pose at the end.
-        trust_region: Rows of the headings.
-        rate_up, rate_down: Rows of the curvature rate and its negative, none where it is unlimited.
-        clearance: Rows of clearance; unused ones are empty.
-    """
-
-    path: slice
-    goal_above: slice
+    path: slice  # columns of the step: knot curvatures, then gear lengths
+    goal_above: slice  # columns of the three slacks e+ and e-
     goal_below: slice
-    clearance_slack: slice
-    goal: slice
-    trust_region: slice
-    rate_up: slice
+    clearance_slack: slice  # columns of the slacks of clearance, one per zone of the path
+    goal: slice  # rows of the pose at the end
+    trust_region: slice  # rows of the headings
+    rate_up: slice  # rows of the curvature rate and its negative, none where it is unlimited
     rate_down: slice
-    clearance: slice
+    clearance: slice  # rows of clearance; unused ones are empty
 
     @property
     def size(self) -> tuple[int, int]:
@@ -119,23 +109,14 @@ def _trust_rows(basis: Basis, settings: StepSettings) -> int:
 
 
 class Subproblem(NamedTuple):
-    """One linearization, which stays the same when a step is rejected.
+    """One linearization, which stays the same when a step is rejected."""
 
-    Attributes:
-        variables: Point of the linearization.
-        quadratic: Cost model.
-        motion: Shape (size, size), squared motion of the nodes.
-        goal: Derivatives of the last pose, Shape (3, size), and its error, Shape (3,).
-        headings: Shape (trust nodes, size), derivatives of the headings that the trust region bounds.
-        rows: Clearance.
-    """
-
-    variables: Variables
+    variables: Variables  # point of the linearization
     quadratic: Quadratic
-    motion: FloatArray
-    goal: tuple[FloatArray, FloatArray]
-    headings: FloatArray
-    rows: ClearanceRows
+    motion: FloatArray  # Shape (size, size), squared motion of the nodes
+    goal: tuple[FloatArray, FloatArray]  # derivatives of the last pose, Shape (3, size), and its error, Shape (3,)
+    headings: FloatArray  # Shape (trust nodes, size), derivatives of the headings that the trust region bounds
+    rows: ClearanceRows  # clearance
 
 
 def solve_step(

@@ -47,27 +47,16 @@ _GOAL_ALONE = 1e-4  # [m]: length of the straight that represents the goal pose
 
 
 class Refusal(NamedTuple):
-    """A violated constraint.
+    """A violated constraint."""
 
-    Attributes:
-        reason: Name of the constraint.
-        s: Arc length [m].
-        amount: Violation, in the unit of the constraint.
-        obstacle: Name of the obstacle, or empty.
-        message: Sentence with the numbers.
-        pose: Pose of the violation, Shape (3,), or None.
-        more: Further entries of `where`.
-        path: Best path found, which violates the constraint; None before a search.
-    """
-
-    reason: str
-    s: float
-    amount: float
-    obstacle: str
-    message: str
-    pose: FloatArray | None = None
-    more: Mapping[str, object] = MappingProxyType({})
-    path: Path | None = None
+    reason: str  # name of the constraint
+    s: float  # arc length [m]
+    amount: float  # violation, in the unit of the constraint
+    obstacle: str  # name of the obstacle, or empty
+    message: str  # sentence with the numbers
+    pose: FloatArray | None = None  # pose of the violation, Shape (3,), or None
+    more: Mapping[str, object] = MappingProxyType({})  # further entries of `where`
+    path: Path | None = None  # best path found, which violates the constraint; None before a search
 
     def error(self) -> FailedToSmoothPath:
         """Return the exception, with the best path found as the `path` of its `partial`."""

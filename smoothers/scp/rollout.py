@@ -25,21 +25,13 @@ class Variables(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """A driven path.
+    """A driven path."""
 
-    Attributes:
-        poses: Shape (num_nodes, 3) [m, m, rad].
-        curvature: Shape (num_nodes,) [1/m].
-        rate: Shape (num_intervals,) [1/m^2], curvature rate, constant inside every interval.
-        steps: Shape (num_intervals,) [m], interval lengths.
-        moves: Shape (2 num_intervals, 2) [m], displacement by each Gauss point.
-    """
-
-    poses: FloatArray
-    curvature: FloatArray
-    rate: FloatArray
-    steps: FloatArray
-    moves: FloatArray
+    poses: FloatArray  # Shape (num_nodes, 3) [m, m, rad]
+    curvature: FloatArray  # Shape (num_nodes,) [1/m]
+    rate: FloatArray  # Shape (num_intervals,) [1/m^2], curvature rate, constant inside every interval
+    steps: FloatArray  # Shape (num_intervals,) [m], interval lengths
+    moves: FloatArray  # Shape (2 num_intervals, 2) [m], displacement by each Gauss point
 
 
 class Sensitivity(NamedTuple):

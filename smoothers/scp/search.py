@@ -67,27 +67,17 @@ _OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight
 
 
 class Call(NamedTuple):
-    """A smoothing task.
+    """A smoothing task."""
 
-    Attributes:
-        path: Input, in the problem's frame.
-        problem: Constraints.
-        earlier: Earlier result in the same frame, or None.
-        formulation: Weights and resolution.
-        max_iterations: Limit of every search.
-        first_only: Whether to stop at the first certified path.
-        within: For a piece of a path, the problem of the whole path, whose clearance rule counts; else None.
-        after: Length of the path after the piece [m].
-    """
-
-    path: Path
+    path: Path  # input, in the problem's frame
     problem: DockingProblem
-    earlier: Path | None
-    formulation: Formulation
-    max_iterations: int = 60
-    first_only: bool = False
+    earlier: Path | None  # earlier result in the same frame, or None
+    formulation: Formulation  # weights and resolution
+    max_iterations: int = 60  # limit of every search
+    first_only: bool = False  # whether to stop at the first certified path
+    # for a piece of a path, the problem of the whole path, whose clearance rule counts; else None
     within: DockingProblem | None = None
-    after: float = 0.0
+    after: float = 0.0  # length of the path after the piece [m]
 
     @property
     def whole(self) -> DockingProblem:
@@ -105,17 +95,11 @@ class Call(NamedTuple):
 
 
 class Given(NamedTuple):
-    """A path that is returned without a search if it is certified.
-
-    Attributes:
-        status: Status of the result.
-        path: Function of the call that returns the path, or None.
-        ends_all: Whether no search follows once the path is certified.
-    """
+    """A path that is returned without a search if it is certified."""
 
     status: SmoothingStatus
-    path: Callable[[Call, AnytimeSettings], Path | None]
-    ends_all: bool = False
+    path: Callable[[Call, AnytimeSettings], Path | None]  # the path, or None
+    ends_all: bool = False  # whether no search follows once the path is certified
 
 
 class Search(NamedTuple):
@@ -124,17 +108,12 @@ class Search(NamedTuple):
     A repair begins at the refused variables. If they were feasible, it uses three times the buffer and considers four
     times as many obstacles per interval, small ones included; if only the bound between nodes was violated, it uses
     intervals of half the length.
-
-    Attributes:
-        guess: Function of the guesses that returns the first one, or None.
-        thoroughly: Whether nodes are finer and small obstacles active everywhere; only among many obstacles.
-        after_the_goal: Whether the search is only run if the search before it reached the goal.
-        relieved: Whether the weaker clearance rule near the start counts; only for starts with too little clearance.
     """
 
-    guess: Callable[[InitialGuesses], SearchGuess | None]
-    thoroughly: bool = False
-    after_the_goal: bool = False
+    guess: Callable[[InitialGuesses], SearchGuess | None]  # the first variables, or None
+    thoroughly: bool = False  # whether nodes are finer and small obstacles active everywhere; only among many obstacles
+    after_the_goal: bool = False  # whether the search is only run if the search before it reached the goal
+    # whether the weaker clearance rule near the start counts; only for starts with too little clearance
     relieved: bool = False
 
 
@@ -210,27 +189,17 @@ class Incumbent(NamedTuple):
 
 @dataclass
 class SearchOutcome:
-    """The state of a call.
+    """The state of a call."""
 
-    Attributes:
-        incumbent: Best certified path, or None.
-        last: Last iterate.
-        converged: Whether the search ended without a time limit.
-        iterations: Number of steps.
-        refused: Last candidate that was not certified, and its certificate, or None.
-        setup_time: Time from the start of the call to the first search [s].
-        first_certified: Time from the start of the call to the first certificate [s], or None.
-        certify_time: Time for certificates [s].
-    """
-
-    incumbent: Incumbent | None = None
+    incumbent: Incumbent | None = None  # best certified path, or None
     last: Iterate | None = None
-    converged: bool = False
-    iterations: int = 0
+    converged: bool = False  # whether the search ended without a time limit
+    iterations: int = 0  # number of steps
+    # last candidate that was not certified, and its certificate, or None
     refused: tuple[Path, Certificate] | None = None
-    setup_time: float = 0.0
-    first_certified: float | None = None
-    certify_time: float = 0.0
+    setup_time: float = 0.0  # time from the start of the call to the first search [s]
+    first_certified: float | None = None  # time from the start of the call to the first certificate [s], or None
+    certify_time: float = 0.0  # time for certificates [s]
 
 
 class IterationTimes:

@@ -30,39 +30,23 @@ _SAME_PLACE = 1e-9  # [m]: rounding of the places where the stretch begins and e
 
 @dataclass(frozen=True, eq=False)
 class ViewBound:
-    """The required view along a path.
+    """The required view along a path."""
 
-    Args:
-        view: Camera, marker and stretch.
-        problem: Whole problem, whose start and goal determine the required margin.
-        signs: Gears, Shape (num_gears,).
-        after: Distance from the last node to the goal [m]: the final straight, and later pieces of the path.
-    """
-
-    view: RequiredView
-    problem: DockingProblem
-    signs: FloatArray
-    after: float
+    view: RequiredView  # camera, marker and stretch
+    problem: DockingProblem  # whole problem, whose start and goal determine the required margin
+    signs: FloatArray  # gears, Shape (num_gears,)
+    after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
 
 
 class SeenPlaces(NamedTuple):
-    """The view at places of a path.
+    """The view at places of a path."""
 
-    Attributes:
-        node: Node before each place, Shape (p,).
-        ahead: Distance of the place from that node [m], Shape (p,); 0 at nodes.
-        poses: Shape (p, 3).
-        seen: Marker in the robot's frame, Shape (p, 2) [m].
-        normals: Gradient of each margin by the marker in the robot's frame, Shape (edges, p, 2).
-        margin: Margin of every edge above the requirement and the loss between nodes, Shape (edges, p) [m].
-    """
-
-    node: IntArray
-    ahead: FloatArray
-    poses: FloatArray
-    seen: FloatArray
-    normals: FloatArray
-    margin: FloatArray
+    node: IntArray  # node before each place, Shape (p,)
+    ahead: FloatArray  # distance of the place from that node [m], Shape (p,); 0 at nodes
+    poses: FloatArray  # Shape (p, 3)
+    seen: FloatArray  # marker in the robot's frame, Shape (p, 2) [m]
+    normals: FloatArray  # gradient of each margin by the marker in the robot's frame, Shape (edges, p, 2)
+    margin: FloatArray  # margin of every edge above the requirement and the loss between nodes, Shape (edges, p) [m]
 
 
 def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:

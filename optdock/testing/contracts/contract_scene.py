@@ -14,6 +14,7 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.lifecycle import PluginContext
+from optdock.testing.drives import cusp_drive
 
 __all__ = [
     "GOAL",
@@ -100,12 +101,8 @@ def post_inside_the_bend() -> ObstacleSet:
 
 
 def cusp_path() -> Path:
-    """Return a polyline of 1.5 m forward on a left arc and 1.5 m in reverse on another."""
-    s = np.linspace(0.0, 1.5, 31)
-    there = np.column_stack((np.sin(0.4 * s) / 0.4, (1.0 - np.cos(0.4 * s)) / 0.4, 0.4 * s))
-    tip = Pose2.from_sequence(there[-1])
-    back = [tip @ Pose2(-x, y, -yaw) for x, y, yaw in there[1:]]
-    return Path.from_poses([*map(Pose2.from_sequence, there), *back])
+    """Return a polyline through a left turn forward and a right turn in reverse."""
+    return moved_path(cusp_drive(ORIGIN).path, ORIGIN)
 
 
 def moved_path(path: Path, motion: Pose2) -> Path:

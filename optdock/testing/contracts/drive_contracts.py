@@ -48,7 +48,7 @@ __all__ = ["BehaviorContract", "ControllerContract", "DockTypeContract", "GoalCh
 _REST = Twist2()
 _FAR = 100.0  # [m]
 _FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # away from every drive here
-_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 220, 80, 100, 20  # [s], and commands
+_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 80, 100, 20  # [s], and commands
 _SLACK = 1.0 + 1e-6
 _LIMIT_SLACK = 1.05  # of a speed limit: feedback may add to a reference that was slowed down
 _BEHAVIOR_PERIOD, _BEHAVIOR_CYCLES = 0.1, 400  # [s], and cycles within which a behavior ends
@@ -233,7 +233,15 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
     def test_a_robot_at_rest_at_the_goal_has_arrived(self) -> None:
         """`is_goal_reached`: True at the goal for any sequence of poses: empty, single, or repeated ones."""
         close, repeated = [GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], [GOAL] * 5
-        paths: tuple[Sequence[Pose2], ...] = [], [GOAL], repeated, close, _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))
+        paths: tuple[Sequence[Pose2], ...] = (
+            [],
+            [GOAL],
+            repeated,
+            close,
+            _remaining(1e-9),
+            _remaining(0.05),
+            tuple(_remaining(0.05)),
+        )
         for path in paths:
             reached = self.ready_plugin().is_goal_reached(GOAL, GOAL, _REST, path)
             require(reached is True, f"at the goal, at rest, it is reached (path of {len(path)} poses), got {reached}")

@@ -67,50 +67,29 @@ DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 
 class Requirement(NamedTuple):
-    """Required clearance at positions.
+    """Required clearance at positions."""
 
-    Attributes:
-        value: Shape (n,) [m].
-        gradient: By position, Shape (n, 2).
-        rule: Part that decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`.
-        leaving: Requirement by the growth from the start alone, Shape (n,) [m].
-    """
-
-    value: FloatArray
-    gradient: FloatArray
-    rule: IntArray
-    leaving: FloatArray
+    value: FloatArray  # Shape (n,) [m]
+    gradient: FloatArray  # by position, Shape (n, 2)
+    rule: IntArray  # part that decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`
+    leaving: FloatArray  # requirement by the growth from the start alone, Shape (n,) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Obstacles near the path, the body, and the clearance rule.
+    """Obstacles near the path, the body, and the clearance rule."""
 
-    Args:
-        obstacles: Obstacles near the input path.
-        body: The robot.
-        rule: Clearance rule.
-        start, goal: Positions, Shape (2,) [m].
-        start_clearance: Clearance of the start pose [m].
-        settings: Selection of pairs.
-        start_relief: Length of the weaker rule near the start [m].
-
-    Attributes:
-        outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
-        edge_normals: Their outward edge normals.
-        box_middle, box_half: Middle and half extent of their bounding boxes, Shape (1, m) [m].
-    """
-
-    obstacles: ObstacleSet
+    obstacles: ObstacleSet  # obstacles near the input path
     body: Body
     rule: ClearanceRule
-    start: FloatArray
+    start: FloatArray  # positions, Shape (2,) [m]
     goal: FloatArray
-    start_clearance: float
-    settings: CollisionSettings = DEFAULT_SETTINGS.collision
-    start_relief: float = 0.0
-    outline: Points = field(init=False, repr=False)
-    edge_normals: Points = field(init=False, repr=False)
+    start_clearance: float  # clearance of the start pose [m]
+    settings: CollisionSettings = DEFAULT_SETTINGS.collision  # selection of pairs
+    start_relief: float = 0.0  # length of the weaker rule near the start [m]
+    outline: Points = field(init=False, repr=False)  # obstacle vertices, one column per obstacle, Shape (k, m) [m]
+    edge_normals: Points = field(init=False, repr=False)  # their outward edge normals
+    # middle and half extent of their bounding boxes, Shape (1, m) [m]
     box_middle: Points = field(init=False, repr=False)
     box_half: Points = field(init=False, repr=False)
 
@@ -176,19 +155,12 @@ def scene_around(
 
 
 class BodyAtNodes(NamedTuple):
-    """The body at every node.
+    """The body at every node."""
 
-    Attributes:
-        corners: Scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m].
-        inward: Inward normals of the body's edges, likewise.
-        required: Required clearance at the nodes.
-        cosine, sine: Of the yaw, Shape (nodes,).
-    """
-
-    corners: Points
-    inward: Points
-    required: Requirement
-    cosine: FloatArray
+    corners: Points  # scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m]
+    inward: Points  # inward normals of the body's edges, likewise
+    required: Requirement  # required clearance at the nodes
+    cosine: FloatArray  # of the yaw, Shape (nodes,)
     sine: FloatArray
 
 

@@ -39,27 +39,16 @@ _CACHED = 100_000  # numbers, 0.8 MB: blocks of this size stay in the processor'
 
 
 class Clearance(NamedTuple):
-    """Near pairs and their margins above the requirement; one column per pair.
+    """Near pairs and their margins above the requirement; one column per pair."""
 
-    Attributes:
-        pairs: Interval, part and obstacle.
-        hull: Swept vertices, those of the left node first, Shape (2v, p) [m].
-        axis: Unit, obstacle to robot, Shape (1, p).
-        heights: Shape (2v, p) [m], n.v less requirement and sag.
-        outline: Obstacle vertices, Shape (k, p) [m].
-        top: Shape (p,) [m], largest n.q of the obstacle.
-        margin: Shape (p,) [m], proven lower bound of clearance - required.
-        required: At every node.
-    """
-
-    pairs: Pairs
-    hull: Points
-    axis: Points
-    heights: FloatArray
-    outline: Points
-    top: FloatArray
-    margin: FloatArray
-    required: Requirement
+    pairs: Pairs  # interval, part and obstacle
+    hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
+    axis: Points  # unit, obstacle to robot, Shape (1, p)
+    heights: FloatArray  # Shape (2v, p) [m], n.v less requirement and sag
+    outline: Points  # obstacle vertices, Shape (k, p) [m]
+    top: FloatArray  # Shape (p,) [m], largest n.q of the obstacle
+    margin: FloatArray  # Shape (p,) [m], proven lower bound of clearance - required
+    required: Requirement  # at every node
 
 
 def narrow_phase(

@@ -76,10 +76,10 @@ def test_every_gate_of_planners_can_fail(every_gate):
             planner(joined=lambda self, poses, goal: Path.from_poses(poses[:-1])),
             planner(joined=lambda self, poses, goal: Path.from_poses([*poses[:-1], goal], "map")),
         ],
-        "test_yaws_a_full_turn_apart_are_the_same": [
-            planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1)))
+        "test_a_motion_of_the_task_moves_the_path": [
+            planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1))),
+            planner(point=bulging(lambda start: start.x)),
         ],
-        "test_a_rigid_motion_of_the_task_moves_the_path": [planner(point=bulging(lambda start: start.x))],
         "test_it_stops_when_cancelled_and_plans_again": [
             planner(create_plan=lambda self, start, goal, cancel_checker=None: Line.create_plan(self, start, goal))
         ],
