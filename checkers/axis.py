@@ -69,14 +69,7 @@ class AxisGoalChecker(GoalChecker):
     In order: the goal is not reached while the remaining path is longer than `path_length_tolerance`; without an axis
     (a single pose) the distance must be below the radial fallback; else along and cross decide. With `axis_end: goal`,
     as in every release of Nav2, a robot within 1e-6 m of the goal has reached it for any tolerances. Poses that repeat
-    the last one are skipped.
-
-    Args:
-        **parameters: Fields of `AxisGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative, or direction_estimation_distance is not
-            below path_length_tolerance.
+    the last one are skipped. `direction_estimation_distance` must be below `path_length_tolerance`.
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = AxisGoalChecker(along_path_tolerance=0.05, cross_track_tolerance=0.3)
@@ -95,25 +88,13 @@ class AxisGoalChecker(GoalChecker):
         _check_baseline(self.parameters, self.parameters.path_length_tolerance)
         self._cached_axis: _EndDirection | None = None
 
-    def is_goal_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,
-        path: Sequence[Pose2],
-    ) -> bool:
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
         """Whether the robot is within tolerance along and across the end of `path`, and at rest if `stopped`."""
         p = self.parameters
         in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
         return in_position and (not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity))
 
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
         """Whether the position is within tolerance, at any speed."""
         p = self.parameters
         if longer_than(path, p.path_length_tolerance):

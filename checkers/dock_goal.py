@@ -51,12 +51,6 @@ class DockGoalChecker(GoalChecker):
     arrival stays until `reset`, also with noise in the measured pose. A tolerance that is not given is that of the
     dock of the configured problem, else the default of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
 
-    Args:
-        **parameters: Fields of `DockGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative.
-
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = DockGoalChecker(along_tolerance=0.01)
     >>> checker.is_goal_reached(Pose2(0.01, 0.02, 0.05), Pose2(0.0, 0.0, 0.0), Twist2(), [])
@@ -79,13 +73,7 @@ class DockGoalChecker(GoalChecker):
         self._reached = self._is_latched or (in_position and at_rest and aligned)
         return self._reached
 
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
         """Whether the errors along and across are accepted, or a latched arrival holds; does not latch."""
         p = self.parameters
         if self._is_latched:

@@ -56,12 +56,6 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
     `required_stagnation_cycles` stopped calls, or after as many calls without a new least distance. Leaving the coarse
     radius resets this. An accepted position is latched when stateful, until the distance exceeds the radius that
     accepted it plus the buffer (if > 0). The heading is checked in every call. Comparisons are inclusive.
-
-    Args:
-        **parameters: Fields of `AdaptiveToleranceGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative, or required_stagnation_cycles is < 1.
     """
 
     Parameters = AdaptiveToleranceGoalCheckerParameters

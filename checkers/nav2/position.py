@@ -34,12 +34,6 @@ class PositionGoalChecker(GoalChecker):
 
     When stateful, an accepted position is latched until `reset`, or, with a buffer, until the distance exceeds
     tolerance + buffer.
-
-    Args:
-        **parameters: Fields of `PositionParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative.
     """
 
     Parameters = PositionParameters
@@ -53,13 +47,7 @@ class PositionGoalChecker(GoalChecker):
         """Whether the position is accepted."""
         return self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
 
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
         """Whether the position is accepted and the remaining path is not too long."""
         p = self.parameters
         if longer_than(path, p.path_length_tolerance):

@@ -29,12 +29,6 @@ class SimpleGoalChecker(PositionGoalChecker):
     """Nav2's SimpleGoalChecker: position within a radius (latched when stateful) and heading within a tolerance.
 
     The position is latched even if the heading fails; the heading is checked in every call. Comparisons are inclusive.
-
-    Args:
-        **parameters: Fields of `SimpleGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative.
     """
 
     Parameters = SimpleGoalCheckerParameters

@@ -26,14 +26,7 @@ class StoppedGoalCheckerParameters(SimpleGoalCheckerParameters):
 
 
 class StoppedGoalChecker(SimpleGoalChecker):
-    """Nav2's StoppedGoalChecker: position (latched), heading, and both speeds within tolerance, inclusively.
-
-    Args:
-        **parameters: Fields of `StoppedGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or negative.
-    """
+    """Nav2's StoppedGoalChecker: position (latched), heading, and both speeds within tolerance, inclusively."""
 
     Parameters = StoppedGoalCheckerParameters
     parameters: StoppedGoalCheckerParameters

@@ -139,6 +139,8 @@ class PluginContext:
 class Plugin(ABC):
     """Base of all plugins; subclasses set `Parameters` and may override the `on_*` hooks.
 
+    Transitions of the lifecycle raise LifecycleError in a state that does not allow them.
+
     Args:
         **parameters: Values of the fields of `Parameters`.
 
@@ -168,7 +170,6 @@ class Plugin(ABC):
         """Set the context: unconfigured -> inactive.
 
         Raises:
-            LifecycleError: If the plugin is not unconfigured.
             InvalidValue: If `context` is not a PluginContext.
         """
         self._require("configure", LifecycleState.UNCONFIGURED)
@@ -183,42 +184,26 @@ class Plugin(ABC):
         self._state = LifecycleState.INACTIVE
 
     def activate(self) -> None:
-        """Inactive -> active.
-
-        Raises:
-            LifecycleError: If the plugin is not inactive.
-        """
+        """Inactive -> active."""
         self._require("activate", LifecycleState.INACTIVE)
         self.on_activate()
         self._state = LifecycleState.ACTIVE
 
     def deactivate(self) -> None:
-        """Active -> inactive.
-
-        Raises:
-            LifecycleError: If the plugin is not active.
-        """
+        """Active -> inactive."""
         self._require("deactivate", LifecycleState.ACTIVE)
         self.on_deactivate()
         self._state = LifecycleState.INACTIVE
 
     def cleanup(self) -> None:
-        """Release resources: inactive -> unconfigured.
-
-        Raises:
-            LifecycleError: If the plugin is not inactive.
-        """
+        """Release resources: inactive -> unconfigured."""
         self._require("cleanup", LifecycleState.INACTIVE)
         self.on_cleanup()
         self.context = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.UNCONFIGURED
 
     def shutdown(self) -> None:
-        """Release resources: any state but finalized -> finalized.
-
-        Raises:
-            LifecycleError: If the plugin is finalized.
-        """
+        """Release resources: any state but finalized -> finalized."""
         self._require("shutdown", LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
         if self._state is LifecycleState.ACTIVE:
             self.on_deactivate()

@@ -62,12 +62,6 @@ class SavitzkyGolaySmoother(PieceSmoother):
 
     Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, its end points stay. The
     time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and collisions.
-
-    Args:
-        **parameters: Fields of `SavitzkyGolayParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or out of range, or the window is even.
     """
 
     Parameters = SavitzkyGolayParameters

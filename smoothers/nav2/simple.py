@@ -74,12 +74,6 @@ class SimpleSmoother(PieceSmoother):
     until a sweep changes less than `tolerance` in sum. A sweep that puts a point into an occupied cell is undone and
     ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately, its end
     points stay. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
-
-    Args:
-        **parameters: Fields of `SimpleParameters`.
-
-    Raises:
-        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
 
     Parameters = SimpleParameters

@@ -11,7 +11,7 @@ import pytest
 from experiments.dense_check import dense_check
 from experiments.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.deadline import Deadline
-from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherException
+from optdock.errors import FailedToSmoothPath, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
@@ -304,12 +304,6 @@ def test_the_first_certified_path_can_be_asked_for():
     assert first.report.cost > best.report.cost
 
 
-def test_cancelling_stops_the_work(smoother):
-    case = instance("parallel", 0)
-    with pytest.raises(SmootherCancelled):
-        smoother.smooth(case.raw_path, LONG, problem=case.problem, cancel_checker=lambda: True)
-
-
 @pytest.mark.parametrize("family", ["u_dock", "reverse_cusp", "parallel"])
 def test_a_warm_start_needs_fewer_iterations(smoother, family):
     case = instance(family, 0)
@@ -342,14 +336,6 @@ def test_a_warm_start_through_a_new_obstacle_still_finds_the_way(smoother, cases
     assert not certify_path(earlier, blocked).certified
     result = smoother.smooth(raw, LONG, problem=blocked, warm_start=earlier)
     assert certify_path(result.path, blocked).certified
-
-
-def test_a_warm_start_with_other_gears_is_ignored(smoother):
-    case, other = instance("u_dock", 0), instance("parallel", 0)
-    earlier = smoother.smooth(other.raw_path, LONG, problem=other.problem).path
-    result = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
-    plain = smoother.smooth(case.raw_path, LONG, problem=case.problem)
-    assert result.report.cost == plain.report.cost
 
 
 def test_the_wrong_gear_for_the_dock_is_refused(smoother, cases):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.errors import InvalidPath, InvalidValue, SmootherCancelled, SmootherTimedOut
+from optdock.errors import InvalidValue, SmootherTimedOut
 from optdock.model.path import Direction, Path, PolylineSegment
 from optdock.plugins.interfaces import PluginContext, Smoother
 from optdock.plugins.registry import create_plugin
@@ -134,11 +134,6 @@ def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw):
     assert [segment.direction for segment in result.segments] == [Direction.FORWARD, Direction.REVERSE]
 
 
-def test_cancelling_stops_it():
-    with pytest.raises(SmootherCancelled):
-        SavitzkyGolaySmoother().smooth(Path.from_poses(noisy()), 1.0, cancel_checker=lambda: True)
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -151,17 +146,6 @@ def test_cancelling_stops_it():
 def test_wrong_parameters_are_named(wrong, message):
     with pytest.raises(InvalidValue, match=message):
         SavitzkyGolaySmoother(**wrong)
-
-
-def test_nav2s_name_finds_it():
-    assert isinstance(create_plugin(Smoother, "nav2_smoother::SavitzkyGolaySmoother"), SavitzkyGolaySmoother)
-
-
-@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
-@pytest.mark.parametrize("what", [None, [[0.0, 0.0, 0.0]], "path"])
-def test_what_is_no_path_is_refused(name, what):
-    with pytest.raises(InvalidPath, match="path: must be a Path, got"):
-        create_plugin(Smoother, name).smooth(what, 1.0)
 
 
 @pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])

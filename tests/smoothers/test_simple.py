@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
+from optdock.errors import InvalidValue, SmootherTimedOut
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap
 from optdock.model.path import Direction, Path, PolylineSegment
-from optdock.plugins.interfaces import PluginContext, Smoother
-from optdock.plugins.registry import create_plugin
+from optdock.plugins.interfaces import PluginContext
 from smoothers.nav2.pieces import poses_of
 from smoothers.nav2.simple import SimpleSmoother, _Sweep
 
@@ -254,11 +253,6 @@ def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
     assert [segment.direction for segment in result.segments] == gears
 
 
-def test_cancelling_stops_it():
-    with pytest.raises(SmootherCancelled):
-        SimpleSmoother().smooth(Path.from_poses(corner()), 10.0, cancel_checker=lambda: True)
-
-
 @pytest.mark.parametrize("wrong", [{"tolerance": 0.0}, {"max_its": 0}, {"w_data": -0.1}, {"w_smoth": 0.3}])
 def test_wrong_parameters_are_named(wrong):
     with pytest.raises(InvalidValue, match=next(iter(wrong))):
@@ -272,12 +266,6 @@ def test_weights_that_converge_slowly_are_accepted_and_weights_that_never_do_are
     too_much = {name: value * 2.001 / 1.99 for name, value in weights.items()}
     with pytest.raises(InvalidValue, match=r"w_data \+ 2 w_smooth: must be < 2"):
         SimpleSmoother(**too_much)
-
-
-def test_nav2s_name_finds_it():
-    found = create_plugin(Smoother, "nav2_smoother::SimpleSmoother", {"w_data": 0.1})
-    assert found.parameters.w_data == 0.1
-    assert type(found).__name__ == "SimpleSmoother"
 
 
 def test_a_curve_is_taken_as_samples():

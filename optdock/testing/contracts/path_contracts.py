@@ -98,7 +98,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
             require(path.frame in ("", "contract frame"), f"the frame is that of the problem, got {path.frame!r}")
 
     def test_a_motion_of_the_task_moves_the_path(self) -> None:
-        """`create_plan`: the path moves with its ends, see `is_equivariant`; full turns of their yaws change nothing."""
+        """`create_plan`: the path moves with its ends, see `is_equivariant`; full turns of yaws have no effect."""
         planner, turn = self.ready_plugin(), 2.0 * math.pi
         for start, goal in self.queries():
             path = planner.create_plan(start, goal)
