@@ -47,7 +47,7 @@ class BoundSettings:
 
     curvature_cap: float = 20.0  # [1/m], instead of an unlimited one: a radius of 5 cm, below that of any wheeled robot
     curvature_inside: float = 0.999  # of the limit in steps; the rest is for the goal projection
-    rate_inside: float = 0.99  # likewise
+    rate_inside: float = 0.99  # of the curvature rate limit in steps
     shortest_gear: float = 0.02  # [m]
     longest_gear: tuple[float, float] = (
         4.0,
@@ -77,12 +77,12 @@ class GuessSettings:
     """First variables of a search, and its first step bounds."""
 
     astray: float = 0.4  # [m]: a fit farther from the input is not used
-    turned_away: float = 0.4  # [rad], likewise at the goal
+    turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used
     off_the_input: float = 0.15  # [m]: a fit farther from the input is compared with a tracked one
     trackable: float = 0.4  # [m]: an input that is tracked with a larger error is not drivable
-    much_nearer: float = 0.1  # likewise, relative to the error of the others
+    much_nearer: float = 0.1  # of the error of the others: a smaller error is accepted as well
     different: float = 0.15  # [m]: closer guesses lead to the same result
-    different_on_the_input: float = 0.03  # [m], likewise, for the tracked guess
+    different_on_the_input: float = 0.03  # [m], for the tracked guess
     pursuit_step: float = 0.25  # of the smallest radius, at most
     pursuit_longest: float = 3.0  # times the input, and a loop
     earlier_spacing: float = 0.02  # [m] between poses of the earlier path
@@ -90,7 +90,9 @@ class GuessSettings:
     earlier_shortest: float = 0.02  # [m]: shortest rest of a gear
     trust_region: float = 0.45  # [rad]: first bound of the heading changes; 0.2 to 1.0 make no difference
     bold_length: float = 12.0  # times the smallest radius: longer paths have smaller first steps
-    proximal: float = 0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 likewise
+    proximal: float = (
+        0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 make no difference
+    )
     trust_region_near: float = 0.2  # for an earlier result
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
@@ -233,7 +235,7 @@ class AnytimeSettings:
     repair_buffer: float = 3.0  # times the buffer, at each repair
     repair_finer: int = 2  # times the intervals, where only the bound between nodes is violated
     nearly: float = 5e-3  # [m]: a smaller shortfall may be due to the bound between nodes and is certified
-    nearly_in_sags: float = 2.0  # likewise, in sags: 5 cm for a car, 3 mm for a robot of 0.9 m
+    nearly_in_sags: float = 2.0  # the same in sags: 5 cm for a car, 3 mm for a robot of 0.9 m
     same_pose: float = 1e-6  # [m, rad], as the certificate's
     on_axis: float = 1e-7  # [m, rad]: tolerance for a straight line
     staging: float = 0.05  # [m] before the final straight: longer lines are optimized

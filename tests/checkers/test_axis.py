@@ -183,7 +183,7 @@ VARIANTS = {
         ("#6513", True, True, True, True),
     ],
 )
-def test_the_variants_of_nav2_are_told_apart(name, one_pose, hooked_end, short_path, skewed_goal):
+def test_the_variants_of_nav2_differ_as_documented(name, one_pose, hooked_end, short_path, skewed_goal):
     def checker(**more):
         return AxisGoalChecker(**{**VARIANTS[name], **more})
 

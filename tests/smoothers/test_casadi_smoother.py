@@ -181,7 +181,7 @@ def test_a_certified_clothoid_is_exchanged_for_a_cheaper_path_only(smoother, fam
     assert costs == sorted(costs, reverse=True)
 
 
-def test_the_first_certified_path_is_complete_where_no_more_was_asked_for():
+def test_a_requested_early_stop_counts_as_completed():
     """`completed` False means the time limit and nothing else."""
     case = instance("reverse_cusp", 0)
     for parameters in ({"stop_at_first": True}, {"max_iterations": 3}):
@@ -296,7 +296,7 @@ def test_every_part_of_a_concave_robot_keeps_clear(smoother, cases):
     assert dense_check(result.path, problem).faults == ()
 
 
-def test_the_first_certified_path_can_be_asked_for():
+def test_stop_at_first_returns_the_first_certified_path():
     case = instance("parallel", 0)
     first = CasadiSmoother(stop_at_first=True).smooth(case.raw_path, LONG, problem=case.problem)
     best = CasadiSmoother().smooth(case.raw_path, LONG, problem=case.problem)
@@ -424,7 +424,7 @@ def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
     assert pushed
 
 
-def test_reverse_is_forward_seen_backwards(smoother, cases):
+def test_a_reverse_drive_mirrors_a_forward_drive(smoother, cases):
     """A robot symmetric about its origin drives the same curve tail first."""
     forward, goal = cases.kinked(*S_CURVE), GOAL
     poses = forward.segments[0].poses + np.array([0.0, 0.0, math.pi])
@@ -468,7 +468,7 @@ def test_warming_up_measures_the_pace_of_the_machine(monkeypatch):
     assert pool.pace == pace[0]
 
 
-def test_a_cluttered_scene_that_needs_finer_nodes_gets_them():
+def test_a_cluttered_scene_is_searched_with_finer_nodes():
     task = instance("clutter", 44)
     assert len(task.problem.all_obstacles) > 60
     result = CasadiSmoother().smooth(task.raw_path, 30.0, problem=task.problem)

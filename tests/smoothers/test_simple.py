@@ -46,7 +46,7 @@ def smoothed(poses, **parameters):
     return poses_of(SimpleSmoother(**parameters).smooth(Path.from_poses(poses), 10.0).path)
 
 
-def test_nav2_irregular_line_gets_even():
+def test_nav2_irregular_line_becomes_even():
     # Nav2's own test: the largest gap of 0.70 m must fall below 0.50 m.
     assert np.diff(IRREGULAR).max() == pytest.approx(0.70)
     gaps = np.diff(smoothed(line(IRREGULAR))[:, 1])
@@ -212,7 +212,7 @@ def limited_to(sweeps, poses, costmap=None):
 
 
 @pytest.mark.parametrize("sweeps", [1, 4, 8])
-def test_a_time_limit_returns_the_last_whole_sweep_and_says_so(sweeps):
+def test_a_time_limit_returns_the_last_whole_sweep_as_incomplete(sweeps):
     result = limited_to(sweeps, corner())
     whole = SimpleSmoother(max_its=sweeps + 1, do_refinement=False).smooth(Path.from_poses(corner()), 10.0)
     assert not result.completed
@@ -229,7 +229,7 @@ def test_a_time_limit_leaves_later_pieces_as_they_were():
     assert [segment.direction for segment in result.path.segments] == [Direction.FORWARD, Direction.REVERSE]
 
 
-def test_what_a_time_limit_leaves_has_entered_nothing_either():
+def test_a_result_at_the_time_limit_is_free_of_collisions():
     blocked = grid(LETHAL, (0.58, 0.42))
     for sweeps in (1, 2, 3):
         points = poses_of(limited_to(sweeps, corner(), blocked).path)[:, :2]
@@ -238,7 +238,7 @@ def test_what_a_time_limit_leaves_has_entered_nothing_either():
 
 @pytest.mark.parametrize("yaw", [-3.0, 0.4, math.pi, 9.0])
 @pytest.mark.parametrize("shape", [bow, there_and_back])
-def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
+def test_start_and_goal_keep_their_headings(yaw, shape):
     """The seed: preserve start and end poses; Nav2's smoother turns the start along the first step."""
     poses = shape()
     raw = Path.from_poses(poses)

@@ -63,7 +63,7 @@ def tracked(nlp):
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_it_stays_on_words_of_full_arcs_within_the_bounds_whereas_a_fit_of_headings_leaves_them(word):
+def test_tracking_stays_on_words_of_full_arcs_where_a_fit_of_headings_drifts(word):
     nlp = program_of(driven_word(word))
     variables = tracked(nlp)
     assert strayed(nlp, driven(nlp, variables)) < 0.1
@@ -79,7 +79,7 @@ def test_a_mirrored_input_is_tracked_by_the_mirrored_path(word):
     assert right.lengths == pytest.approx(left.lengths, abs=1e-6)
 
 
-def test_what_is_drivable_already_is_left_where_it_is():
+def test_a_drivable_input_is_not_moved():
     turned = np.linspace(0.0, 0.5, 60)
     poses = np.column_stack((8.0 * np.sin(turned), 8.0 - 8.0 * np.cos(turned), turned))
     nlp = program_of(poses)
@@ -93,7 +93,7 @@ def test_it_stops_at_once_when_it_is_late():
     assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
 
 
-def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_others():
+def test_the_tracked_guess_is_first_where_the_others_collide():
     poses = driven_word(WORDS[1])
     free = InitialGuesses(program_of(poses))
     begun = evaluated(free.nlp, free.first.variables)[0].rollout.poses
@@ -116,7 +116,7 @@ def test_an_input_that_cannot_be_driven_is_not_tracked():
     assert guesses.on_the_input is None
 
 
-def test_finer_intervals_drive_the_same_path_beside_the_same_input():
+def test_finer_intervals_keep_the_path_and_the_input():
     nlp = program_of(driven_word(WORDS[1]))
     finer, variables = with_intervals(nlp, [3 * cells for _, cells in nlp.basis.shape]), tracked(nlp)
     same = np.concatenate([np.flatnonzero(finer.basis.node_gear == m)[::3] for m in range(finer.basis.num_gears)])

@@ -167,7 +167,7 @@ def test_the_clearance_tapers_at_the_dock_alone():
     assert certify_path(smoothed(parked, problem_of(parked, [wall])).path, problem_of(parked, [wall])).certified
 
 
-def test_what_stops_a_piece_is_told_in_the_coordinates_of_the_path():
+def test_a_refused_piece_is_reported_in_the_coordinates_of_the_path():
     raw = chained(Pose2(0.0, 0.0, 0.0), 1.0, [(1.5, 0.0), (3.0, 0.1)])
     x, y = 1.6 * math.cos(1.0), 1.6 * math.sin(1.0)
     problem = problem_of(raw, [box(x - 3.0, y - 0.2, x + 3.0, y + 0.2)])

@@ -68,10 +68,9 @@ def room_costmap() -> Costmap:
 
 def room() -> ObstacleSet:
     """Return walls around the robot at the origin, too narrow to turn and too short to drive a metre."""
-    near, far, ahead, behind = 0.3, 3.0, 0.7, -0.6
-    sides = [[(-far, y), (far, y), (far, 2.0 * y), (-far, 2.0 * y)] for y in (near, -near)]
-    ends = [[(x, -near), (2.0 * x, -near), (2.0 * x, near), (x, near)] for x in (ahead, behind)]
-    return ObstacleSet.from_polygons([np.array(polygon) for polygon in (*sides, *ends)])
+    low = np.array([(-3.0, 0.3), (-3.0, -0.6), (0.7, -0.3), (-1.2, -0.3)])
+    high = np.array([(3.0, 0.6), (3.0, -0.3), (1.4, 0.3), (-0.6, 0.3)])
+    return ObstacleSet.from_rectangles(low, high, "wall")
 
 
 def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:

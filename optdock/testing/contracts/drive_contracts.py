@@ -232,16 +232,8 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
 
     def test_a_robot_at_rest_at_the_goal_has_arrived(self) -> None:
         """`is_goal_reached`: True at the goal for any sequence of poses: empty, single, or repeated ones."""
-        close, repeated = [GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], [GOAL] * 5
-        paths: tuple[Sequence[Pose2], ...] = (
-            [],
-            [GOAL],
-            repeated,
-            close,
-            _remaining(1e-9),
-            _remaining(0.05),
-            tuple(_remaining(0.05)),
-        )
+        paths: list[Sequence[Pose2]] = [[GOAL] * count for count in (0, 1, 5)]
+        paths += [[GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))]
         for path in paths:
             reached = self.ready_plugin().is_goal_reached(GOAL, GOAL, _REST, path)
             require(reached is True, f"at the goal, at rest, it is reached (path of {len(path)} poses), got {reached}")

@@ -1,4 +1,4 @@
-"""The rules that all plugins share, parameters, lifecycle, independent instances, and the assertions of the suites."""
+"""The rules that all plugins share, and the assertions of the suites."""
 
 from __future__ import annotations
 
@@ -69,11 +69,7 @@ def refused(call: Callable[[], object], error: type[Exception], rule: str) -> Ex
 
 
 def attempted(call: Callable[[], T], error: type[Exception]) -> T | None:
-    """Return the result of a call; None where it raises `error`, which must have a message.
-
-    Raises:
-        ContractBroken: If the message is empty.
-    """
+    """Return the result of a call; None where it raises `error`, which must have a message."""
     try:
         return call()
     except error as refusal:
@@ -93,11 +89,7 @@ class _PollCounter:
 
 
 def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type[Exception]) -> None:
-    """Require that `run(cancel_checker)` polls and ends with `error` at the first, second or hundredth poll.
-
-    Raises:
-        ContractBroken: If the checker is never polled, is polled again after it returned True, or is ignored.
-    """
+    """Require that `run(cancel_checker)` polls, and ends with `error` at the first, second or hundredth poll."""
     patient = _PollCounter()
     run(patient)
     require(patient.polls >= 1, "the cancel checker is polled at least once")
@@ -109,11 +101,7 @@ def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type
 
 
 def require_same_ends(path: Path, start: Pose2, end: Pose2) -> None:
-    """Require that a path leads from `start` to `end`, within 1e-6 m and 1e-6 rad.
-
-    Raises:
-        ContractBroken: If one of its ends is another pose.
-    """
+    """Require that a path leads from `start` to `end`, within 1e-6 m and 1e-6 rad."""
     for which, found, wanted in (("begins", path.start, start), ("ends", path.end, end)):
         turn = abs(normalize_angle(found.yaw - wanted.yaw))
         same = found.distance_to(wanted) <= _SAME and turn <= _SAME  # False for NaN

@@ -158,7 +158,7 @@ class BodyAtNodes(NamedTuple):
     """The body at every node."""
 
     corners: Points  # scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m]
-    inward: Points  # inward normals of the body's edges, likewise
+    inward: Points  # inward normals of the body's edges, same shape
     required: Requirement  # required clearance at the nodes
     cosine: FloatArray  # of the yaw, Shape (nodes,)
     sine: FloatArray

@@ -68,7 +68,7 @@ def test_every_installed_plugin_has_a_suite_and_every_kind_a_contract():
         assert suite.__doc__ == f"{info.kind}: {info.target}."
 
 
-def test_every_sample_belongs_to_a_plugin_and_says_what_its_suite_knows():
+def test_every_sample_belongs_to_a_plugin_and_has_known_attributes():
     assert set(SAMPLES) <= {f"{info.kind}.{info.name}" for info in available_plugins()}
     with pytest.raises(InvalidValue, match=re.escape("GlobalPlannerContract has no need_context; did you mean needs_")):
         installed_suites({"planners.DockPlanner": {"need_context": True}})
