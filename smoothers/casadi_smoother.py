@@ -41,7 +41,7 @@ _SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
 _READ_AROUND = 1.5  # [m] beyond the footprint: region of the costmap around the path
 _SPACING = 0.2  # [m] between the points that represent a path
 _CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
-_TAPER = 0.5  # [m] before the goal, over which the required clearance falls to what the input keeps there
+_TAPER = 0.5  # [m] before the goal, over which the required clearance falls to that of the input
 _NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
 # Largest distance of an input from the start or the goal of the problem of the call: [m], or share of its length.
 # Detected docks are within decimetres of their map positions; a path farther away is one for another problem.

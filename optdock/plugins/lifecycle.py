@@ -103,7 +103,7 @@ class PluginContext:
             found = found.among(self.costmap)
         if self.local_costmap is None:
             return found
-        # No border: the space beyond a local costmap is known to others.
+        # No border: the space beyond a local costmap is not an obstacle.
         local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 

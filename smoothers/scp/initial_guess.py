@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
-__all__ = ["EarlierResult", "InitialGuesses", "pure_pursuit", "rest_of_earlier_result", "strayed", "track"]
+__all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,21 +115,21 @@ class InitialGuesses:
         """The fit, or the pursuit where the fit leads away from the input."""
         settings, driven = self.nlp.settings.guess, self._fit_driven
         turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = strayed(self.nlp, driven) < settings.astray and turned < settings.turned_away
+        is_near = largest_deviation(self.nlp, driven) < settings.astray and turned < settings.turned_away
         return self.fitted if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
         """Whether the tracked path is near the input, or much nearer than the others."""
         settings = self.nlp.settings.guess
-        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
+        tracked, other = (largest_deviation(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
         """The fit or the pursuit; the tracked one where they lead into obstacles or past the goal."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun, _ = evaluated(nlp, first)
@@ -303,7 +303,7 @@ def _steered(
     return min(max(wanted, -limits.curvature), limits.curvature)
 
 
-def strayed(nlp: NonlinearProgram, rollout: Rollout) -> float:
+def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
     """Return the largest distance of a node from the input [m]."""
     return float(np.hypot(*(rollout.poses[:, :2] - nlp.traced.positions).T).max())
 
@@ -345,7 +345,7 @@ def track(
             continue
         gain, current, around = current.merit - trial.merit, trial, None
         trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
-        if gain < settings.small_gain * current.merit or strayed(nlp, current.rollout) < settings.near:
+        if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
             break
     return current.variables
 

@@ -96,7 +96,7 @@ class GuessSettings:
     trust_region_near: float = 0.2  # for an earlier result
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
-    spans_per_patience: int = 32  # patience is proportional to more spans
+    spans_per_patience: int = 32  # paths with more spans have proportionally more patience
     patience_other: int = 3  # for the other guess: most problems are infeasible then
 
 
@@ -163,7 +163,7 @@ class StepSettings:
         ((8, 3), (8, 3), (8, 3)),
     )
     usual_clearance_rows: int = 3  # how many sizes of `clearance_rows` are built at warm-up
-    buffer: float = 8e-4  # [m]: clearance above the requirement; 0 takes a fifth more iterations
+    buffer: float = 8e-4  # [m]: clearance above the requirement; with 0, a fifth more iterations
     buffer_taper: float = 0.1  # [m] from the ends, where the pose cannot move
     yaw_motion: float = 0.3  # [m^2]: weight of a squared radian in the motion
     curved_goal_slack: float = 100.0  # Hessian of the slacks: DAQP needs a positive definite one

@@ -18,7 +18,7 @@ from optdock.verification import pose_clearances
 from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import rate_is_kept
-from smoothers.scp.initial_guess import InitialGuesses, strayed, track
+from smoothers.scp.initial_guess import InitialGuesses, largest_deviation, track
 from smoothers.scp.loop import evaluated
 from smoothers.scp.nlp import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
@@ -66,8 +66,10 @@ def tracked(nlp):
 def test_tracking_stays_on_words_of_full_arcs_where_a_fit_of_headings_drifts(word):
     nlp = program_of(driven_word(word))
     variables = tracked(nlp)
-    assert strayed(nlp, driven(nlp, variables)) < 0.1
-    assert strayed(nlp, driven(nlp, variables)) < 0.5 * strayed(nlp, driven(nlp, InitialGuesses(nlp).fitted))
+    assert largest_deviation(nlp, driven(nlp, variables)) < 0.1
+    assert largest_deviation(nlp, driven(nlp, variables)) < 0.5 * largest_deviation(
+        nlp, driven(nlp, InitialGuesses(nlp).fitted)
+    )
     assert np.abs(variables.curvature).max() <= 0.25
     assert rate_is_kept(nlp.basis, variables, nlp.bounds)
 
@@ -83,14 +85,14 @@ def test_a_drivable_input_is_not_moved():
     turned = np.linspace(0.0, 0.5, 60)
     poses = np.column_stack((8.0 * np.sin(turned), 8.0 - 8.0 * np.cos(turned), turned))
     nlp = program_of(poses)
-    assert strayed(nlp, driven(nlp, tracked(nlp))) < 1e-3
+    assert largest_deviation(nlp, driven(nlp, tracked(nlp))) < 1e-3
 
 
 def test_it_stops_at_once_when_it_is_late():
     nlp = program_of(driven_word(WORDS[0]))
     fitted = InitialGuesses(nlp).fitted
     late = track(nlp, pool_of_this_thread(), fitted, 0.45, lambda: True)
-    assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
+    assert largest_deviation(nlp, driven(nlp, late)) > largest_deviation(nlp, driven(nlp, tracked(nlp)))
 
 
 def test_the_tracked_guess_is_first_where_the_others_collide():
