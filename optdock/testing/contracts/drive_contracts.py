@@ -48,7 +48,7 @@ __all__ = ["BehaviorContract", "ControllerContract", "DockTypeContract", "GoalCh
 _REST = Twist2()
 _FAR = 100.0  # [m]
 _FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # away from every drive here
-_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 80, 100, 20  # [s], and commands
+_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 60, 100, 20  # [s], and commands
 _SLACK = 1.0 + 1e-6
 _LIMIT_SLACK = 1.05  # of a speed limit: feedback may add to a reference that was slowed down
 _BEHAVIOR_PERIOD, _BEHAVIOR_CYCLES = 0.1, 400  # [s], and cycles within which a behavior ends
@@ -89,7 +89,7 @@ class ControllerContract(PluginContract[Controller]):
         """Return the first commands along an S, from a reset on."""
         plugin.reset()
         plugin.set_path(s_curve_drive(ORIGIN))
-        commands, _ = self._drive(plugin, 15)
+        commands, _ = self._drive(plugin, 10)
         plugin.reset()
         return tuple((command.linear, command.angular) for command in commands)
 
