@@ -1,1 +1,1 @@
-"""Goal checkers (`optdock.goal_checkers`): by the end of the path (`axis`), in the dock (`dock`), Nav2's (`nav2`)."""
+"""Goal checkers (`optdock.goal_checkers`): along the end of the path (`axis`), in the dock, and Nav2's (`nav2`)."""

@@ -1,4 +1,4 @@
-"""What goal checkers measure, as Nav2 does: directly, so that one rounding step past a tolerance is outside."""
+"""Measures of goal checkers, computed as in Nav2, so that comparisons agree to rounding."""
 
 from __future__ import annotations
 
@@ -15,21 +15,18 @@ __all__ = ["is_stopped", "longer_than", "yaw_error"]
 
 
 def yaw_error(query: Pose2, goal: Pose2, *, symmetric: bool = False) -> float:
-    """Smallest angle between the two headings [rad]; with `symmetric`, to the goal heading or its opposite."""
+    """Return the angle between two headings [rad]; with `symmetric`, to the goal heading or its opposite."""
     return abs(math.remainder(query.yaw - goal.yaw, math.pi if symmetric else 2.0 * math.pi))
 
 
 def is_stopped(velocity: Twist2, trans_stopped_velocity: float, rot_stopped_velocity: float) -> bool:
-    """Whether speed [m/s], sideways included, and yaw rate [rad/s] are at most the given ones."""
+    """Whether speed [m/s], lateral included, and yaw rate [rad/s] are at most the given ones."""
     slow = math.hypot(velocity.linear, velocity.lateral) <= trans_stopped_velocity
     return slow and abs(velocity.angular) <= rot_stopped_velocity
 
 
 def longer_than(path: Iterable[Pose2], limit: float) -> bool:
-    """Whether the path's chords add up to more than `limit` [m]; a path of 0 or 1 poses has length 0.
-
-    Summed in driving order, as Nav2 does, so that a length equal to the limit up to rounding is judged alike.
-    """
+    """Whether the path, summed in driving order as in Nav2, is longer than `limit` [m]; 0 or 1 poses have length 0."""
     total = 0.0
     for before, after in itertools.pairwise(path):
         total += math.hypot(after.x - before.x, after.y - before.y)

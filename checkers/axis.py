@@ -1,4 +1,4 @@
-"""AxisGoalChecker: separate tolerances along the end of the path and across it."""
+"""AxisGoalChecker: separate tolerances along and across the end of the path."""
 
 from __future__ import annotations
 
@@ -19,65 +19,57 @@ if TYPE_CHECKING:
 
 __all__ = ["AxisGoalChecker", "AxisGoalCheckerParameters"]
 
-_AT_GOAL = 1e-6  # [m]: nearer than this Nav2's variants call the goal reached whatever the tolerances
-_DISTINCT = 1e-6  # [m]: poses nearer than this to each other give no direction
+_AT_GOAL = 1e-6  # [m]: within this distance Nav2's variants accept the goal for any tolerances
+_DISTINCT = 1e-6  # [m]: closer poses define no direction
 
 
 class AxisGoalCheckerParameters(PluginParameters):
     """Nav2's parameters of the AxisGoalChecker; the defaults give the documented behaviour.
 
-    Three are Nav2's later repairs. `direction_estimation_distance` 0 takes the axis from the last two
-    distinct poses; above 0 from the first pose, walking back, at least that far away, and the axis found is kept
-    for when the remaining path has become too short. Nav2 as merged in #5746: axis_end goal and a radial fallback of
-    hypot(along, cross). In #6345: axis_end goal and a baseline of 0.15 m, `reset` before every call. In #6420: the
-    same without the resets; #6513 adds the radial parameter.
+    With `direction_estimation_distance` 0 the axis leads through the last two distinct poses; above 0 from the last
+    pose at least that far from the end, and the axis is kept for when the remaining path becomes too short. Nav2
+    versions: #5746 has axis_end goal and a radial fallback of hypot(along, cross); #6345 axis_end goal and a baseline
+    of 0.15 m, with `reset` before every call; #6420 the same without resets; #6513 adds the radial parameter.
 
-    The document's checker looks at positions only, so a robot may pass through the goal at speed; `stopped` and the two
-    velocities, named as in Nav2's StoppedGoalChecker, make it wait for rest: what a dock needs.
+    `stopped` and the two velocities, named as in Nav2's StoppedGoalChecker, also require rest.
     """
 
     along_path_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error along the axis [m]")
     cross_track_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error across the axis [m]")
-    path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
+    path_length_tolerance: float = Field(
+        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+    )
     is_overshoot_valid: bool = Field(default=False, description="accept any distance past the goal")
     direction_estimation_distance: float = Field(default=0.0, ge=0.0, description="baseline of the axis [m]")
     fallback_radial_goal_tolerance: float | None = Field(
-        default=None, ge=0.0, description="radius where there is no axis [m]; None: the smaller tolerance"
+        default=None, ge=0.0, description="radius without an axis [m]; None: the smaller tolerance"
     )
     axis_end: Literal["path", "goal"] = Field(
         default="path", description="the axis ends at the last pose of the path, or (Nav2 since #5746) at the goal"
     )
-    stopped: bool = Field(default=False, description="the robot must also stand still")
+    stopped: bool = Field(default=False, description="the robot must also be at rest")
     trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
 
 
 class _EndDirection(NamedTuple):
-    """Unit vector of the end of the path."""
+    """Unit vector along the end of the path."""
 
     x: float
     y: float
 
 
 class AxisGoalChecker(GoalChecker):
-    """Reached when the robot is within tolerance along the last stretch of the path and across it.
+    """Reached when the robot is within tolerance along and across the end of the path.
 
     With u the unit vector of the path's end and g the vector from the robot to the goal, along = g . u (positive
-    short of the goal) and cross = g x u: the two dot products that Nav2 writes as d cos(angle) and d sin(angle).
-    Every comparison is strict; at exactly a tolerance the goal is not reached. Yaw is not looked at, and velocity only
-    if `stopped`.
+    before the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All comparisons are strict.
+    Yaw is not checked, velocity only if `stopped`.
 
-    In order: a remaining path longer than `path_length_tolerance` is not judged; without an axis (a single pose)
-    the distance must be below the radial fallback; else along and cross decide. With `axis_end: goal`, as in every
-    release of Nav2, a robot within 1e-6 m of the goal is there before any tolerance is asked. Poses that repeat the
-    last one give no direction, so the axis comes from the last pose that differs.
-
-    Args:
-        **parameters: Fields of `AxisGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative, or direction_estimation_distance is not
-            below path_length_tolerance.
+    In order: the goal is not reached while the remaining path is longer than `path_length_tolerance`; without an axis
+    (a single pose) the distance must be below the radial fallback; else along and cross decide. With `axis_end: goal`,
+    as in every release of Nav2, a robot within 1e-6 m of the goal has reached it for any tolerances. Poses that repeat
+    the last one are skipped. `direction_estimation_distance` must be below `path_length_tolerance`.
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = AxisGoalChecker(along_path_tolerance=0.05, cross_track_tolerance=0.3)
@@ -96,26 +88,14 @@ class AxisGoalChecker(GoalChecker):
         _check_baseline(self.parameters, self.parameters.path_length_tolerance)
         self._cached_axis: _EndDirection | None = None
 
-    def is_goal_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,
-        path: Sequence[Pose2],
-    ) -> bool:
-        """Whether the robot is at the goal, judged along and across the end of `path`, and at rest if `stopped`."""
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the robot is within tolerance along and across the end of `path`, and at rest if `stopped`."""
         p = self.parameters
         in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
         return in_position and (not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity))
 
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
-        """Whether its position is, at any speed."""
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
+        """Whether the position is within tolerance, at any speed."""
         p = self.parameters
         if longer_than(path, p.path_length_tolerance):
             return False
@@ -132,7 +112,7 @@ class AxisGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """The smaller tolerance in x and y, as Nav2 reports it; yaw is not measured, speed only if `stopped`."""
+        """The smaller tolerance in x and y, as in Nav2; no yaw, speeds only if `stopped`."""
         p = self.parameters
         radius = min(p.along_path_tolerance, p.cross_track_tolerance)
         return Tolerances(
@@ -144,17 +124,19 @@ class AxisGoalChecker(GoalChecker):
         )
 
     def reset(self) -> None:
-        """A new path begins: forget the kept axis."""
+        """Clear the kept axis before a new path."""
         self._cached_axis = None
 
     def check_change(self, changed: PluginParameters) -> None:
-        """Refuse a baseline that is not below the path_length_tolerance in force.
+        """Refuse a new baseline that is not below the present path_length_tolerance.
 
         Raises:
-            InvalidValue: As described.
+            InvalidValue: If it is not.
         """
-        if isinstance(changed, AxisGoalCheckerParameters) and _baseline_changed(self.parameters, changed):
-            _check_baseline(changed, self.parameters.path_length_tolerance)
+        if isinstance(changed, AxisGoalCheckerParameters):
+            old, new = self.parameters.direction_estimation_distance, changed.direction_estimation_distance
+            if old != new:
+                _check_baseline(changed, self.parameters.path_length_tolerance)
 
     @property
     def _radial_tolerance(self) -> float:
@@ -175,17 +157,13 @@ class AxisGoalChecker(GoalChecker):
 
 
 def _end_axis(path: Sequence[Pose2], end: Pose2, baseline: float) -> _EndDirection | None:
-    """Direction to `end` from the last pose before the path's own last that is `baseline` or more away."""
+    """Direction to `end` from the last pose, except the very last one, that is at least `baseline` away."""
     for i in range(len(path) - 2, -1, -1):
         dx, dy = end.x - path[i].x, end.y - path[i].y
         distance = math.hypot(dx, dy)
         if distance >= baseline:
             return _EndDirection(dx / distance, dy / distance)
     return None
-
-
-def _baseline_changed(old: AxisGoalCheckerParameters, new: AxisGoalCheckerParameters) -> bool:
-    return old.direction_estimation_distance != new.direction_estimation_distance
 
 
 def _check_baseline(parameters: AxisGoalCheckerParameters, path_length_tolerance: float) -> None:

@@ -1,4 +1,4 @@
-"""DockGoalChecker: along, across and heading in the dock's frame, at rest if wanted."""
+"""DockGoalChecker: tolerances along, across and of heading in the frame of the dock, and rest."""
 
 from __future__ import annotations
 
@@ -21,20 +21,22 @@ __all__ = ["DockGoalChecker", "DockGoalCheckerParameters"]
 
 
 class DockGoalCheckerParameters(PluginParameters):
-    """Tolerances of a dock; the first three are by default those of the dock in the configured problem."""
+    """Tolerances of a dock; by default the first three are those of the dock in the configured problem."""
 
     along_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error along the heading [m]")
-    cross_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error across it [m]")
+    cross_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error across the heading [m]")
     yaw_goal_tolerance: float | None = Field(default=None, ge=0.0, description="accepted heading error [rad]")
-    path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
-    stopped: bool = Field(default=True, description="the robot must also stand still")
+    path_length_tolerance: float = Field(
+        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+    )
+    stopped: bool = Field(default=True, description="the robot must also be at rest")
     trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
     stateful: bool = Field(default=True, description="once reached stays reached until reset")
 
 
 class _Accepted(NamedTuple):
-    """Errors along and across [m] and of heading [rad] that are accepted."""
+    """Accepted errors along and across [m] and of heading [rad]."""
 
     along: float
     cross: float
@@ -42,18 +44,12 @@ class _Accepted(NamedTuple):
 
 
 class DockGoalChecker(GoalChecker):
-    """Reached when the robot stands in the dock: what no checker of Nav2's asks for all at once.
+    """Reached when the robot is at rest in the dock, with its heading.
 
-    The axis is the goal's own heading, not the end of a path, so neither a short remaining path nor a skewed one can
-    turn it. Along, across, heading and (if `stopped`) rest must hold in the same call, inclusively. When stateful,
-    that verdict stays until `reset`, so that noise in the measured pose does not take it back. A tolerance that is not
-    given is the dock's own where a problem is configured, else `DockTolerances`' default (2 cm, 2 cm, 0.05 rad).
-
-    Args:
-        **parameters: Fields of `DockGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative.
+    The axis is the heading of the goal, so the shape of the remaining path has no influence. The errors along and
+    across, the heading and (if `stopped`) rest must be accepted in the same call, inclusively. When stateful, an
+    arrival stays until `reset`, also with noise in the measured pose. A tolerance that is not given is that of the
+    dock of the configured problem, else the default of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = DockGoalChecker(along_tolerance=0.01)
@@ -69,7 +65,7 @@ class DockGoalChecker(GoalChecker):
         self._reached = False
 
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the robot is docked; a remaining path that is too long is not judged."""
+        """Whether the robot is docked."""
         p = self.parameters
         in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
         at_rest = not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
@@ -77,14 +73,8 @@ class DockGoalChecker(GoalChecker):
         self._reached = self._is_latched or (in_position and at_rest and aligned)
         return self._reached
 
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
-        """Whether the errors along and across are accepted, or the robot was docked before; nothing is latched."""
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
+        """Whether the errors along and across are accepted, or a latched arrival holds; does not latch."""
         p = self.parameters
         if self._is_latched:
             return True
@@ -97,7 +87,7 @@ class DockGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """Along in x, across in y, heading, and the speeds that count as rest."""
+        """Along in x, across in y, heading, and the speeds at rest."""
         p, accepted = self.parameters, self._accepted
         return Tolerances(
             x=accepted.along,
@@ -109,7 +99,7 @@ class DockGoalChecker(GoalChecker):
         )
 
     def reset(self) -> None:
-        """A new attempt begins: forget the verdict."""
+        """Clear the arrival before a new attempt."""
         self._reached = False
 
     @property

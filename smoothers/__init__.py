@@ -1,4 +1,4 @@
-"""Path smoothers: plugins of `optdock.smoothers`; each is imported on first use."""
+"""Path smoothers, plugins of `optdock.smoothers`, each imported on first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that stands in its way."""
+"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that cannot be kept."""
 
 from __future__ import annotations
 
@@ -34,33 +34,30 @@ from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.plugins.lifecycle import PluginContext
-    from smoothers.scp.search import Incumbent, SearchOutcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
 _SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
-_READ_AROUND = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
-_SPACING = 0.2  # [m] between the points that say where a path is
+_READ_AROUND = 1.5  # [m] beyond the footprint: region of the costmap around the path
+_SPACING = 0.2  # [m] between the points that represent a path
 _CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
-_TAPER = 0.5  # [m] before the goal, over which the required clearance falls to what the input keeps there
-_KNOWS_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
-# An input further than this from the start or the goal of the problem of the call is one for another problem: [m], or
-# this share of its length. Docks are found within decimetres of where maps have them, and a search that begins at the
-# input mends about as much; beyond that nothing of the input is left to be near to.
+_TAPER = 0.5  # [m] before the goal, over which the required clearance falls to that of the input
+_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
+# Largest distance of an input from the start or the goal of the problem of the call: [m], or share of its length.
+# Detected docks are within decimetres of their map positions; a path farther away is one for another problem.
 _ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
 
 
 class CasadiSmootherParameters(PluginParameters):
-    """Parameters of `CasadiSmoother`; the limits are used only where no problem is given."""
+    """Parameters of `CasadiSmoother`; the limits are used only without a problem."""
 
     max_curvature: float = Field(2.5, gt=0, description="1 / smallest turning radius [1/m]")
     max_curvature_rate: float = Field(10.0, gt=0, description="largest |d curvature / ds| [1/m^2]")
-    clearance: float = Field(0.0, ge=0, description="required from obstacles where no problem says so [m]")
+    clearance: float = Field(0.0, ge=0, description="required clearance without a problem [m]")
     kept_clearance: float = Field(
-        0.3, ge=0, description="where no problem says so, as much as the input keeps is required, up to this [m]"
+        0.3, ge=0, description="without a problem, the clearance of the input is required, up to this value [m]"
     )
-    final_straight: float = Field(0.0, ge=0, description="straight run at the end where no problem says so [m]")
+    final_straight: float = Field(0.0, ge=0, description="straight run at the end without a problem [m]")
     length_weight: float = Field(1.0, gt=0, description="cost per metre [1/m]")
     curvature_weight: float = Field(0.4, ge=0, description="cost of curvature, relative to its limit [1/m]")
     curvature_rate_weight: float = Field(0.15, gt=0, description="cost of curvature rate, relative to its limit [1/m]")
@@ -81,11 +78,11 @@ class CasadiSmootherParameters(PluginParameters):
 
 
 class CasadiSmoother(Smoother):
-    """Minimizes length, curvature, curvature rate and distance to the input under the problem's hard bounds.
+    """Minimize length, curvature, curvature rate and distance to the input under the problem's hard bounds.
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
-    `optdock.verification` before it is returned. Gears keep their order; cusps may move, turns in place stay where they
-    are. Every thread has solvers of its own.
+    `optdock.verification`. Gears keep their order; cusps may move, turns in place keep their positions. Instances can
+    be used in several threads.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
@@ -101,153 +98,147 @@ class CasadiSmoother(Smoother):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A certified clothoid path between the start and the goal of `problem`, near `path`.
+        """Return a certified clothoid path between the start and the goal of `problem`, near `path`.
 
-        Where `problem` is given, the ends of the result are its start and goal, whatever ends `path` has: it may begin
-        behind the robot, or end where the dock was thought to be. A path that passes the start, or ends beside the
-        goal, by more than 1 m and more than a fifth of its length is one for another problem, and refused.
+        If `problem` is given, the result leads from its start to its goal; `path` may begin behind the robot or end at
+        an earlier estimate of the dock. A path that passes the start, or ends next to the goal, by more than 1 m and
+        more than a fifth of its length is refused.
 
         Args:
-            path: The input, from any source.
-            max_time: Wall-clock seconds for the whole call.
-            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
-                configured problem, with the ends of `path` where they are others; where none is configured, from the
-                first pose of `path` to its last, with the footprint and the costmap of the context and the limits of
-                the parameters. The least clearance of the result is then no less than that of `path`, up to
-                `kept_clearance`. Without a costmap nothing is known of obstacles, which the report says (`warning`).
-            warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
+            path: Input, from any source.
+            max_time: Wall-clock time for the whole call [s].
+            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
+                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
+                `path` with the footprint and costmaps of the context and the limits of the parameters. The least
+                clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
+                obstacle is known, and the report has a `warning`.
+            warm_start: Earlier result with the same gears; returned if it is still certified and no other is found.
             cancel_checker: Polled every iteration.
 
         Raises:
-            InvalidPath: The path is none, names another frame than the problem, or is one for another problem.
-            InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint; `problem` or
-                `warm_start` is of another class.
-            FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `turn`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
-                `obstacle` say where and by how much, with `clearance` what is measured there and what is `required`.
-                The best path that a search found, which breaks that bound, is the `path` of `partial`.
-            SmootherTimedOut: No certified path within `max_time`. The path of the last iterate, which breaks bounds, is
-                the `path` of `partial`: as a `warm_start` it lets a later call go on from there.
-            SmootherCancelled: `cancel_checker` returned True.
+            InvalidPath: If `path` is not a Path, has another frame than the problem, or leads elsewhere.
+            InvalidValue: If `max_time` is not finite or negative, there is neither a problem nor a footprint, or
+                `problem` or `warm_start` is of another class.
+            FailedToSmoothPath: If a bound cannot be kept. `where["reason"]` is `start_in_collision`,
+                `start_curvature`, `direction`, `turn`, `approach_blocked`, `goal_unreachable` or `clearance`; `where`
+                also has `s` [m], `pose`, `amount`, `obstacle`, and for clearance the measured `clearance` and
+                the `required` one. The best path found is the `path` of `partial`.
+            SmootherTimedOut: If no path is certified within `max_time`. The path of the last iterate is the `path` of
+                `partial`, a `warm_start` for a later call.
+            SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
         self.check_task(path, problem, warm_start)
         with garbage_collection_paused():
-            return self._smoothed(path, deadline, problem, warm_start, cancel_checker)
+            wanted = self.context.problem_at_hand(problem)
+            if wanted is None:
+                return self._smooth_alone(path, warm_start, deadline, cancel_checker)
+            if problem is None:
+                wanted = configured_problem(path, wanted)
+            else:
+                _check_way(path, wanted)
+            return self._solve(self.call_for(path, wanted, warm_start), deadline, cancel_checker)
 
-    def _smoothed(
-        self,
-        path: Path,
-        deadline: Deadline,
-        problem: DockingProblem | None,
-        warm_start: Path | None,
-        cancel_checker: Callable[[], bool],
+    def _smooth_alone(
+        self, path: Path, warm_start: Path | None, deadline: Deadline, cancel_checker: Callable[[], bool]
     ) -> SmoothingResult:
-        pool = pool_of_this_thread()
-        built = pool.build_time
-        wanted = self.context.problem_at_hand(problem)
-        if wanted is None:
-            return self._smoothed_alone(path, deadline, warm_start, cancel_checker)
-        if problem is None:
-            wanted = configured_problem(path, wanted)
-        else:
-            _check_way(path, wanted)
-        best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
-        return _result(best, solver.outcome, deadline, pool.build_time - built)
-
-    def _smoothed_alone(
-        self, path: Path, deadline: Deadline, warm_start: Path | None, cancel_checker: Callable[[], bool]
-    ) -> SmoothingResult:
-        """A path of which nothing is known but its poses, and the costmap around it."""
-        pool, chosen = pool_of_this_thread(), self.parameters
-        built = pool.build_time
+        """Smooth a path without a problem, among the cells of the costmap around it."""
+        chosen, context = self.parameters, self.context
         free = self._between_ends(path, ClearanceRule(0.0), max(chosen.clearance, chosen.kept_clearance))
-        is_known = self.context.costmap is not None or self.context.local_costmap is not None
+        is_known = context.costmap is not None or context.local_costmap is not None
         rule = kept_clearance(path, free, chosen.clearance, chosen.kept_clearance if is_known else 0.0)
-        wanted = dataclasses.replace(free, clearance=rule)
+        call = self.call_for(path, dataclasses.replace(free, clearance=rule), warm_start)
         try:
-            best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
+            result = self._solve(call, deadline, cancel_checker)
         except FailedToSmoothPath as error:
             if rule.required > chosen.clearance:
                 kept = f"as much as the input keeps, up to kept_clearance = {chosen.kept_clearance:g} m"
                 error.args = (f"{error}; {rule.required:.4f} m are required, {kept}",)
             raise
-        if not covers(path, best.path):
-            self._confirm(best.path, rule)
-        result = _result(best, solver.outcome, deadline, pool.build_time - built)
+        if not covers(path, result.path):
+            certificate = certify_path(result.path, self._between_ends(result.path, rule, rule.required))
+            if not certificate.certified:
+                raise refuse_certificate(certificate, result.path).error()
         if is_known:
             return result
-        self.context.logger.warning("%s: %s", self.context.name, _KNOWS_NO_OBSTACLES)
-        return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_KNOWS_NO_OBSTACLES))
+        context.logger.warning("%s: %s", context.name, _NO_OBSTACLES)
+        return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_NO_OBSTACLES))
 
-    def _solved(
-        self,
-        path: Path,
-        wanted: DockingProblem,
-        deadline: Deadline,
-        warm_start: Path | None,
-        cancel_checker: Callable[[], bool],
-    ) -> tuple[Incumbent, Solver | TurningSolver]:
-        path = path.with_frame(wanted.frame)
-        if wanted.robot.turns_in_place and wanted.start_speed == 0.0:
-            path = with_turns(path)
-        chosen = TurningSolver if path.turns else Solver
-        solver = chosen(pool_of_this_thread(), deadline, cancel_checker, self.settings)
-        return solver.follow_strategy(self.call_for(path, wanted, warm_start)), solver
+    def _solve(self, call: Call, deadline: Deadline, cancel_checker: Callable[[], bool]) -> SmoothingResult:
+        """Run the strategy, piece by piece where the path turns in place."""
+        pool, robot = pool_of_this_thread(), call.problem.robot
+        built = pool.build_time
+        if robot.turns_in_place and call.problem.start_speed == 0.0:
+            call = call._replace(path=with_turns(call.path))
+        chosen = TurningSolver if call.path.turns else Solver
+        solver = chosen(pool, deadline, cancel_checker, self.settings)
+        best, outcome = solver.follow_strategy(call), solver.outcome
+        report = SmoothingReport(
+            status=best.given or (SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED),
+            cost=best.cost,
+            iterations=outcome.iterations,
+            setup_s=outcome.setup_time - (pool.build_time - built),
+            build_s=pool.build_time - built,
+            certify_s=outcome.certify_time,
+            first_certified_s=outcome.first_certified,
+            total_s=deadline.elapsed,
+            certificate=best.certificate,
+        )
+        return SmoothingResult(best.path, outcome.converged, report)
 
     def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
-        """What the parameters and the arguments of a call ask for."""
+        """Return the task of a call, with the weights and the resolution of the parameters."""
         chosen = self.parameters
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
-        # An earlier result that cannot stand in this frame is none for this problem.
+        # An earlier result in another frame is left out.
         usable = earlier is not None and may_be_one_frame(earlier.frame, problem.frame)
         earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
         formulation = Formulation(weights, chosen.spans, chosen.interval)
+        path = path.with_frame(problem.frame)
         return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
 
     def warm_up(self) -> None:
-        """Build what the first call would build, load the solvers, and measure how fast this machine is."""
+        """Build the programs of a first call, load the solvers, and measure the speed of this machine."""
         start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
-        # A wall beside the input and a post on it: pushing out is warmed up too.
+        # A wall next to the input and a post on it: the push-out is loaded too.
         obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
         path = Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal])
         pool, chosen, paces = pool_of_this_thread(), self.settings.anytime, []
-        for _ in range(3):  # the first call loads and builds, the others are measured
+        for _ in range(3):  # the first call builds, the others are measured
             deadline = Deadline(10.0, self.context.clock)
             solver = Solver(pool, deadline, never_cancelled, self.settings)
-            with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
+            with contextlib.suppress(SmootherException):  # with unusual parameters the call may fail, after building
                 solver.follow_strategy(self.call_for(path, problem))
             paces.append(solver.times.pace)
         prepare_programs(pool, self.settings.step)
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
-        chosen = self.parameters
+        """The problem between the ends of `path`, with the occupied cells around it up to `reach` [m]; see `covers`."""
+        chosen, context = self.parameters, self.context
+        if context.footprint is None:
+            raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
+        points = path.sample(_SPACING).poses[:, :2]
+        around = context.footprint.circumscribed_radius + reach + _READ_AROUND
+        region = points.min(axis=0) - around, points.max(axis=0) + around
+        obstacles = ObstacleSet.empty()
+        if context.costmap is not None:
+            obstacles = obstacles_from_costmap(context.costmap, region=region)
+        if context.local_costmap is not None and context.local_costmap is not context.costmap:
+            obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
         limits = MotionLimits(max_curvature=chosen.max_curvature, max_curvature_rate=chosen.max_curvature_rate)
-        return problem_between_ends(path, self.context, limits, rule, chosen.final_straight, reach)
-
-    def _confirm(self, result: Path, rule: ClearanceRule) -> None:
-        """Certify a result that left the part of the costmap which was read around its input."""
-        certificate = certify_path(result, self._between_ends(result, rule, rule.required))
-        if not certificate.certified:
-            raise refuse_certificate(certificate, result).error()
+        dock, robot = Dock(path.end, final_straight=chosen.final_straight), Robot(context.footprint, limits)
+        return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
 
 
 def _check_way(path: Path, problem: DockingProblem) -> None:
-    """Refuse a path that does not lead from the problem's start to its goal.
-
-    It may begin far behind a robot that is under way, so that any place on it counts for the start, the end only for
-    the goal.
-
-    Raises:
-        InvalidPath: It passes the start, or ends beside the goal, too far away.
-    """
+    """Refuse a path that passes the start of the problem, or ends next to its goal, too far away."""
     allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.driven)
     off = path.end.distance_to(problem.goal)
     what = f"ends {off:.2f} m from the goal"
@@ -261,10 +252,10 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
-    """The configured problem; where `path` begins or ends elsewhere, with that end instead.
+    """Return the configured problem with the ends of `path` where they differ.
 
-    A path that begins elsewhere begins at rest with free steering. One that ends elsewhere does not dock: the station
-    is an obstacle like others, and no gear, final straight or slow approach is asked for.
+    Another start is at rest with free steering. Another end is no dock: the station is an obstacle, and no gear, final
+    straight or slow approach is required.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
         problem = problem.starting_at(path.start)
@@ -275,22 +266,20 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 
 
 def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
-    """A rule under which no path comes closer to an obstacle than this one does at its closest.
-
-    It lets the ends be as close as they are, and asks elsewhere for the least that the path keeps there.
+    """Return a rule that requires the least clearance of `path`, and permits the clearance of its ends.
 
     Args:
-        path: Its poses.
-        problem: The robot and the obstacles.
-        least: What is required where the path keeps less [m].
-        most: What is required where it keeps more [m].
+        path: Path.
+        problem: Robot and obstacles.
+        least: Lower bound of the required clearance [m].
+        most: Upper bound of the required clearance [m].
     """
     poses = path.sample(_CLEARANCE_SPACING).poses
     kept, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=most)
     from_goal, from_start = (
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )
-    # What the path keeps near the goal the rule may fall to there; near the start it asks for little by itself.
+    # The rule may fall to the clearance near the goal; near the start it requires little anyway.
     at_goal = max(0.0, float(kept[from_goal < _TAPER].min()))
     counts = (kept < ClearanceRule.leaving(from_start, float(kept[0]))) & (from_goal > _SAME_POSE)
     share = np.minimum(1.0, from_goal[counts] / _TAPER)
@@ -298,63 +287,9 @@ def kept_clearance(path: Path, problem: DockingProblem, least: float, most: floa
     return ClearanceRule(required, min(at_goal, required), _TAPER)
 
 
-def problem_between_ends(
-    path: Path,
-    context: PluginContext,
-    limits: MotionLimits,
-    rule: ClearanceRule,
-    final_straight: float,
-    reach: float,
-) -> DockingProblem:
-    """From the first pose of `path` to its last, among the occupied cells of the context's costmaps around it.
-
-    The problem holds the cells that were read, not the grid; `covers` tells whether a result stayed among them.
-
-    Args:
-        path: Where to read.
-        context: What is known.
-        limits: Of the robot.
-        rule: Of clearance.
-        final_straight: At the end [m].
-        reach: The largest clearance that matters [m].
-
-    Raises:
-        InvalidValue: The context has no footprint.
-    """
-    if context.footprint is None:
-        raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
-    points = path.sample(_SPACING).poses[:, :2]
-    around = context.footprint.circumscribed_radius + reach + _READ_AROUND
-    region = points.min(axis=0) - around, points.max(axis=0) + around
-    obstacles = ObstacleSet.empty()
-    if context.costmap is not None:
-        obstacles = obstacles_from_costmap(context.costmap, region=region)
-    if context.local_costmap is not None and context.local_costmap is not context.costmap:
-        obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
-    dock = Dock(path.end, final_straight=final_straight)
-    robot = Robot(context.footprint, limits)
-    return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
-
-
 def covers(path: Path, result: Path) -> bool:
-    """Whether the costmap read around `path` holds every cell that the footprint can meet on `result`."""
+    """Whether the region read around `path` contains every cell that the footprint can reach on `result`."""
     points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
     slack = _READ_AROUND - _SPACING
     inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)
     return bool(inside.all())
-
-
-def _result(best: Incumbent, outcome: SearchOutcome, deadline: Deadline, build: float) -> SmoothingResult:
-    searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
-    report = SmoothingReport(
-        status=best.given or searched,
-        cost=best.cost,
-        iterations=outcome.iterations,
-        setup_s=outcome.setup_time - build,
-        build_s=build,
-        certify_s=outcome.certify_time,
-        first_certified_s=outcome.first_certified,
-        total_s=deadline.elapsed,
-        certificate=best.certificate,
-    )
-    return SmoothingResult(best.path, outcome.converged, report)

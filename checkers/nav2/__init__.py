@@ -1,1 +1,1 @@
-"""Nav2's goal checkers, with its parameters, defaults and comparisons: position, simple, stopped, adaptive."""
+"""Nav2's goal checkers, with its parameters, defaults and comparisons."""

@@ -1,4 +1,4 @@
-"""AdaptiveToleranceGoalChecker: fine at once, coarse when nothing better is coming."""
+"""AdaptiveToleranceGoalChecker: a fine radius at once, a coarse one without progress."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ class AdaptiveToleranceGoalCheckerParameters(PluginParameters):
     coarse_xy_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted without progress [m]")
     xy_goal_tolerance_buffer: float = Field(default=0.0, ge=0.0, description="drift that ends the acceptance [m]")
     yaw_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted heading error [rad]")
-    path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
-    stateful: bool = Field(default=True, description="a position once accepted stays accepted until reset")
+    path_length_tolerance: float = Field(
+        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+    )
+    stateful: bool = Field(default=True, description="an accepted position stays accepted until reset")
     symmetric_yaw_tolerance: bool = Field(default=False, description="accept the opposite heading as well")
     trans_stopped_velocity: float = Field(default=0.10, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.10, ge=0.0, description="largest yaw rate at rest [rad/s]")
@@ -37,9 +39,9 @@ class AdaptiveToleranceGoalCheckerParameters(PluginParameters):
 
 @dataclass
 class _CoarseVisit:
-    """A stay inside the coarse radius: where it began, and how long nothing improved."""
+    """A stay inside the coarse radius: first position relative to the goal [m], and cycles without progress."""
 
-    entry_x: float  # robot seen from the goal
+    entry_x: float
     entry_y: float
     best_distance: float
     stopped_cycles: int = 0
@@ -49,17 +51,11 @@ class _CoarseVisit:
 class AdaptiveToleranceGoalChecker(GoalChecker):
     """Nav2's AdaptiveToleranceGoalChecker.
 
-    Inside the fine radius the position is accepted at any speed. The first call inside the coarse radius only enters;
-    later ones accept once the robot has crossed the line through the goal that is perpendicular to its entry, after
-    `required_stagnation_cycles` stopped calls, or after as many calls without a new best distance. Leaving the coarse
-    radius starts afresh. An accepted position is latched when stateful, until it drifts beyond the radius that
-    accepted it plus the buffer (if > 0). The heading is checked at every call. Comparisons are inclusive.
-
-    Args:
-        **parameters: Fields of `AdaptiveToleranceGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative, or required_stagnation_cycles is < 1.
+    Inside the fine radius the position is accepted at any speed. After the first call inside the coarse radius it is
+    accepted once the robot has crossed the line through the goal perpendicular to its entry, after
+    `required_stagnation_cycles` stopped calls, or after as many calls without a new least distance. Leaving the coarse
+    radius resets this. An accepted position is latched when stateful, until the distance exceeds the radius that
+    accepted it plus the buffer (if > 0). The heading is checked in every call. Comparisons are inclusive.
     """
 
     Parameters = AdaptiveToleranceGoalCheckerParameters
@@ -71,21 +67,21 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
         self._accepted_radius: float | None = None
 
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether position and heading are accepted; a remaining path that is too long is not judged."""
+        """Whether position and heading are accepted."""
         p = self.parameters
         if not self.is_goal_xy_reached(query_pose, goal_pose, velocity, path):
             return False
         return yaw_error(query_pose, goal_pose, symmetric=p.symmetric_yaw_tolerance) <= p.yaw_goal_tolerance
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the position is accepted; as in Nav2, the call counts as one of the cycles."""
+        """Whether the position is accepted; as in Nav2, every call counts as a cycle."""
         if longer_than(path, self.parameters.path_length_tolerance):
             return False
         return self._position_accepted(query_pose.x - goal_pose.x, query_pose.y - goal_pose.y, velocity)
 
     @property
     def tolerances(self) -> Tolerances:
-        """The coarse radius, the heading tolerance and the speeds that count as rest."""
+        """The coarse radius, the heading tolerance and the speeds at rest."""
         p = self.parameters
         return Tolerances(
             x=p.coarse_xy_goal_tolerance,
@@ -97,7 +93,7 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
         )
 
     def reset(self) -> None:
-        """Forget the latch and the counters."""
+        """Clear the latch and the counters."""
         self._visit = None
         self._accepted_radius = None
 
@@ -123,9 +119,9 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
         if self._visit is None:
             self._visit = _CoarseVisit(dx, dy, distance)
             return None
-        return p.coarse_xy_goal_tolerance if self._no_better_to_come(self._visit, dx, dy, velocity) else None
+        return p.coarse_xy_goal_tolerance if self._has_stagnated(self._visit, dx, dy, velocity) else None
 
-    def _no_better_to_come(self, visit: _CoarseVisit, dx: float, dy: float, velocity: Twist2) -> bool:
+    def _has_stagnated(self, visit: _CoarseVisit, dx: float, dy: float, velocity: Twist2) -> bool:
         p, distance = self.parameters, math.hypot(dx, dy)
         visit.stagnant_cycles = 0 if distance < visit.best_distance else visit.stagnant_cycles + 1
         visit.best_distance = min(visit.best_distance, distance)

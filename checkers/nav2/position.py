@@ -1,4 +1,4 @@
-"""PositionGoalChecker: within a radius of the goal, whatever the heading."""
+"""PositionGoalChecker: within a radius of the goal, at any heading."""
 
 from __future__ import annotations
 
@@ -22,27 +22,37 @@ class PositionParameters(PluginParameters):
     """Nav2's parameters of the position check."""
 
     xy_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted distance [m]")
-    path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
-    stateful: bool = Field(default=True, description="a position once accepted stays accepted until reset")
+    path_length_tolerance: float = Field(
+        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+    )
+    stateful: bool = Field(default=True, description="an accepted position stays accepted until reset")
     xy_goal_tolerance_buffer: float = Field(default=0.0, ge=0.0, description="drift that ends the acceptance [m]")
 
 
-class _PositionLatch:
-    """Remembers that the position was accepted, with a hysteresis buffer."""
+class PositionGoalChecker(GoalChecker):
+    """Nav2's PositionGoalChecker: reached when the distance is at most `xy_goal_tolerance`.
 
-    def __init__(self) -> None:
+    When stateful, an accepted position is latched until `reset`, or, with a buffer, until the distance exceeds
+    tolerance + buffer.
+    """
+
+    Parameters = PositionParameters
+    parameters: PositionParameters
+
+    def __init__(self, **parameters: object) -> None:
+        super().__init__(**parameters)
         self._accepted = False
 
-    def reset(self) -> None:
-        """Forget it."""
-        self._accepted = False
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the position is accepted."""
+        return self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
 
-    def accepts(self, distance: float, parameters: PositionParameters) -> bool:
-        """Whether the position at `distance` [m] from the goal counts as reached.
-
-        A latched position stays reached until, with a buffer, it drifts beyond tolerance + buffer.
-        """
-        p = parameters
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
+        """Whether the position is accepted and the remaining path is not too long."""
+        p = self.parameters
+        if longer_than(path, p.path_length_tolerance):
+            return False
+        distance = query_pose.distance_to(goal_pose)
         if self._accepted and p.stateful:
             drifted = p.xy_goal_tolerance_buffer > 0.0 and distance > p.xy_goal_tolerance + p.xy_goal_tolerance_buffer
             self._accepted = not drifted
@@ -51,40 +61,6 @@ class _PositionLatch:
         self._accepted = inside and p.stateful
         return inside
 
-
-class PositionGoalChecker(GoalChecker):
-    """Nav2's PositionGoalChecker: reached when the distance is at most `xy_goal_tolerance`, latched when stateful.
-
-    Args:
-        **parameters: Fields of `PositionParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative.
-    """
-
-    Parameters = PositionParameters
-    parameters: PositionParameters
-
-    def __init__(self, **parameters: object) -> None:
-        super().__init__(**parameters)
-        self._latch = _PositionLatch()
-
-    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the robot's position is accepted; a remaining path that is too long is not judged."""
-        return self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
-
-    def is_goal_xy_reached(
-        self,
-        query_pose: Pose2,
-        goal_pose: Pose2,
-        velocity: Twist2,  # noqa: ARG002 - part of the interface
-        path: Sequence[Pose2],
-    ) -> bool:
-        """Whether the robot's position is accepted; a remaining path that is too long is not judged."""
-        if longer_than(path, self.parameters.path_length_tolerance):
-            return False
-        return self._latch.accepts(query_pose.distance_to(goal_pose), self.parameters)
-
     @property
     def tolerances(self) -> Tolerances:
         """The radius in x and y."""
@@ -92,5 +68,5 @@ class PositionGoalChecker(GoalChecker):
         return Tolerances(x=p.xy_goal_tolerance, y=p.xy_goal_tolerance, path_length=p.path_length_tolerance)
 
     def reset(self) -> None:
-        """Forget the latch."""
-        self._latch.reset()
+        """Clear the latch."""
+        self._accepted = False

@@ -28,21 +28,14 @@ class SimpleGoalCheckerParameters(PositionParameters):
 class SimpleGoalChecker(PositionGoalChecker):
     """Nav2's SimpleGoalChecker: position within a radius (latched when stateful) and heading within a tolerance.
 
-    The position latches also on a call whose heading fails; the heading is checked at every call. Comparisons are
-    inclusive.
-
-    Args:
-        **parameters: Fields of `SimpleGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative.
+    The position is latched even if the heading fails; the heading is checked in every call. Comparisons are inclusive.
     """
 
     Parameters = SimpleGoalCheckerParameters
     parameters: SimpleGoalCheckerParameters
 
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether position and heading are accepted; a remaining path that is too long is not judged."""
+        """Whether position and heading are accepted."""
         p = self.parameters
         if not self.is_goal_xy_reached(query_pose, goal_pose, velocity, path):
             return False

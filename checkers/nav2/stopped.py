@@ -1,4 +1,4 @@
-"""StoppedGoalChecker: the SimpleGoalChecker, and the robot stands still."""
+"""StoppedGoalChecker: the SimpleGoalChecker with a robot at rest."""
 
 from __future__ import annotations
 
@@ -26,27 +26,20 @@ class StoppedGoalCheckerParameters(SimpleGoalCheckerParameters):
 
 
 class StoppedGoalChecker(SimpleGoalChecker):
-    """Nav2's StoppedGoalChecker: position (latched), heading, and both speeds within tolerance, inclusively.
-
-    Args:
-        **parameters: Fields of `StoppedGoalCheckerParameters`.
-
-    Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or negative.
-    """
+    """Nav2's StoppedGoalChecker: position (latched), heading, and both speeds within tolerance, inclusively."""
 
     Parameters = StoppedGoalCheckerParameters
     parameters: StoppedGoalCheckerParameters
 
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether position, heading and rest are accepted; a remaining path that is too long is not judged."""
+        """Whether position, heading and rest are accepted."""
         p = self.parameters
         in_place = super().is_goal_reached(query_pose, goal_pose, velocity, path)
         return in_place and is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
 
     @property
     def tolerances(self) -> Tolerances:
-        """Radius, heading tolerance and the speeds that count as rest."""
+        """Radius, heading tolerance and the speeds at rest."""
         p = self.parameters
         speeds = {"linear_speed": p.trans_stopped_velocity, "angular_speed": p.rot_stopped_velocity}
         return super().tolerances._replace(**speeds)

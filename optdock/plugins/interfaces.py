@@ -1,8 +1,4 @@
-"""Nav2's plugin interfaces in Python: method names in snake case, results returned instead of written out.
-
-Every interface is abstract and holds no data of its own beyond `Plugin`'s, but for the flag that `Layer.set_current`
-sets. Exceptions keep Nav2's nouns (`errors`).
-"""
+"""Nav2's plugin interfaces in Python: snake case, results instead of output arguments, Nav2's exceptions (`errors`)."""
 
 from __future__ import annotations
 
@@ -71,22 +67,22 @@ __all__ = [
 
 
 def never_cancelled() -> bool:
-    """The cancel checker of a caller that never cancels."""
+    """Return False: the default `cancel_checker`."""
     return False
 
 
 class GlobalPlanner(Plugin):
-    """Makes a path from start to goal."""
+    """Plan a path from start to goal."""
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """A path from `start` to `goal`, both in the costmap's frame, which the path names where it is known.
+        """Return a path from `start` to `goal`, never empty, in the costmap's frame.
 
-        Long work polls `cancel_checker` at least every 5 ms.
+        `cancel_checker` is polled at least every 5 ms.
 
         Raises:
-            PlannerException: Or one of its children; an empty path is never returned.
-            PlannerCancelled: `cancel_checker` returned True.
+            PlannerException: If there is no path.
+            PlannerCancelled: If `cancel_checker` returned True.
         """
 
     def create_plans(
@@ -96,28 +92,26 @@ class GlobalPlanner(Plugin):
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - one path is the best of one
     ) -> Iterator[Guess | None]:
-        """Several paths to try in turn, the most promising first; by default the one of `create_plan`.
+        """Yield several paths, the most promising first; by default the path of `create_plan`.
 
-        It works only while it is asked for the next one. A planner that knows many stops when none that could follow
-        can have a lower price, and looks far afield only while nothing has been found. None is a pause: what follows
-        takes longer than what went before, and the caller may do something else first.
+        The next path is computed when it is requested. The iterator ends when no further path can have a lower price.
+        None is a pause: the next path takes longer, and the caller may do other work first.
 
         Args:
-            start: As of `create_plan`.
-            goal: As of `create_plan`.
-            cancel_checker: As of `create_plan`.
-            better_than: The price below which a path is worth a try [s]: duration, and what cusps cost; inf while no
-                plan has been made of any.
+            start: As in `create_plan`.
+            goal: As in `create_plan`.
+            cancel_checker: As in `create_plan`.
+            better_than: Function that returns the price to beat [s], duration and cost of cusps; inf without a plan.
 
         Raises:
-            PlannerException: Or one of its children: there is no path, not even a first one.
-            PlannerCancelled: `cancel_checker` returned True.
+            PlannerException: If there is no path.
+            PlannerCancelled: If `cancel_checker` returned True.
         """
         yield Guess(self.create_plan(start, goal, cancel_checker))
 
 
 class Smoother(Plugin):
-    """Makes a path smoother."""
+    """Smooth a path."""
 
     @abstractmethod
     def smooth(
@@ -129,36 +123,35 @@ class Smoother(Plugin):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A smoother path between the same two poses, in the same frame.
+        """Return a smoother path between the same two poses, in the same frame.
 
-        Where `problem` is given and `path` begins or ends elsewhere, a smoother that proves its results goes from the
-        problem's start to its goal: the path only shows the way, and one that shows another way is refused.
+        If `problem` is given, a smoother that certifies its results returns a path from the problem's start to its
+        goal, and refuses a `path` that leads elsewhere.
 
         Args:
-            path: The raw path, from any source.
-            max_time: Wall-clock seconds for the whole call.
-            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
-                configured problem, with the ends of `path` where they are others; where none is configured, from the
-                first pose of `path` to its last, among the obstacles of the configured costmap.
-            warm_start: An earlier result for a problem much like this one.
+            path: Raw path, from any source.
+            max_time: Wall-clock time for the whole call [s].
+            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
+                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
+                `path`, among the obstacles of the configured costmap.
+            warm_start: Earlier result for a similar problem.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: `max_time` is not finite, or negative; `problem` or `warm_start` is of another class.
-            InvalidPath: The path is none, is too short to smooth, names another frame than the problem, or leads
-                elsewhere.
-            SmootherTimedOut: The time limit came before any usable result.
-            FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
-            SmootherCancelled: `cancel_checker` returned True.
+            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
+            InvalidPath: If `path` is not a Path, too short, in another frame than the problem, or leads elsewhere.
+            SmootherTimedOut: If the time was over before any usable result.
+            FailedToSmoothPath: If no result keeps every bound; the message names the violated one.
+            SmootherCancelled: If `cancel_checker` returned True.
         """
 
     @staticmethod
     def check_task(path: Path, problem: DockingProblem | None, warm_start: Path | None) -> None:
-        """Refuse arguments of `smooth` that are of another class, by name.
+        """Check the classes of the arguments of `smooth`.
 
         Raises:
-            InvalidPath: `path` is no Path.
-            InvalidValue: `problem` or `warm_start` is of another class.
+            InvalidPath: If `path` is not a Path.
+            InvalidValue: If `problem` or `warm_start` is of another class.
         """
         if not isinstance(path, Path):
             raise InvalidPath(f"path: must be a Path, got {type(path).__name__}; Path.from_poses(poses) makes one")
@@ -168,14 +161,14 @@ class Smoother(Plugin):
             instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
-        """Build and load in advance whatever makes a first call slower than the next."""
+        """Build and load in advance what makes the first call slower."""
 
 
 class TimeParameterizer(Plugin):
-    """Gives a path its time law."""
+    """Compute the time law of a path."""
 
     @abstractmethod
-    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
+    def parameterize(  # noqa: PLR0913 - path, limits, start state and time limit
         self,
         path: Path,
         limits: MotionLimits,
@@ -187,110 +180,109 @@ class TimeParameterizer(Plugin):
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
-        """The time law of `path` under `limits`, at rest at every cusp and at the end.
+        """Return the motion along `path` under `limits`, at rest at every cusp and at the end.
 
-        What is OK passes `certify_trajectory`. Little time makes slower motions, too little none: TIMED_OUT. Callers
-        pass `start_wait` only where it is more than 0.
+        A motion with status OK passes `certify_trajectory`. Less time gives slower motions, or TIMED_OUT. Callers pass
+        `start_wait` only if it is positive.
 
         Args:
-            path: Where to drive.
-            limits: What the drive can do.
+            path: Path.
+            limits: Motion limits.
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
-            start_wait: How long the motion rests at its start before it sets off, because steered wheels are turned
-                there [s]; a start in motion then has no motion, FAIL.
-            max_time: Wall-clock seconds for the whole call; none left, 0 or less, is TIMED_OUT.
+            start_wait: Time at rest at the start, for steering [s]; FAIL with a start in motion.
+            max_time: Wall-clock time for the whole call [s]; 0 or less is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: `max_time`, the start state or `start_wait` is not a number, or the wait negative.
-            TimingCancelled: `cancel_checker` returned True.
+            InvalidValue: If `max_time`, the start state or `start_wait` is not a number, or the wait is negative.
+            TimingCancelled: If `cancel_checker` returned True.
         """
 
 
 class Controller(Plugin):
-    """Turns a path or a trajectory into velocity commands."""
+    """Compute velocity commands along a path or a trajectory."""
 
     @abstractmethod
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
-        """Follow this from now on.
+        """Set the path or trajectory to follow.
 
         Args:
-            path: What to follow.
-            start_stamp: When a trajectory begins, on the clock of the stamps [s]: a new plan takes over in motion just
-                then. None: with the next command, from where the robot is.
+            path: Path or trajectory.
+            start_stamp: Time at which a trajectory begins, on the clock of the stamps [s], for a change of plan in
+                motion. None: with the next command.
 
         Raises:
-            ControllerInvalidPath: It cannot be followed.
+            ControllerInvalidPath: If it cannot be followed.
         """
 
     @abstractmethod
     def compute_velocity_commands(
         self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
     ) -> Twist2:
-        """The command of this control cycle.
+        """Return the command of this control cycle.
 
         Args:
             pose: Measured pose in the path's frame.
             velocity: Measured body velocity.
-            goal_checker: May be asked for its tolerances; None when there is none.
-            stamp: When the pose was measured, on any monotonic clock [s]; None: now, on the context's clock.
+            goal_checker: Source of tolerances, or None.
+            stamp: Time of the measured pose, on any monotonic clock [s]; None: now, on the context's clock.
 
         Raises:
-            NoValidControl: No command is admissible in this cycle.
-            ControllerException: Any other failure.
+            NoValidControl: If no command is admissible in this cycle.
+            ControllerException: For any other failure.
         """
 
     @abstractmethod
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
-        """Limit the speed; 0 removes the limit. `set_speed_limit(50.0, True)` halves it, as Nav2 writes it.
+        """Limit the speed; 0 removes the limit.
 
         Args:
-            limit: Percent of the maximum (100 and more: all of it), or m/s.
+            limit: Percent of the maximum (at most 100 count), or m/s.
             percentage: Whether `limit` is in percent.
 
         Raises:
-            InvalidValue: `limit` is negative or not finite, or `percentage` is not a bool.
+            InvalidValue: If `limit` is negative or not finite, or `percentage` is not a bool.
         """
 
     def reset(self) -> None:
-        """Forget the task; called when it ends."""
+        """Clear the task; called when it ends."""
 
     def cancel(self) -> bool:
-        """Ask for a graceful stop; True when stopped, False to be asked again after more commands."""
+        """Request a graceful stop; return True when stopped, False to be called again after more commands."""
         return True
 
 
 class Behavior(Plugin):
-    """A timed recovery or auxiliary motion."""
+    """Drive a recovery or auxiliary motion."""
 
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Which costmaps it needs: its collision checks see these; the problem's obstacles count in any case."""
+        """Costmaps of the collision checks; the obstacles of the problem always count."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin; SUCCEEDED lets the cycles start."""
+        """Begin; cycles follow only after SUCCEEDED."""
 
     @abstractmethod
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """One cycle: how it stands, and the command to send."""
+        """Return the result of one cycle and its command."""
 
 
 class Layer(Plugin):
-    """One source of costs in a layered costmap."""
+    """Write the costs of one source into a layered costmap."""
 
-    _is_said_current = True
+    _is_current = True
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget everything observed."""
+        """Remove all observations."""
 
     @abstractmethod
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:
-        """`bounds` grown, never shrunk, to what this layer will write."""
+        """Return `bounds`, extended by the area that this layer will write."""
 
     @abstractmethod
     def update_costs(self, master: Costmap, min_i: int, min_j: int, max_i: int, max_j: int) -> None:
@@ -301,122 +293,104 @@ class Layer(Plugin):
         return False
 
     def is_current(self) -> bool:
-        """Whether what it writes is up to date; servers wait while it is not.
+        """Whether its costs are up to date; servers wait while they are not.
 
-        A layer that knows better, from its sensors or its map, asks this as well: `set_current(False)` holds.
+        An override must also respect `set_current(False)`, by a call of this method.
         """
-        return self._is_said_current
+        return self._is_current
 
     def set_current(self, current: bool) -> None:  # noqa: FBT001 - Nav2's only argument
-        """Declare the layer out of date, or current again."""
-        self._is_said_current = bool(current)
+        """Set whether the layer is up to date."""
+        self._is_current = bool(current)
 
     def is_enabled(self) -> bool:
-        """Whether it takes part."""
+        """Whether the layer is used."""
         return True
 
     def match_size(self) -> None:
-        """The master grid changed its size."""
+        """Handle a new size of the master grid."""
 
     def on_footprint_changed(self) -> None:
-        """The robot's footprint changed."""
+        """Handle a new footprint of the robot."""
 
 
 class GoalChecker(Plugin):
-    """Decides whether the robot has arrived."""
+    """Decide whether the robot has arrived."""
 
     @abstractmethod
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
         """Whether the robot at `query_pose` has arrived.
 
         Args:
-            query_pose: Where the robot is.
-            goal_pose: Where it should be, in the same frame.
-            velocity: Its body velocity.
-            path: The remaining path, any sequence of poses, possibly empty.
+            query_pose: Pose of the robot.
+            goal_pose: Goal, in the same frame.
+            velocity: Body velocity.
+            path: Remaining path, any sequence of poses, possibly empty.
         """
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the position alone is accepted, a latched one included; by default the whole verdict.
-
-        A checker that asks for more than the position overrides it; the default errs towards False.
-        """
+        """Whether the position alone is accepted, also by a latch; by default as `is_goal_reached`."""
         return self.is_goal_reached(query_pose, goal_pose, velocity, path)
 
     @property
     @abstractmethod
     def tolerances(self) -> Tolerances:
-        """What it accepts."""
+        """Accepted errors."""
 
     def reset(self) -> None:
-        """A new path begins: forget latches."""
+        """Clear latches before a new path."""
 
 
 class DockType(Plugin):
-    """A kind of dock: where approaches begin, what counts as a detection, when there is contact, when it charges.
+    """Define staging poses, detections, contact and charging of a kind of dock.
 
-    The executor asks it; it drives nothing itself, and each answer takes a small part of a control cycle.
+    The executor calls each method within a control cycle.
     """
 
     @abstractmethod
     def contact(self, now: AtDock) -> Contact | None:
-        """The contact that is felt now, as far as this kind of dock tells; None: none.
+        """Return the present contact, or None.
 
-        It is called once in every control cycle in which it is known where the robot is, moving and at rest, in order
-        of the stamps, so that it may count cycles. Contact counts where `now.is_near` only; what is felt farther off is
-        a fault, and reported as one.
-
-        Args:
-            now: The cycle.
+        Called once in every control cycle with a known pose, in order of the stamps. Contact without `now.is_near` is
+        reported as a fault.
         """
 
     @property
     def is_pressed_on(self) -> bool:
-        """Whether the robot is to press on until contact is felt; False: it is docked where the goal checker says so.
-
-        Contact that is felt counts as docked in either case.
-        """
+        """Whether the robot drives on until contact; False: until the goal checker accepts, or contact."""
         return False
 
     @property
     def waits_for_charge(self) -> bool:
-        """Whether a robot that stands in the dock has docked only once it charges."""
+        """Whether docking ends only when the robot charges."""
         return False
 
     def is_charging(self, measurements: Measurements) -> bool:
-        """Whether the battery is being charged; by default, whether the external signal says that there is contact.
-
-        Args:
-            measurements: The newest.
-        """
+        """Whether the battery is being charged; by default, whether the contact signal is True."""
         return measurements.contact is True
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Where an approach may begin, the preferred one first: poses of the robot seen from the docked pose.
+        """Return first poses of an approach relative to the docked pose, the preferred one first.
 
-        Where there is no way to one, the next is tried. By default one, at `distance` on the axis of the dock.
+        The next one is tried if one cannot be reached. By default one pose at `distance` on the axis of the dock.
 
         Args:
-            gear: Of the last motion into the dock: 1 forward, -1 in reverse.
-            distance: From the docked pose that the robot needs to correct a dock that is stored wrongly, or that the
-                settings ask for [m].
+            gear: Gear of the last motion into the dock: 1 forward, -1 in reverse.
+            distance: Distance from the docked pose for correcting an inaccurate dock pose, or of the settings [m].
         """
         return (Pose2(-gear * distance, 0.0, 0.0),)
 
     def detections(self, measurements: Measurements) -> Sequence[Detection]:
-        """What of the measurements is a detection of the dock, as poses of the docked robot; by default all.
+        """Return the detections of the dock, as poses of the docked robot; by default all measured ones.
 
         Called once for every set of measurements, before `contact`.
-
-        Args:
-            measurements: As they came.
         """
         return measurements.detections
 
     @property
     def back_out_distance(self) -> float:
-        """Straight out of contact at most, before a way back is planned [m]; when undocking, the final straight too."""
-        return 0.1  # twice the 5 cm within which contact counts, so that nothing of it is left
+        """Largest straight distance out of contact before a path is planned [m]; the final straight when undocking."""
+        return 0.1  # twice the 5 cm within which contact counts
 
     def reset(self) -> None:
-        """A task or another approach begins: forget what was felt."""
+        """Clear the state before a task or another approach."""

@@ -1,7 +1,7 @@
-"""Plugin base: parameters, and Nav2's lifecycle, which is optional.
+"""Plugin base: parameters, context, and Nav2's lifecycle.
 
-A plugin is ready to use as soon as it is constructed. Servers that manage plugins may in addition walk it through
-unconfigured -> inactive -> active -> finalized; a transition that its state does not allow is refused.
+A plugin can be used once it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive -> active
+-> finalized.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["LifecycleState", "Plugin", "PluginContext"]
 
 
 class LifecycleState(str, Enum):
-    """Where a managed plugin stands."""
+    """State of a managed plugin."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -45,25 +45,23 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """What a server hands to a plugin when it configures it: one world, however it is given.
+    """Surroundings of a plugin: costmaps, footprint and problem, completed from each other.
 
-    What a problem says and what stands beside it are joined here, so that a plugin may read either and misses nothing:
-    afterwards `footprint` and `costmap` are the problem's where only it has them, and the problem's obstacles hold the
-    cells of `costmap` whichever brought it.
+    `footprint` and `costmap` default to those of the problem, and the obstacles of the problem include the cells of
+    `costmap`.
 
     Args:
         name: Name of the plugin instance.
-        costmap: Grid to read, the global one where there are two, or None.
+        costmap: Global costmap, or None.
         footprint: Robot outline, or None.
-        problem: The docking problem at hand, or None outside a docking pipeline.
-        clock: Monotonic seconds.
-        logger: Where the plugin reports.
-        local_costmap: The grid around the robot, read anew in every call: behaviors see it where they ask for it,
-            all other plugins, beside the others. It is not part of the problem, since it changes in motion. Where
-            neither a problem nor a second grid is given, the one that is serves everybody.
+        problem: Docking problem, or None.
+        clock: Monotonic time [s].
+        logger: Logger of the plugin.
+        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. Without a
+            problem and a global costmap it serves as both.
 
     Raises:
-        InvalidValue: `footprint` is not the outline of the problem's robot, or a part is of another class.
+        InvalidValue: If `footprint` is not the outline of the problem's robot, or a part is of another class.
     """
 
     name: str = ""
@@ -93,11 +91,10 @@ class PluginContext:
             object.__setattr__(self, "costmap", self.problem.costmap)
 
     def problem_at_hand(self, called_with: DockingProblem | None) -> DockingProblem | None:
-        """The problem that a call is about, among everything that it and the context hold, the local costmap included.
+        """Return the problem of a call, with the obstacles of the context and of the local costmap; or None.
 
         Args:
-            called_with: The problem of the call; None: the configured one. Where it brings a costmap of its own, that
-                is the newer picture of the same surroundings and replaces the configured one.
+            called_with: Problem of the call, whose costmap replaces the configured one; None: the configured problem.
         """
         found = self.problem if called_with is None else called_with
         if found is None:
@@ -106,12 +103,12 @@ class PluginContext:
             found = found.among(self.costmap)
         if self.local_costmap is None:
             return found
-        # As it is now, and without the world beyond it: a local grid ends at unknown space.
+        # No border: the space beyond a local costmap is not an obstacle.
         local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
     def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
-        """The costmaps that `needs` names; where there is no local one, the other serves both."""
+        """Return the costmaps that `needs` names; without a local one, the global one serves as both."""
         local = self.costmap if self.local_costmap is None else self.local_costmap
         asked = {
             CostmapInfoType.NONE: (),
@@ -124,14 +121,12 @@ class PluginContext:
     def obstacles_near(
         self, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
     ) -> ObstacleSet:
-        """The obstacles that meet a box: the problem's, and the cells of the costmaps that `needs` names, as they are.
-
-        The problem's always count, and with them the cells of the global costmap, which is a part of it.
+        """Return the obstacles in a box: those of the problem, and the cells of the costmaps that `needs` names.
 
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Which costmaps count beside the problem; both where none is chosen.
+            needs: Costmaps that count in addition to the problem, which includes the cells of the global one.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
@@ -142,15 +137,15 @@ class PluginContext:
 
 
 class Plugin(ABC):
-    """Base of all plugins.
+    """Base of all plugins; subclasses set `Parameters` and may override the `on_*` hooks.
 
-    A subclass names its `Parameters` class and overrides the `on_*` hooks it needs.
+    Transitions of the lifecycle raise LifecycleError in a state that does not allow them.
 
     Args:
         **parameters: Values of the fields of `Parameters`.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = PluginParameters
@@ -163,20 +158,19 @@ class Plugin(ABC):
 
     @property
     def name(self) -> str:
-        """Name of this instance: the context's, or the class's until it is configured."""
+        """Name of the instance in its context, or of its class."""
         return self.context.name or type(self).__name__
 
     @property
     def state(self) -> LifecycleState:
-        """Where the plugin stands in its lifecycle."""
+        """State in the lifecycle."""
         return self._state
 
     def configure(self, context: PluginContext) -> None:
-        """Link the plugin to its surroundings: unconfigured -> inactive.
+        """Set the context: unconfigured -> inactive.
 
         Raises:
-            LifecycleError: The plugin is not unconfigured.
-            InvalidValue: `context` is none.
+            InvalidValue: If `context` is not a PluginContext.
         """
         self._require("configure", LifecycleState.UNCONFIGURED)
         if not isinstance(context, PluginContext):
@@ -190,44 +184,27 @@ class Plugin(ABC):
         self._state = LifecycleState.INACTIVE
 
     def activate(self) -> None:
-        """Inactive -> active.
-
-        Raises:
-            LifecycleError: The plugin is not inactive.
-        """
+        """Inactive -> active."""
         self._require("activate", LifecycleState.INACTIVE)
         self.on_activate()
         self._state = LifecycleState.ACTIVE
 
     def deactivate(self) -> None:
-        """Active -> inactive.
-
-        Raises:
-            LifecycleError: The plugin is not active.
-        """
+        """Active -> inactive."""
         self._require("deactivate", LifecycleState.ACTIVE)
         self.on_deactivate()
         self._state = LifecycleState.INACTIVE
 
     def cleanup(self) -> None:
-        """Inactive -> unconfigured, resources released.
-
-        Raises:
-            LifecycleError: The plugin is not inactive.
-        """
+        """Release resources: inactive -> unconfigured."""
         self._require("cleanup", LifecycleState.INACTIVE)
         self.on_cleanup()
         self.context = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.UNCONFIGURED
 
     def shutdown(self) -> None:
-        """Any state but finalized -> finalized, resources released.
-
-        Raises:
-            LifecycleError: The plugin is finalized.
-        """
-        alive = (LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
-        self._require("shutdown", *alive)
+        """Release resources: any state but finalized -> finalized."""
+        self._require("shutdown", LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
         if self._state is LifecycleState.ACTIVE:
             self.on_deactivate()
         if self._state is not LifecycleState.UNCONFIGURED:
@@ -236,10 +213,10 @@ class Plugin(ABC):
         self._state = LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:
-        """Change parameters, all of them or none.
+        """Change parameters, all or none.
 
         Raises:
-            InvalidValue: A name is unknown or the changed set breaks a rule; nothing has changed then.
+            InvalidValue: If a name is unknown or the changed set is invalid; nothing is changed then.
         """
         merged = {**self.parameters.model_dump(by_alias=True), **changes}
         checked = parse_parameters(self.Parameters, merged, self.context.name)
@@ -247,19 +224,19 @@ class Plugin(ABC):
         self.parameters = checked
 
     def check_change(self, changed: PluginParameters) -> None:  # noqa: B027 - a hook
-        """Hook: refuse a change of parameters by raising InvalidValue."""
+        """Check a change of parameters; overrides raise InvalidValue to refuse it."""
 
     def on_configure(self) -> None:  # noqa: B027 - a hook
-        """Hook: `self.context` has just been set."""
+        """Hook after `self.context` is set."""
 
     def on_activate(self) -> None:  # noqa: B027 - a hook
-        """Hook: about to become active."""
+        """Hook before the plugin becomes active."""
 
     def on_deactivate(self) -> None:  # noqa: B027 - a hook
-        """Hook: about to become inactive."""
+        """Hook before the plugin becomes inactive."""
 
     def on_cleanup(self) -> None:  # noqa: B027 - a hook
-        """Hook: about to lose the context."""
+        """Hook before the context is removed."""
 
     def _require(self, transition: str, *allowed: LifecycleState) -> None:
         if self._state not in allowed:

@@ -1,4 +1,4 @@
-"""What plugins return and say about themselves: plain values."""
+"""Results and reports of plugins."""
 
 from __future__ import annotations
 
@@ -33,41 +33,38 @@ __all__ = [
 
 
 class Guess(NamedTuple):
-    """A raw path of a planner that has several.
-
-    `path`: exactly from start to goal. `stage`: how it was found, in the words of the method, for reports.
-    """
+    """A raw path of a planner, exactly from start to goal, and the stage of the method that found it, for reports."""
 
     path: Path
     stage: str = ""
 
 
 class SmoothingStatus(str, Enum):
-    """Where a smoother's path comes from."""
+    """Origin of a smoother's path."""
 
     CONVERGED = "converged"  # a local optimum
-    STOPPED = "stopped"  # the best when the time, or the number of iterations, was used up
-    INPUT_KEPT = "input kept"  # the input is an answer, and none better was found
-    WARM_START_KEPT = "warm start kept"  # the earlier result is an answer still, and no other was found
-    STRAIGHT = "straight"  # the straight line from start to goal is an answer: nothing is shorter
+    STOPPED = "stopped"  # the best path at the limit of time or iterations
+    INPUT_KEPT = "input kept"  # the input is certified, and no better path was found
+    WARM_START_KEPT = "warm start kept"  # the earlier result is certified, and no other path was found
+    STRAIGHT = "straight"  # the straight line from start to goal is certified
 
 
 @dataclass(frozen=True, repr=False)
 class SmoothingReport:
-    """What a smoother says about its work; None and empty where it does not say.
+    """Report of a smoother; None or empty where a value is not reported.
 
     Args:
-        status: Where the path comes from.
-        cost: Of the path, in the smoother's own terms.
-        iterations: How many there were.
-        setup_s: Seconds before the first iteration, `build_s` left out.
-        build_s: Seconds spent on what later calls in this process will find built.
-        certify_s: Seconds spent on proofs.
-        first_certified_s: Seconds until the first certified path.
-        total_s: Seconds of the call.
-        certificate: Of the path, where the smoother proved it; it is proven again.
-        extra: Whatever else a plugin has to say.
-        warning: What a user of the result should know; empty: nothing.
+        status: Origin of the path.
+        cost: Cost of the path, defined by the smoother.
+        iterations: Number of iterations.
+        setup_s: Time before the first iteration, without `build_s` [s].
+        build_s: Time for programs that later calls in this process reuse [s].
+        certify_s: Time for certificates [s].
+        first_certified_s: Time until the first certified path [s].
+        total_s: Time of the call [s].
+        certificate: Certificate of the path by the smoother; the pipeline certifies the path again.
+        extra: Further entries.
+        warning: Warning for the user, or empty.
     """
 
     status: SmoothingStatus | None = None
@@ -83,24 +80,24 @@ class SmoothingReport:
     warning: str = ""
 
     def __repr__(self) -> str:
-        said = [self.status.value] if self.status is not None else []
-        said += [f"{self.iterations} iterations"] if self.iterations is not None else []
-        said += [f"cost {self.cost:.4g}"] if self.cost is not None else []
-        said += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
+        parts = [self.status.value] if self.status is not None else []
+        parts += [f"{self.iterations} iterations"] if self.iterations is not None else []
+        parts += [f"cost {self.cost:.4g}"] if self.cost is not None else []
+        parts += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
         if self.certificate is not None:
-            said.append("certified" if self.certificate.certified else "not certified")
-        said += [f"warning: {self.warning}"] if self.warning else []
-        return f"<SmoothingReport {', '.join(said) or 'empty'}>"
+            parts.append("certified" if self.certificate.certified else "not certified")
+        parts += [f"warning: {self.warning}"] if self.warning else []
+        return f"<SmoothingReport {', '.join(parts) or 'empty'}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SmoothingResult:
-    """What a smoother returns.
+    """Result of a smoother.
 
     Args:
-        path: The smoothed path; always usable.
-        completed: False when the time limit stopped the work early.
-        report: About the work.
+        path: Smoothed path.
+        completed: False if the time limit stopped the work.
+        report: Report.
     """
 
     path: Path
@@ -113,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """How a time parameterization ended; physics is an outcome, not an exception. OK alone counts as true."""
+    """Status of a time parameterization; only OK is true. Infeasible motions are no exceptions."""
 
     OK = 0
     START_INFEASIBLE = 1
@@ -128,12 +125,12 @@ class TimingStatus(IntEnum):
 
 @dataclass(frozen=True, repr=False)
 class TimingReport:
-    """What a time parameterizer says about its work.
+    """Report of a time parameterizer.
 
     Args:
-        gears: How every gear was timed, in driving order, in the words of the method.
-        replaced: Why `plan_dock` took the motion of the plain method instead of the chosen one's; empty: it did not.
-        extra: Whatever else a plugin has to say.
+        gears: Method used for every gear, in driving order.
+        replaced: Reason why `plan_dock` used the default method instead; empty: it did not.
+        extra: Further entries.
     """
 
     gears: tuple[str, ...] = ()
@@ -141,26 +138,25 @@ class TimingReport:
     extra: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        said = [*self.gears, *([f"replaced {self.replaced.split(':')[0]}"] if self.replaced else [])]
-        return f"<TimingReport {', '.join(said) or 'empty'}>"
+        parts = [*self.gears, *([f"replaced {self.replaced.split(':')[0]}"] if self.replaced else [])]
+        return f"<TimingReport {', '.join(parts) or 'empty'}>"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TimingResult:
-    """What a time parameterizer returns.
+    """Result of a time parameterizer.
 
     Args:
-        status: How it ended.
-        trajectory: The timed motion. OK: the whole path. START_INFEASIBLE: full braking, which violates the limits
-            least, until past the last violation, then on to the end (to rest, where nothing more can be planned).
-            CANNOT_STOP: full braking on the gear at hand; its distance runs on beyond that gear's end. None where
-            there is no motion to offer: BAD_START, FAIL, TIMED_OUT.
-        worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
-        overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
-        report: About the work.
-        reason: Why it is not OK, one sentence with numbers; empty when OK.
-        limit: The limit in the way, by its name in `MotionLimits`, or `approach_speed`; empty where no single one is.
-        at_s: Where along the path that is decided [m]; None where it is not one place.
+        status: Status.
+        trajectory: Motion. OK: along the whole path. START_INFEASIBLE: full braking until after the last violation,
+            then on to the end, or to rest if that fails. CANNOT_STOP: full braking in the present gear, beyond its
+            end. BAD_START, FAIL, TIMED_OUT: None.
+        worst_ratio: Largest quotient of a quantity and its limit; at most 1 if OK.
+        overshoot: Distance of full braking beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
+        report: Report.
+        reason: Reason if not OK, one sentence with numbers.
+        limit: Name of the exceeded limit in `MotionLimits`, or `approach_speed`; empty without a single one.
+        at_s: Arc length of the violation [m]; None without a single one.
     """
 
     status: TimingStatus
@@ -181,7 +177,7 @@ class TimingResult:
         return bool(self.status)
 
     def failure(self) -> FailedToTimePath:
-        """The error that says why this is not OK."""
+        """Return the error of a result that is not OK."""
         where: dict[str, object] = {"status": self.status.name}
         where |= {"worst_ratio": self.worst_ratio, "overshoot": self.overshoot}
         if self.limit:
@@ -202,7 +198,7 @@ class CostmapInfoType(IntEnum):
 
 
 class BehaviorStatus(IntEnum):
-    """How a behavior stands; SUCCEEDED alone counts as true."""
+    """Status of a behavior; only SUCCEEDED is true."""
 
     SUCCEEDED = 1
     FAILED = 2
@@ -214,7 +210,7 @@ class BehaviorStatus(IntEnum):
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """Status, Nav2 error code (0 for none) and message of a behavior's cycle; true where it has succeeded."""
+    """Status, Nav2 error code (0 for none) and message of a behavior; true if it has succeeded."""
 
     status: BehaviorStatus
     error_code: int = 0
@@ -225,10 +221,10 @@ class BehaviorResult:
 
 
 class Contact(Enum):
-    """How a robot feels that it is in its dock."""
+    """Kind of contact with a dock."""
 
     SIGNAL = "external signal"  # a switch, or the charger
-    STALL = "stall"  # it is driven on and does not move
+    STALL = "stall"  # commanded to move, but at rest
 
 
 class Bounds(NamedTuple):
@@ -241,7 +237,7 @@ class Bounds(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """What a goal checker accepts; None where it does not measure."""
+    """Accepted errors of a goal checker [m], [rad], [m/s], [rad/s]; None: not measured."""
 
     x: float | None = None
     y: float | None = None

@@ -1,4 +1,4 @@
-"""Plugin parameters: declared once, checked as a whole, changed all or nothing."""
+"""Plugin parameters: declaration and validation."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ __all__ = ["PluginParameters", "checked_seconds", "closest", "invalid_parameters
 class PluginParameters(BaseModel):
     """Base of every plugin's parameters: frozen; unknown names and non-finite numbers are refused.
 
-    Types do not stand in for each other, as in ROS: neither switch nor text is a number, and only a switch is one. An
-    integer may stand where a float is wanted. Fields carry Nav2's names and defaults where Nav2 has them; the unit
-    stands in each field's description.
+    Types are not converted, as in ROS, except integers to floats. Fields have Nav2's names and defaults where Nav2 has
+    them, and descriptions with the unit.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
@@ -44,26 +43,21 @@ class PluginParameters(BaseModel):
 P = TypeVar("P", bound=PluginParameters)
 
 
-def closest(name: str, known: Iterable[str], likeness: float = 0.6) -> str:
-    """`; did you mean ...?` for a misspelt name, or the empty string.
-
-    Args:
-        name: What was written.
-        known: What could have been meant.
-        likeness: The least ratio of `difflib` that counts, 1 for the same name.
+def closest(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean ...?` with the known name closest to `name`, or the empty string.
 
     >>> closest("toleranse", ["tolerance", "step"])
     '; did you mean tolerance?'
     """
-    found = difflib.get_close_matches(name, list(known), n=1, cutoff=likeness)
+    found = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {found[0]}?" if found else ""
 
 
 def checked_seconds(value: object, name: str) -> float:
-    """`value`, a time limit in seconds.
+    """Return a time limit [s] as a float.
 
     Raises:
-        InvalidValue: It is not finite, or negative.
+        InvalidValue: If it is not finite, or negative.
     """
     if not (isinstance(value, Real) and math.isfinite(value) and float(value) >= 0.0):
         raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value!r}")
@@ -71,19 +65,20 @@ def checked_seconds(value: object, name: str) -> float:
 
 
 def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -> P:
-    """A model from plain values, every fault reported at once.
+    """Return validated parameters.
 
     Args:
-        model: The parameters class.
-        values: Names and values as a file or a caller gives them.
-        owner: The plugin's name, for messages.
+        model: Class of the parameters.
+        values: Names and values, from a file or a caller.
+        owner: Name of the plugin, for messages.
 
     Raises:
-        InvalidValue: Unknown names, wrong types, values out of range; one line per fault. Or `values` is not a mapping.
+        InvalidValue: If `values` is not a mapping, or for unknown names, wrong types and values out of range; one line
+            per fault.
     """
     if not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
-    # Every plan makes its plugins anew, with the same values: what cannot be written into is checked once.
+    # Every plan constructs its plugins with the same values: immutable parameters are validated once.
     is_plain = all(type(value) in _PLAIN for value in values.values())
     key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
     known = _CHECKED.get(key)
@@ -101,19 +96,19 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
 
 
 def invalid_parameters(error: ValidationError, model: type[PluginParameters], owner: str) -> InvalidValue:
-    """What is wrong with the values of a model, one line per fault."""
+    """Return the error for invalid values of a model, one line per fault."""
     return InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors()))
 
 
-_MOST_KEPT = 256  # of many a process uses few
+_MOST_KEPT = 256
 _CHECKED: dict[tuple[object, ...], PluginParameters] = {}
 
 
-_PLAIN = (bool, int, float, str, type(None))  # immutable, and distinguished by their text
+_PLAIN = (bool, int, float, str, type(None))  # immutable, with distinct representations
 
 
 def _is_constant(checked: PluginParameters) -> bool:
-    """Whether parameters are immutable, and equal values make equal ones: then they can be shared."""
+    """Whether parameters can be shared: they are immutable and depend only on the given values."""
     model = type(checked)
     is_sealed = bool(model.model_config.get("frozen")) and not model.__private_attributes__
     makes_anew = any(spec.default_factory is not None for spec in model.model_fields.values())

@@ -1,4 +1,4 @@
-"""Plugins by name, through entry points; Nav2's class names are aliases of ours."""
+"""Plugins by name, from entry points; Nav2's class names are aliases."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ INTERFACES: Mapping[str, type[Plugin]] = {
     "docks": DockType,
 }
 
-# Nav2 pluginlib names (namespace stripped) that differ from our entry point names.
+# Nav2 pluginlib names, without namespace, that differ from entry point names.
 _NAV2_ALIASES: Mapping[str, Mapping[str, str]] = {
     "smoothers": {"ConstrainedSmoother": "CasadiSmoother"},
 }
@@ -67,7 +67,7 @@ P = TypeVar("P", bound=Plugin)
 
 
 class PluginInfo(NamedTuple):
-    """One installed plugin: kind, name, and where it comes from (`module:Class`)."""
+    """Kind, name and target (`module:Class`) of an installed plugin."""
 
     kind: str
     name: str
@@ -76,10 +76,10 @@ class PluginInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class PluginChoice:
-    """A plugin by name, and its parameters, as a file asks for it.
+    """Name and parameters of a plugin in a file.
 
     Raises:
-        InvalidValue: The name is not text.
+        InvalidValue: If the name is not text.
     """
 
     name: str
@@ -102,19 +102,19 @@ def _found(kind: str) -> Mapping[str, EntryPoint]:
 
 
 def available_plugins() -> tuple[PluginInfo, ...]:
-    """Every installed plugin, sorted; none is imported."""
+    """Return every installed plugin, sorted, without importing it."""
     return tuple(PluginInfo(kind, name, point.value) for kind in INTERFACES for name, point in _found(kind).items())
 
 
 def load_plugin(interface: type[P], name: str) -> type[P]:
-    """The plugin class called `name`.
+    """Return the plugin class called `name`.
 
     Args:
         interface: One of the interfaces in `INTERFACES`.
         name: Entry point name, or Nav2's `namespace::Class` (old files: `namespace/Class`).
 
     Raises:
-        PluginError: Unknown name, failing import, or a class that is not an `interface`.
+        PluginError: If the name is unknown, the import fails, or the class is not an `interface`.
     """
     kind = next((k for k, known in INTERFACES.items() if known is interface), "")
     found = _found(kind)
@@ -127,20 +127,17 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     point = found[short]
     try:
         loaded = point.load()
-    except (Exception, SystemExit) as error:  # foreign code may raise anything while it is imported
-        why = f"cannot be imported: {error}{_in_the_way_of(point)}"
+    except (Exception, SystemExit) as error:  # foreign code may raise any exception
+        why = f"cannot be imported: {error}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, interface)):
-        why = f"is not a {interface.__name__}{_in_the_way_of(point)}"
+        why = f"is not a {interface.__name__}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}")
     return loaded
 
 
-def _in_the_way_of(point: EntryPoint) -> str:
-    """The folder or file that Python takes for a plugin's package, where the plugin is in another one; else nothing.
-
-    A folder of the user's beside his script comes first on Python's path, and hides the installed package of its name.
-    """
+def _hidden_by(point: EntryPoint) -> str:
+    """A hint at a folder or file on Python's path that hides the package of a plugin, such as one next to a script."""
     package, *inside = point.module.split(".")
     specs = (PathFinder.find_spec(package, [entry]) for entry in sys.path)
     places = [place for spec in specs if spec for place in spec.submodule_search_locations or [spec.origin or ""]]
@@ -154,36 +151,36 @@ def _in_the_way_of(point: EntryPoint) -> str:
 
 
 def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object] | None = None) -> P:
-    """A ready-to-use plugin.
+    """Return a new plugin.
 
     Raises:
-        PluginError: As `load_plugin`, or the plugin cannot be built: it is abstract, or its constructor fails.
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        PluginError: As `load_plugin`, or if the class is abstract or its constructor fails.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
     plugin_class = load_plugin(interface, name)
     values = {} if parameters is None else parameters
-    # Checked before the call: a keyword argument cannot carry every name that a file may hold.
+    # Validated before the call: not every name of a file is a valid keyword argument.
     parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
     try:
         return plugin_class(**values)
     except OptdockError:
         raise
-    except Exception as error:  # foreign code may raise anything while it is built
+    except Exception as error:  # foreign code may raise any exception
         target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
         raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error
 
 
 def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) -> P:
-    """The plugin that a caller asks for: by name, by name with parameters, or the object itself.
+    """Return a plugin given by name, by name with parameters, or as an object.
 
     Args:
-        interface: What it must be.
-        asked: The plugin.
-        role: What it is asked for as, for messages.
+        interface: Required interface.
+        asked: Name, choice, or plugin.
+        role: Name of the argument, for messages.
 
     Raises:
         PluginError: As `create_plugin`.
-        InvalidValue: It is none of the three, or a parameter is wrong.
+        InvalidValue: If it is none of the three, or a parameter is wrong.
     """
     if isinstance(asked, interface):
         return asked
@@ -198,7 +195,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
     raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
 
 
-def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
+def timed_by(  # noqa: PLR0913 - method, path, limits and start state
     timing: str | PluginChoice | TimeParameterizer,
     path: Path,
     problem: DockingProblem | None,
@@ -208,22 +205,22 @@ def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
     start_acceleration: float = 0.0,
     start_wait: float = 0.0,
 ) -> Trajectory:
-    """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
+    """Return the motion along a path by a time parameterizer, without a certificate.
 
     Args:
-        timing: The method: its name, its name with parameters, or a plugin that is not configured.
-        path: Where to drive.
-        problem: Its robot's limits count; None: the default limits.
+        timing: Name, name with parameters, or an unconfigured plugin.
+        path: Path.
+        problem: Problem with the limits and the dock; None: default limits.
         zone: Slow stretch at the end; None: that of the problem's dock.
-        start_speed: Along the travel, >= 0 in either gear [m/s].
-        start_acceleration: Likewise [m/s^2].
-        start_wait: How long it rests at the start, because steered wheels are turned there [s].
+        start_speed: Speed along the travel, >= 0 in either gear [m/s].
+        start_acceleration: Acceleration along the travel [m/s^2].
+        start_wait: Time at rest at the start, for steering [s].
 
     Raises:
-        FailedToTimePath: The method has no motion from this start that keeps the limits.
+        FailedToTimePath: If the method has no motion from this start that keeps the limits.
         PluginError: As `create_plugin`.
-        LifecycleError: The plugin is configured already.
-        InvalidValue: A parameter or the start state is wrong.
+        LifecycleError: If the plugin is already configured.
+        InvalidValue: If a parameter or the start state is wrong.
     """
     parameterizer = plugin_from(TimeParameterizer, timing, "timing")
     limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
@@ -246,10 +243,10 @@ def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
 
 
 def plugin_class(name: str) -> type[Plugin]:
-    """The installed plugin class called `name`, of whatever kind.
+    """Return the installed plugin class called `name`, of any kind.
 
     Raises:
-        PluginError: No kind has such a plugin, or it cannot be imported.
+        PluginError: If no kind has such a plugin, or it cannot be imported.
     """
     for kind, interface in INTERFACES.items():
         if name in _found(kind):

@@ -1,1 +1,1 @@
-"""What tests of plugins need: the contract suites, and drives and motions to try them on."""
+"""Contract suites of plugins, and drives with known time laws."""

@@ -21,17 +21,17 @@ __all__ = ["clothoid", "cusp_drive", "rest_to_rest", "s_curve_drive", "straight_
 def clothoid(
     start: Pose2, knots: Sequence[float], curvature: Sequence[float], direction: Direction = Direction.FORWARD
 ) -> ClothoidSegment:
-    """A gear segment from knots [m] and curvatures [1/m]."""
+    """Return a segment from knots [m] and curvatures [1/m]."""
     return ClothoidSegment(ClothoidSpline(start, np.array(knots), np.array(curvature), int(direction)))
 
 
 def rest_to_rest(
     segments: Sequence[ClothoidSegment], *, speed: float = 0.4, acceleration: float = 0.4, jerk: float = 2.0
 ) -> Trajectory:
-    """Seven constant-jerk phases per segment: up to `speed` [m/s], cruise, down to rest.
+    """Return a motion of seven constant-jerk phases per segment: up to `speed` [m/s], cruise, down to rest.
 
     Raises:
-        InvalidValue: A segment is too short to reach the speed, or the speed to reach the acceleration.
+        InvalidValue: If a segment is too short for the speed, or the speed too small for the acceleration.
     """
     ramp = acceleration / jerk
     hold = speed / acceleration - ramp
@@ -46,17 +46,17 @@ def rest_to_rest(
 
 
 def straight_drive(start: Pose2, direction: Direction = Direction.FORWARD, length: float = 2.0) -> Trajectory:
-    """A straight line [m]."""
+    """Return a motion along a straight line of `length` [m]."""
     return rest_to_rest([clothoid(start, [0.0, length], [0.0, 0.0], direction)])
 
 
 def s_curve_drive(start: Pose2, direction: Direction = Direction.FORWARD) -> Trajectory:
-    """A left and a right turn of 34 degrees, radius down to 0.83 m, and half a metre straight."""
+    """Return a left and a right turn of 34 degrees, radius down to 0.83 m, and half a metre straight."""
     return rest_to_rest([clothoid(start, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], [0.0, 1.2, 0.0, -1.2, 0.0, 0.0], direction)])
 
 
 def cusp_drive(start: Pose2) -> Trajectory:
-    """Forward through a left turn, then in reverse through a right turn and straight."""
+    """Return a motion forward through a left turn, then in reverse through a right turn and straight."""
     first = clothoid(start, [0.0, 0.6, 1.2], [0.0, 1.0, 0.0])
     second = clothoid(first.spline.end, [0.0, 0.6, 1.2, 2.0], [0.0, -1.0, 0.0, 0.0], Direction.REVERSE)
     return rest_to_rest([first, second])

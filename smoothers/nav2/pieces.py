@@ -1,18 +1,27 @@
-"""What both of Nav2's smoothers share: a path as poses, its pieces between cusps, and what these must not run into."""
+"""Shared parts of Nav2's smoothers: paths as poses, pieces between cusps, time limit, and collision check."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic import Field
 
+from optdock.deadline import Deadline
+from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import normalize_angle
 from optdock.model.path import Path, PolylineSegment
+from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
+from optdock.plugins.parameters import PluginParameters, checked_seconds
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
@@ -20,17 +29,28 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.plugins.lifecycle import PluginContext
 
-__all__ = ["Surroundings", "directional_pieces", "path_of", "poses_of", "task_of", "with_travel_yaw"]
+__all__ = [
+    "PieceEnd",
+    "PieceParameters",
+    "PieceRun",
+    "PieceSmoother",
+    "Surroundings",
+    "directional_pieces",
+    "path_of",
+    "poses_of",
+    "task_of",
+    "with_travel_yaw",
+]
 
 _SAME_PLACE = 1e-4  # [m], along each axis
 _TURNED = 1e-4  # [rad]
-_CURVE_SPACING = 0.05  # of the poses taken from a curve [m]
+_CURVE_SPACING = 0.05  # [m] between the poses of a curve
 _TOLERANCE = 1e-6  # [m]: as the certificate's
-_MARGIN = 0.5  # [m]: how far beside a path its smoothed form may run and still be judged among all obstacles
+_MARGIN = 0.5  # [m]: largest distance of a smoothed path from the input at which all obstacles are checked
 
 
 def poses_of(path: Path) -> FloatArray:
-    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3)."""
+    """Return the poses of a path without repetition, for curves samples 5 cm apart. Shape (n, 3)."""
     blocks = [
         np.array(segment.poses)
         if isinstance(segment, PolylineSegment)
@@ -41,17 +61,16 @@ def poses_of(path: Path) -> FloatArray:
 
 
 def path_of(poses: FloatArray, like: Path) -> Path:
-    """The smoothed poses as a path in the frame of `like` that begins with the very pose that `like` begins with.
+    """Return smoothed poses as a path with the frame and the first pose of `like`.
 
-    Gears are read from headings along the travel. The start may look anywhere, as that of a raw path does, so its own
-    heading, which Nav2's smoothers turn, is put back once the gears are known.
+    Gears follow from the headings along the travel; the heading of the start is restored afterwards.
 
     Args:
-        poses: Shape (n, 3), headings as `with_travel_yaw` makes them.
-        like: The path that was smoothed.
+        poses: Shape (n, 3), with headings from `with_travel_yaw`.
+        like: Path before smoothing.
 
     Raises:
-        InvalidPath: Fewer than two distinct poses are left.
+        InvalidPath: If fewer than two distinct poses are left.
     """
     path = Path.from_poses(poses)
     first = path.segments[0]
@@ -62,13 +81,10 @@ def path_of(poses: FloatArray, like: Path) -> Path:
 
 
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
-    """First and last index of every piece between cusps and turns in place; neighbours share an index.
+    """Return first and last index of every piece between cusps and turns in place; neighbours share an index.
 
-    A cusp is where consecutive steps point against each other; a turn in place is a step without motion but with a
-    change of yaw.
-
-    Args:
-        poses: Shape (n, 3).
+    At a cusp consecutive steps of `poses`, Shape (n, 3), have opposite directions; a turn in place is a step without
+    motion but with a change of yaw.
     """
     step = np.diff(poses[:, :2], axis=0)
     reverses = np.sum(step[:-1] * step[1:], axis=1) < 0.0
@@ -79,13 +95,10 @@ def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
 
 
 def with_travel_yaw(poses: FloatArray) -> FloatArray:
-    """Every yaw along the step that follows it, or against it in reverse; the last yaw stays.
+    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or against it in reverse; the last yaw stays.
 
-    The piece runs in reverse if the second pose looks more than 90 degrees away from the step that follows it. A pose
-    without a step of at least 0.1 mm keeps its yaw.
-
-    Args:
-        poses: Shape (n, 3), n >= 3.
+    A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose without a step
+    of at least 0.1 mm keeps its yaw.
     """
     step = np.diff(poses[:, :2], axis=0)
     travel = np.arctan2(step[:, 1], step[:, 0])
@@ -98,22 +111,16 @@ def with_travel_yaw(poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands around a path.
-
-    Args:
-        costmap: The grid whose cells stop a point, or None.
-        footprint: The robot's outline; None where it was not given.
-        obstacles: Everything near the path that the robot must not touch.
-    """
+    """Costmap, footprint and obstacles near a path, each None if unknown."""
 
     costmap: Costmap | None
     footprint: Footprint | None
     obstacles: ObstacleSet | None
 
     def worsened(self, before: FloatArray, after: FloatArray) -> bool:
-        """Whether the poses `after` touch something deeper than the poses `before` do; Shape (n, 3) each.
+        """Whether poses `after` overlap obstacles more than poses `before`, Shape (n, 3) each.
 
-        Judged at the poses, as Nav2's smoother server does with `check_for_collisions`, but with the whole footprint.
+        Nav2's smoother server checks poses too with `check_for_collisions`, but not the whole footprint.
         """
         if self.footprint is None or self.obstacles is None:
             return False
@@ -125,10 +132,10 @@ class Surroundings:
 
 
 def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) -> tuple[Path, Surroundings]:
-    """The path, in the frame of the problem at hand, and what stands around it.
+    """Return the path in the frame of the problem at hand, and its surroundings.
 
     Raises:
-        InvalidPath: It stands in another frame.
+        InvalidPath: If the path has another frame.
     """
     wanted = context.problem_at_hand(problem)
     footprint = context.footprint if wanted is None else wanted.robot.footprint
@@ -141,3 +148,107 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
         return path, Surroundings(context.costmap, footprint, context.obstacles_near(lower, upper))
     near = wanted.all_obstacles.in_box(np.asarray(lower), np.asarray(upper))
     return path.with_frame(wanted.frame), Surroundings(wanted.costmap, footprint, near)
+
+
+class PieceParameters(PluginParameters):
+    """The parameters that both smoothers have, with Nav2's names and defaults."""
+
+    do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
+    refinement_num: int = Field(2, ge=0, description="number of refinements")
+    enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+    check_for_collisions: bool = Field(default=True, description="keep a piece unchanged if it would collide")
+
+
+class PieceEnd(str, Enum):
+    """What ended the work on a piece."""
+
+    STILL = "tolerance"
+    OBSTACLE = "obstacle"
+    MAX_ITS = "max_its"
+    TIME = "time"
+    COLLISION = "collision"
+
+
+@dataclass
+class PieceRun:
+    """One call of `smooth`: its limits, the number of finished steps, and the end of every piece."""
+
+    deadline: Deadline
+    costmap: Costmap | None
+    cancel_checker: Callable[[], bool]
+    steps: int = 0
+    ends: list[PieceEnd] = field(default_factory=list)
+
+    def out_of_time(self) -> bool:
+        """Whether the time is over; called before every step.
+
+        Raises:
+            SmootherCancelled: If the cancel checker returned True.
+        """
+        if self.cancel_checker():
+            raise SmootherCancelled("smoothing was cancelled")
+        return self.deadline.passed()
+
+
+class PieceSmoother(Smoother):
+    """Base of smoothers that move the inner points of each piece between cusps.
+
+    Yaws become the directions of travel; start and goal keep theirs (Nav2 turns the start), so a path may begin and end
+    in a kink. A piece whose poses would bring the footprint into an obstacle that they cleared before stays unchanged,
+    unless `check_for_collisions` is off; the motion between poses is not checked. `completed` is False if the time
+    limit stopped the work.
+    """
+
+    parameters: PieceParameters
+
+    @abstractmethod
+    def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
+        """Return the smoothed poses of a piece, Shape (n, 3), and what ended it; None to leave a short piece."""
+
+    @abstractmethod
+    def report(self, run: PieceRun) -> SmoothingReport:
+        """Return the report of a call."""
+
+    def smooth(
+        self,
+        path: Path,
+        max_time: float,
+        *,
+        problem: DockingProblem | None = None,
+        warm_start: Path | None = None,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+    ) -> SmoothingResult:
+        """Return a smoother polyline between the same two poses.
+
+        Args:
+            path: Raw path, from any source.
+            max_time: Wall-clock time for the whole call [s], checked before every step.
+            problem: Source of costmap, footprint and obstacles; None: the context. Without a footprint collisions are
+                not checked.
+            warm_start: Not used.
+            cancel_checker: Polled before every step.
+
+        Raises:
+            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
+            InvalidPath: If `path` is not a Path, has another frame than the problem, or too few distinct poses remain.
+            SmootherTimedOut: If the time was over before the first step. Nav2 also raises after later ones.
+            SmootherCancelled: If `cancel_checker` returned True.
+        """
+        deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        self.check_task(path, problem, warm_start)
+        path, surroundings = task_of(path, problem, self.context)
+        run = PieceRun(deadline, surroundings.costmap, cancel_checker)
+        poses = poses_of(path)
+        whole = [(0, len(poses) - 1)]
+        for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
+            piece = poses[first : last + 1]
+            found = self.smooth_piece(piece, run)
+            if found is not None:
+                smoothed, end = found
+                collides = self.parameters.check_for_collisions and surroundings.worsened(piece, smoothed)
+                poses[first : last + 1] = piece if collides else smoothed
+                run.ends.append(PieceEnd.COLLISION if collides and end is not PieceEnd.TIME else end)
+        completed = PieceEnd.TIME not in run.ends
+        if not completed and run.steps == 0:
+            raise SmootherTimedOut(f"no step was finished within the allowed {max_time} s; allow more max_time")
+        return SmoothingResult(path_of(poses, path), completed, self.report(run))

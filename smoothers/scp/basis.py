@@ -1,4 +1,4 @@
-"""The basis: splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
+"""Splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
 
 Curvature is linear between knots, so the heading is linear in the knot curvatures: with `u` in [0, 1] along a gear of
 length L, `yaw(u) = yaw_start + L * integral_0^u hats(t) dt . K`. The integrals do not depend on the problem: a basis is
@@ -29,75 +29,42 @@ _GAUSS = readonly(np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
 
 @dataclass(frozen=True, eq=False)
 class Basis(FrozenArrays):
-    """Arrays that depend on the shape alone. Nodes are interval ends; a cusp is a node of both of its gears.
+    """Arrays that depend only on the shape. Nodes are interval ends; a cusp is a node of both of its gears."""
 
-    Args:
-        shape: Per gear: knot spans and intervals per span.
-        num_knots: Knots of all gears.
-        num_gears: Gears.
-        num_nodes: Nodes of all gears.
-        num_intervals: Intervals of all gears.
-        size: Number of path variables: knot curvatures, then gear lengths.
-        knot_gear: Gear of each knot, Shape (num_knots,).
-        node_gear: Gear of each node, Shape (num_nodes,).
-        interval_gear: Gear of each interval, Shape (num_intervals,).
-        span_gear: Gear of each span.
-        knot_members: Shape (num_knots, num_gears), 1 where the knot belongs to the gear.
-        first_knots: Of every gear.
-        last_knots: Of every gear.
-        last_nodes: Of every gear.
-        left: Node at which each interval begins; it ends at the next one.
-        position_of: Interval boundary (0 to num_intervals) of each node.
-        fraction: Share of its gear's length at which each node lies.
-        gauss_headings: Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval.
-        gauss_shares: Shape (2 num_intervals, num_gears), share of its gear's length that each Gauss point stands for.
-        gauss_members: Shape (2 num_intervals, num_gears), 1 where the Gauss point belongs to the gear.
-        node_headings: Shape (num_nodes, num_knots), heading at the nodes.
-        node_curvatures: Shape (num_nodes, num_knots), curvature at the nodes: the hat functions.
-        interval_slopes: Shape (num_intervals, num_knots), curvature rate times gear length in each interval.
-        span_slopes: Shape (number of spans, num_knots), the same once per span.
-        mass: Shape (num_knots, num_knots), integrals of products of hats over u.
-        stiffness: Shape (num_knots, num_knots), integrals of products of their slopes over u.
-        fit: Shape (num_knots, num_intervals), smoothed least squares from turned headings at the interval middles.
-    """
-
-    shape: Shape
-    num_knots: int
+    shape: Shape  # per gear: knot spans and intervals per span
+    num_knots: int  # totals over all gears
     num_gears: int
     num_nodes: int
     num_intervals: int
-    size: int
-    knot_gear: IntArray
+    size: int  # number of path variables: knot curvatures, then gear lengths
+    knot_gear: IntArray  # gear of each knot, node, interval and span
     node_gear: IntArray
     interval_gear: IntArray
     span_gear: IntArray
-    knot_members: FloatArray
-    first_knots: IntArray
+    knot_members: FloatArray  # Shape (num_knots, num_gears), 1 where the knot belongs to the gear
+    first_knots: IntArray  # indices for each gear, Shape (num_gears,)
     last_knots: IntArray
     last_nodes: IntArray
-    left: IntArray
-    position_of: IntArray
-    fraction: FloatArray
-    gauss_headings: FloatArray
+    left: IntArray  # node at which each interval begins; it ends at the next one
+    position_of: IntArray  # interval boundary (0 to num_intervals) of each node
+    fraction: FloatArray  # share of its gear's length at which each node lies
+    gauss_headings: FloatArray  # Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval
+    # Shape (2 num_intervals, num_gears), weight of each Gauss point as a share of its gear's length
     gauss_shares: FloatArray
-    gauss_members: FloatArray
-    node_headings: FloatArray
-    node_curvatures: FloatArray
-    interval_slopes: FloatArray
-    span_slopes: FloatArray
-    mass: FloatArray
-    stiffness: FloatArray
+    gauss_members: FloatArray  # Shape (2 num_intervals, num_gears), 1 where the Gauss point belongs to the gear
+    node_headings: FloatArray  # Shape (num_nodes, num_knots), heading at the nodes
+    node_curvatures: FloatArray  # Shape (num_nodes, num_knots), curvature at the nodes: the hat functions
+    interval_slopes: FloatArray  # Shape (num_intervals, num_knots), curvature rate times gear length in each interval
+    span_slopes: FloatArray  # Shape (number of spans, num_knots), the same once per span
+    mass: FloatArray  # Shape (num_knots, num_knots), integrals of products of hats over u
+    stiffness: FloatArray  # Shape (num_knots, num_knots), integrals of products of their slopes over u
+    # Shape (num_knots, num_intervals), smoothed least squares from turned headings at the interval middles
     fit: FloatArray
 
 
 @lru_cache(maxsize=64)
 def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.fit_smoothing) -> Basis:
-    """The basis of a shape, built once; its arrays are read-only.
-
-    Args:
-        shape: Per gear: knot spans and intervals per span.
-        fit_smoothing: Weight of the squared curvature rate in `fit`.
-    """
+    """Return the basis of a shape, with read-only arrays; `fit_smoothing` weights the curvature rate in `fit`."""
     spans = np.array([q for q, _ in shape])
     cells = np.array([q * r for q, r in shape])
     gears = np.arange(len(spans))

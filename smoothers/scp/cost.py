@@ -4,11 +4,10 @@ J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'
     + w_t * (total length / intervals) * sum over nodes of (n_ref . (p - p_ref))^2
     + w_s * sum over cusps of ((k_after + k_before) / k_ref)^2
 
-with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, and the
-squared lateral distance to the input path; and, for wheels that must be turned while the robot rests, how far: steered
-wheels that stay as they are reverse the sign of the curvature where the gear changes. What wheels turn in motion costs
-time only as far as they cannot follow at the speed that the robot has there: near the ends of its gears, where it is
-slow, the stiffness of steered robots counts less (`easing`).
+with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, squared
+lateral distance from the input path, and, for steered wheels, the squared change of steering at cusps, where constant
+wheel angles reverse the sign of the curvature. Near the ends of gears, where a steered robot is slow and its wheels can
+follow sharper changes, the curvature rate counts less (`easing`).
 """
 
 from __future__ import annotations
@@ -54,27 +53,20 @@ class Quadratic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CostModel:
-    """The cost of one problem.
-
-    Args:
-        basis: Shape of the path.
-        weights: What matters how much.
-        scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
-        reference: The input path.
-        turning_at_cusps: Weight of turning the wheels at rest by the reference curvature [m]; 0 where they need not.
-        easing: What the curvature rate counts in each span, Shape (number of spans,), at most 1; None: 1 everywhere.
-    """
+    """The cost of one problem."""
 
     basis: Basis
-    weights: Weights
-    scales: tuple[float, float]
-    reference: InputNodes
+    weights: Weights  # weights of the terms
+    scales: tuple[float, float]  # reference curvature [1/m] and reference curvature rate [1/m^2]
+    reference: InputNodes  # input path at the nodes
+    # cost of steering by the reference curvature at rest [m]; 0 for robots without steered wheels
     turning_at_cusps: float = 0.0
+    # weights of the curvature rate, at most 1, Shape (number of spans,); None: 1 everywhere
     easing: FloatArray | None = None
 
     @cached_property
     def _stiffness(self) -> FloatArray:
-        """Integrals of products of the slopes of hats over u, each span counted as much as it is to count."""
+        """Integrals of products of the slopes of hats over u, weighted by `easing`."""
         basis = self.basis
         if self.easing is None:
             return basis.stiffness
@@ -85,7 +77,7 @@ class CostModel:
 
     @cached_property
     def _turned(self) -> FloatArray:
-        """What the wheels turn at every cusp, by the knot curvatures. Shape (cusps, knots)."""
+        """Weighted change of steering at every cusp, by the knot curvatures. Shape (cusps, knots)."""
         basis = self.basis
         rows = np.zeros((basis.num_gears - 1, basis.num_knots))
         cusps = np.arange(basis.num_gears - 1)
@@ -103,7 +95,7 @@ class CostModel:
         return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
 
     def value(self, variables: Variables, rollout: Rollout) -> float:
-        """J."""
+        """Return J."""
         curvature, lengths = variables
         bend, jerk = self.factors
         per_knot = lengths[self.basis.knot_gear]
@@ -116,7 +108,7 @@ class CostModel:
         return float(self.weights.length * total + smooth + tracking)
 
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
-        """Exact gradient; Hessian exact in the curvatures, Gauss-Newton for tracking."""
+        """Return the exact gradient, and the Hessian: exact in the curvatures, Gauss-Newton for tracking."""
         basis, (curvature, lengths) = self.basis, variables
         bend, jerk = self.factors
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
@@ -140,7 +132,7 @@ class CostModel:
         return Quadratic(gradient, hessian)
 
     def of_clothoids(self, path: Path, final_straight: float) -> float:
-        """J of a clothoid path that is its own reference, without its final straight of this length [m]."""
+        """Return J of a clothoid path that is its own reference, without its final straight [m]."""
         bend, jerk = self.factors
         value = self.weights.length * (path.length - final_straight)
         for segment in path.segments:

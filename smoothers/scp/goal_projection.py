@@ -1,8 +1,8 @@
-"""Goal projection: the smallest change of the variables that brings the end of the path onto its target.
+"""Goal projection: the smallest change of the variables that moves the end of the path onto its target.
 
-Every iterate is projected, so that every one is drivable and nearly every one a candidate for the result: Newton steps
-of least norm on the three equations of the goal, within the box of the variables, in turn with a projection onto the
-bound of the curvature rate. The result of a search is projected once more as a clothoid spline, to rounding accuracy.
+Every iterate is projected by Newton steps of least norm on the three equations of the goal, within the bounds of the
+variables, alternating with a projection onto the bound of the curvature rate. The result of a search is projected once
+more as a clothoid spline, to rounding accuracy.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = [
 
 
 def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
-    """The variables on the goal, where that keeps the curvature rate, and driven; else as they are, within the rate."""
+    """Return the variables on the goal if the curvature rate permits, else within the rate only, and their roll-out."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     variables = clipped(variables, nlp.bounds)
     projected = onto_goal(basis, variables, ends, nlp.bounds, settings)
@@ -54,15 +54,7 @@ def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[V
 def onto_goal(
     basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
 ) -> Variables:
-    """Some Newton steps of least norm; a step that does not contract the error is not taken.
-
-    Args:
-        basis: Shape of the path.
-        variables: Where to begin.
-        ends: Start and target.
-        bounds: Variables stay inside.
-        settings: Accuracy and number of steps.
-    """
+    """Return the variables after Newton steps of least norm within `bounds`, while a step contracts the error (S6)."""
     pose, moves = end_pose(basis, variables, ends.start, ends.signs)
     error = pose - ends.target
     size, flat, knots = _largest(error), np.concatenate(variables), basis.num_knots
@@ -87,19 +79,7 @@ def _largest(error: FloatArray) -> float:
 
 
 def _bounded_inverse(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: VariableBounds) -> FloatArray:
-    """The matrix whose product with an error is the least change of the variables that makes up for it.
-
-    Variables that would leave their bounds on the way are frozen, once.
-
-    Args:
-        jacobian: Derivatives of the last pose, Shape (3, size).
-        error: Shape (3,) [m, m, rad].
-        flat: The variables, Shape (size,).
-        bounds: Of the variables.
-
-    Returns:
-        Shape (size, 3).
-    """
+    """Pseudo-inverse of the goal derivatives, Shape (size, 3), without the variables that would leave their bounds."""
     free = bounds.upper > bounds.lower
     inverse = _pseudo_inverse(jacobian * free)
     moved = flat - inverse @ error
@@ -114,7 +94,7 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
 
 
 def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The last pose, Shape (3,), and the moves, Shape (2 num_intervals, 2), much cheaper than all poses."""
+    """Return the last pose, Shape (3,), and the moves, Shape (2 num_intervals, 2), without the other poses."""
     curvature, lengths = variables
     turned = lengths[basis.knot_gear] * curvature
     yaw = start[2] + basis.gauss_headings @ turned
@@ -129,13 +109,7 @@ def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: Float
 
 
 def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> FloatArray:
-    """Derivatives of the last pose alone, much cheaper than those of all. Shape (3, size).
-
-    Args:
-        basis: Shape of the path.
-        variables: Where it is.
-        moves: Of the roll-out, Shape (2 num_intervals, 2) [m].
-    """
+    """Return the derivatives of the last pose, Shape (3, size), from the moves of the roll-out."""
     knots, lengths = basis.num_knots, variables.lengths[basis.knot_gear]
     masked = basis.knot_members * variables.curvature[:, None]
     weighted = moves.T @ basis.gauss_headings  # (2, num_knots)
@@ -151,7 +125,7 @@ def end_sensitivity(basis: Basis, variables: Variables, moves: FloatArray) -> Fl
 
 
 def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
-    """Variables moved into their box."""
+    """Return the variables, clipped to their bounds."""
     knots = variables.curvature.size
     return Variables(
         np.clip(variables.curvature, bounds.lower[:knots], bounds.upper[:knots]),
@@ -160,16 +134,16 @@ def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
 
 
 def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Variables:
-    """Curvatures moved as little as needed so that the rate keeps its bound; fixed ones stay.
+    """Return variables within the curvature rate (S7); fixed curvatures stay.
 
-    The mean of the largest rate-bounded function below and the smallest above: the identity where the bound holds.
+    The result is the mean of the largest rate-bounded function below and the smallest one above.
     """
     if not np.isfinite(bounds.rate):
         return variables
     curvature = variables.curvature.copy()
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):
         knots = np.arange(first, last + 1)
-        # Rounding must not leave the rate a little above its bound.
+        # The factor keeps rounding below the bound.
         change = (1.0 - 1e-12) * bounds.rate * variables.lengths[m] / (last - first) * np.abs(knots[:, None] - knots)
         values = curvature[knots]
         for k in np.flatnonzero(bounds.lower[knots] == bounds.upper[knots]):
@@ -179,13 +153,13 @@ def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Va
 
 
 def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> bool:
-    """Whether the curvature rate keeps its bound."""
+    """Whether the curvature rate is within its bound."""
     slopes = basis.span_slopes @ variables.curvature
     return bool(np.all(np.abs(slopes) <= bounds.rate * variables.lengths[basis.span_gear] * (1.0 + 1e-12)))
 
 
 def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float) -> Path:
-    """The clothoid splines of all gears, the last one with the final straight, closed onto the goal."""
+    """Return the path of clothoid splines with the final straight, closed onto the goal to rounding (S20)."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     target = ends.target
     back = float(ends.signs[-1]) * final_straight
@@ -196,7 +170,9 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
         error = splines[-1].end.as_array() - goal
         if float(np.abs(error).max()) < settings.exact:
             break
-        error[:2] -= error[2] * back * np.array([-np.sin(target[2]), np.cos(target[2])])  # seen before the straight
+        error[:2] -= (
+            error[2] * back * np.array([-np.sin(target[2]), np.cos(target[2])])
+        )  # at the beginning of the straight
         jacobian = end_sensitivity(basis, variables, end_pose(basis, variables, ends.start, ends.signs)[1])
         flat = np.concatenate(variables)
         moved = flat - _bounded_inverse(jacobian, error, flat, nlp.bounds) @ error
@@ -207,13 +183,13 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
 
 
 def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: float = 0.0) -> Path:
-    """The clothoid splines of all gears as they stand, wherever they end, and a straight of some length [m]."""
+    """Return the path of clothoid splines and a straight [m], without closing it onto the goal."""
     splines = _chained(nlp.basis, variables, nlp.ends, final_straight)
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
-    """One spline per gear, each from the end of the one before, the straight at the last one's end."""
+    """One spline per gear, each from the end of the one before; the last one with the straight."""
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):

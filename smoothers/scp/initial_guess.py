@@ -1,9 +1,9 @@
-"""Initial guesses: fitted to the input's headings or positions, driven along it by pure pursuit, or an earlier result.
+"""Initial guesses: a fit of headings or positions, pure pursuit of the input, or an earlier result.
 
-The fit of headings is the cheapest, and the best start where the input is smooth. Where the input is drivable but for
-its curvature, which switches within centimetres, the fit drifts away from it, and `tracking` stays on it. Where it is
-not drivable at all (turns in place, a start that looks the wrong way), a robot with bounded curvature and curvature
-rate pursues it [Coulter1992].
+The fit of headings is the cheapest, and the best start for smooth inputs. It drifts away from inputs whose curvature
+switches within centimetres, as that of Reeds-Shepp paths does; least squares of positions (`track`, S22) do not. Inputs
+that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature and
+curvature rate [Coulter1992].
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.model.path import ClothoidSegment
-from smoothers.scp.goal_projection import clipped
+from smoothers.scp.collision.linearization import ClearanceRows
+from smoothers.scp.cost import Quadratic
+from smoothers.scp.goal_projection import clipped, end_sensitivity, limit_rate
 from smoothers.scp.loop import SearchGuess, evaluated
-from smoothers.scp.qp_step import Penalties, pool_of_this_thread
-from smoothers.scp.rollout import Variables, roll_out
-from smoothers.scp.tracking import strayed, track
+from smoothers.scp.nlp import with_intervals
+from smoothers.scp.qp_step import Penalties, Subproblem, pool_of_this_thread, solve_step, trusted_nodes
+from smoothers.scp.rollout import Variables, roll_out, sensitivity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,33 +37,27 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
-__all__ = ["EarlierResult", "InitialGuesses", "pure_pursuit", "rest_of_earlier_result"]
+__all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit", "rest_of_earlier_result", "track"]
 
 
 @dataclass(frozen=True, eq=False)
 class InitialGuesses:
-    """The guesses for one program.
-
-    Args:
-        nlp: The program.
-        earlier: What is left of an earlier result, or None.
-        pool: Convex programs, for tracking.
-        is_late: Asked before and within tracking: whether there is no time for another iteration.
-    """
+    """The guesses for one program."""
 
     nlp: NonlinearProgram
-    earlier: EarlierResult | None = None
-    pool: ProgramPool = field(default_factory=pool_of_this_thread)
+    earlier: EarlierResult | None = None  # rest of an earlier result, or None
+    pool: ProgramPool = field(default_factory=pool_of_this_thread)  # convex programs, for tracking
+    # whether there is no time for another iteration; called before and within tracking
     is_late: Callable[[], bool] = never_late
 
     @property
     def first(self) -> SearchGuess:
-        """The most promising one."""
+        """First guess: fit, pursuit, or tracked."""
         return self._cold(self._first, self.nlp.settings.guess.patience)
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """The tracked one, where the input can be tracked and it was not the first; None where both are alike."""
+        """Tracked guess if the input can be tracked; None where it is the first one or close to it."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -70,7 +66,7 @@ class InitialGuesses:
 
     @property
     def other(self) -> SearchGuess | None:
-        """The second of fit and drive, for an obstacle met on its wrong side; None where it is like the first."""
+        """The other one of fit and pursuit, for obstacles passed on the wrong side; None where close to the first."""
         settings, second = self.nlp.settings.guess, self._untracked
         if self._first is second:
             second = self.pursued if second is self.fitted else self.fitted
@@ -79,7 +75,7 @@ class InitialGuesses:
 
     @property
     def rest_of_earlier(self) -> SearchGuess | None:
-        """What is left of the earlier result, or None."""
+        """Rest of the earlier result, or None."""
         if self.earlier is None:
             return None
         settings = self.nlp.settings.guess
@@ -90,50 +86,50 @@ class InitialGuesses:
 
     @cached_property
     def fitted(self) -> Variables:
-        """Curvatures whose headings fit the input's in the least-squares sense, smoothed and cut to the limit."""
+        """Smoothed least-squares fit of the input's headings (S9), within the bounds."""
         nlp, lengths = self.nlp, self.nlp.lengths
         turned = nlp.basis.fit @ (nlp.traced.headings - nlp.ends.start[2])
         return clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
 
     @cached_property
     def pursued(self) -> Variables:
-        """A drive along the input within the limits."""
+        """Pure pursuit of the input within the bounds (S10)."""
         nlp = self.nlp
         found = pure_pursuit(nlp.basis, nlp.traced.positions, nlp.ends, nlp.inner_bounds, nlp.settings.guess)
         return clipped(found, nlp.inner_bounds)
 
     @cached_property
     def tracked(self) -> Variables:
-        """The drivable path whose positions are nearest to the input's."""
+        """Drivable path whose positions are nearest to the input's (S22)."""
         return track(self.nlp, self.pool, self._untracked, self.trust_region, self.is_late)
 
     @cached_property
     def trust_region(self) -> float:
-        """How far headings may turn in a first step [rad]: positions err by its square times half the length."""
+        """First bound of the heading changes [rad]: position errors are its square times half the length."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
 
     @cached_property
     def _untracked(self) -> Variables:
-        """The fit, or the drive where the fit leads away from the input."""
+        """The fit, or the pursuit where the fit leads away from the input."""
         settings, driven = self.nlp.settings.guess, self._fit_driven
         turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
-        is_near = strayed(self.nlp, driven) < settings.astray and turned < settings.turned_away
+        is_near = largest_deviation(self.nlp, driven) < settings.astray and turned < settings.turned_away
         return self.fitted if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
-        """Whether it stays near the input, or at least much nearer than the others do: on long paths spans are long."""
+        """Whether the tracked path is near the input, or much nearer than the others."""
         settings = self.nlp.settings.guess
-        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
+        tracked, other = (largest_deviation(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
-        """The fit or the drive; the tracked one where they lead off the input into obstacles or past the goal."""
+        """The fit or the pursuit; the tracked one where they lead into obstacles or past the goal."""
         nlp, first = self.nlp, self._untracked
-        is_near = first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
+        is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
             return first
         begun, _ = evaluated(nlp, first)
@@ -157,29 +153,22 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """A guess of this call; the longer the path, the more steps are refused until they are small enough."""
+        """A guess of this call; longer paths have more patience."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 
 class EarlierResult(NamedTuple):
-    """What is left of an earlier result: its last gears, where in the first of them it begins, and free lengths.
+    """The rest of an earlier result ahead of the robot."""
 
-    Attributes:
-        path: The earlier result.
-        first: Index of the first gear that is left.
-        begin: Arc length within that gear [m].
-        lengths: What is left of every gear, without the final straight, Shape (num_gears,) [m].
-    """
-
-    path: Path
-    first: int
-    begin: float
-    lengths: FloatArray
+    path: Path  # earlier result
+    first: int  # index of the first gear that is left
+    begin: float  # arc length within that gear [m]
+    lengths: FloatArray  # remaining lengths of the gears without the final straight, Shape (num_gears,) [m]
 
     def variables(self, basis: Basis) -> Variables:
-        """Its curvatures at the knots of `basis`."""
+        """Return its curvatures at the knots of `basis`."""
         knots = []
         for m, segment in enumerate(self.path.segments[self.first :]):
             share = np.linspace(0.0, 1.0, int(basis.last_knots[m] - basis.first_knots[m]) + 1)
@@ -190,10 +179,7 @@ class EarlierResult(NamedTuple):
 def rest_of_earlier_result(
     earlier: Path | None, path: Path, problem: DockingProblem, settings: GuessSettings
 ) -> EarlierResult | None:
-    """What is left of `earlier` for a robot at the problem's start, or None where it is of no use.
-
-    It is of use when it is a clothoid path whose last gears are those of `path` and the robot is near it.
-    """
+    """Return the rest of `earlier` from the problem's start; None unless clothoid, near it and with gears of `path`."""
     if earlier is None or not all(isinstance(segment, ClothoidSegment) for segment in earlier.segments):
         return None
     count = len(path.segments)
@@ -225,7 +211,7 @@ class _Limits(NamedTuple):
 
 
 class _Drive(NamedTuple):
-    """A driven gear: yaw at equally spaced points, its length, and where it ends."""
+    """A driven gear: yaw at equally spaced points, length [m] and last pose."""
 
     yaw: list[float]
     length: float
@@ -235,15 +221,7 @@ class _Drive(NamedTuple):
 def pure_pursuit(
     basis: Basis, positions: FloatArray, ends: Ends, bounds: VariableBounds, settings: GuessSettings
 ) -> Variables:
-    """Curvatures and lengths of a drive along `positions`, by pure pursuit with bounded curvature and rate.
-
-    Args:
-        basis: Shape of the path.
-        positions: The input at the nodes, Shape (num_nodes, 2) [m].
-        ends: Start, target, gears.
-        bounds: Of curvature and rate.
-        settings: Length of a step and of the whole.
-    """
+    """Return the variables of a pure pursuit of `positions`, Shape (num_nodes, 2) [m], within the bounds."""
     limit = float(bounds.upper[: basis.num_knots].max())
     headings, lengths = np.empty(basis.num_intervals), np.empty(basis.num_gears)
     pose = (float(ends.start[0]), float(ends.start[1]), float(ends.start[2]))
@@ -259,13 +237,13 @@ def pure_pursuit(
         middle = (np.arange(mine.sum()) + 0.5) / mine.sum()
         headings[mine] = np.interp(middle * (len(drive.yaw) - 1.0), np.arange(len(drive.yaw)), drive.yaw)
         lengths[m], pose = drive.length, drive.pose
-    # Curvatures at the few knots that reproduce the headings, not samples of the curvature: those would drift away.
+    # A fit of the headings: samples of the curvature at the few knots would drift away.
     turned = basis.fit @ (headings - ends.start[2])
     return Variables(turned / lengths[basis.knot_gear], lengths)
 
 
 def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
-    """The points at about the step's spacing, continued straight at the end so that the pursuit lines up with it."""
+    """The points at the spacing of a step, continued straight at the end so that the pursuit aligns with it."""
     away = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     s = np.arange(0.0, away[-1], limits.step)
     dense = [np.interp(s, away, points[:, i]) for i in (0, 1)]
@@ -300,7 +278,7 @@ def _pursue(
 
 
 def _advanced(line: list[tuple[float, float]], nearest: int, x: float, y: float) -> int:
-    """The nearest point from here on, without jumping past a farther one."""
+    """Index of the next local minimum of the distance, from `nearest` on."""
     best = math.hypot(line[nearest][0] - x, line[nearest][1] - y)
     while nearest + 1 < len(line):
         following = math.hypot(line[nearest + 1][0] - x, line[nearest + 1][1] - y)
@@ -318,8 +296,115 @@ def _steered(
     heading = pose[2] + (0.0 if sign > 0.0 else math.pi)
     along, across = dx * math.cos(heading) + dy * math.sin(heading), dy * math.cos(heading) - dx * math.sin(heading)
     distance = max(math.hypot(dx, dy), 1e-6)
-    # Behind the robot the arc through the target is too flat: turn as sharply as possible.
+    # The arc through a target behind the robot is too flat.
     wanted = 2.0 * across / distance**2 if along > 0.0 else math.copysign(limits.curvature, across)
     change = limits.rate * limits.step
     wanted = min(max(wanted, kappa - change), kappa + change)
     return min(max(wanted, -limits.curvature), limits.curvature)
+
+
+def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
+    """Return the largest distance of a node from the input [m]."""
+    return float(np.hypot(*(rollout.poses[:, :2] - nlp.traced.positions).T).max())
+
+
+def track(
+    nlp: NonlinearProgram, pool: ProgramPool, variables: Variables, trust_region: float, is_late: Callable[[], bool]
+) -> Variables:
+    """Return the variables after Gauss-Newton steps towards the input's positions (S22), without obstacles.
+
+        minimize  w integral of (across^2 + a along^2) ds + w a' sum over cusps of |p - p_ref|^2
+                  + smoothness + goal error
+
+    within a trust region ([Nocedal2006] ch. 10), with the convex program of the search, in about a millisecond.
+
+    Args:
+        nlp: Input, ends and bounds.
+        pool: Convex programs.
+        variables: First variables.
+        trust_region: First bound of the heading changes of a step [rad].
+        is_late: Called before every step; True ends the iteration.
+    """
+    settings, knots = nlp.settings.tracking, nlp.basis.num_knots
+    nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
+    least_squares = _LeastSquares.of(nlp)
+    current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
+    penalties = Penalties(0.0, settings.goal_weight)
+    around: Subproblem | None = None
+    for _ in range(settings.most_steps):
+        if is_late():
+            break
+        around = around or least_squares.linearized(current)
+        step = solve_step(nlp, around, pool, trust_region, settings.proximal, penalties)
+        if step is None:
+            break
+        moved = np.concatenate(current.variables) + step.change
+        trial = least_squares.at(Variables(moved[:knots], moved[knots:]))
+        if trial.merit >= current.merit:
+            trust_region *= settings.trust_cut
+            continue
+        gain, current, around = current.merit - trial.merit, trial, None
+        trust_region = min(settings.trust_growth * trust_region, settings.most_trust)
+        if gain < settings.small_gain * current.merit or largest_deviation(nlp, current.rollout) < settings.near:
+            break
+    return current.variables
+
+
+class _TrackedPath(NamedTuple):
+    """Variables, their roll-out, and the merit."""
+
+    variables: Variables
+    rollout: Rollout
+    merit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _LeastSquares:
+    """The residuals of one program at every node, across and along the input."""
+
+    nlp: NonlinearProgram
+    axes: tuple[FloatArray, FloatArray]  # unit vectors across and along the input, Shape (num_nodes, 2) each
+    weights: tuple[FloatArray, FloatArray]  # weights of the squared residuals, Shape (num_nodes,) each
+    smoothness: float  # weight of the integral of the squared curvature rate
+
+    @classmethod
+    def of(cls, nlp: NonlinearProgram) -> _LeastSquares:
+        settings, basis, normals = nlp.settings.tracking, nlp.basis, nlp.cost.reference.normals
+        share = settings.weight * float(nlp.lengths.sum()) / basis.num_intervals
+        across, along = np.full(basis.num_nodes, share), np.full(basis.num_nodes, share * settings.along)
+        cusps = basis.last_nodes[:-1]
+        across[cusps] = along[cusps] = share * settings.cusp
+        axes = normals, np.column_stack((-normals[:, 1], normals[:, 0]))
+        return cls(nlp, axes, (across, along), settings.smoothness * nlp.cost.factors[1])
+
+    def at(self, variables: Variables) -> _TrackedPath:
+        """Roll out the variables and compute the merit."""
+        nlp, basis = self.nlp, self.nlp.basis
+        rollout = roll_out(basis, variables, nlp.ends.start, nlp.ends.signs)
+        squares = sum(float(w @ r**2) for w, r in zip(self.weights, self._residuals(rollout), strict=True))
+        slopes = variables.curvature * (basis.stiffness @ variables.curvature) / variables.lengths[basis.knot_gear]
+        missed = float(np.abs(nlp.ends.error(rollout)).sum())
+        merit = squares + self.smoothness * float(slopes.sum()) + nlp.settings.tracking.goal_weight * missed
+        return _TrackedPath(variables, rollout, merit)
+
+    def linearized(self, current: _TrackedPath) -> Subproblem:
+        """The convex model at an iterate, without clearance."""
+        nlp, basis, (variables, rollout, _) = self.nlp, self.nlp.basis, current
+        by, knots = sensitivity(basis, variables, rollout), basis.num_knots
+        stiffness = self.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness
+        gradient, hessian = np.zeros(basis.size), np.zeros((basis.size, basis.size))
+        gradient[:knots], hessian[:knots, :knots] = 2.0 * (stiffness @ variables.curvature), 2.0 * stiffness
+        for axis, weight, residual in zip(self.axes, self.weights, self._residuals(rollout), strict=True):
+            moved = axis[:, :1] * by.x + axis[:, 1:] * by.y
+            gradient += 2.0 * (weight * residual) @ moved
+            hessian += 2.0 * moved.T @ (weight[:, None] * moved)
+        goal = end_sensitivity(basis, variables, rollout.moves), nlp.ends.error(rollout)
+        headings = by.yaw[trusted_nodes(basis, nlp.settings.step)]
+        no_rows = ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
+        motion = np.eye(basis.size)
+        return Subproblem(variables, Quadratic(gradient, hessian), motion, goal, headings, no_rows)
+
+    def _residuals(self, rollout: Rollout) -> tuple[FloatArray, FloatArray]:
+        away = rollout.poses[:, :2] - self.nlp.traced.positions
+        across, along = (axis[:, 0] * away[:, 0] + axis[:, 1] * away[:, 1] for axis in self.axes)
+        return across, along

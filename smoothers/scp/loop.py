@@ -1,10 +1,9 @@
-"""The loop: sequential convex programming with an L1 merit function and a trust region.
+"""Sequential convex programming with an L1 merit function and a trust region.
 
 A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
-and linearized goal and clearance constraints with L1 penalties. Every iterate is driven exactly and, where possible,
-projected onto the goal, so every iterate is drivable and nearly every one is a candidate for the result. A step is
-accepted when it lowers the merit `J + rho * shortfalls of clearance + rho_T * error at the goal` ([Fletcher1985],
-[Nocedal2006] ch. 18).
+and linearized goal and clearance constraints with L1 penalties. Every iterate is rolled out exactly and projected onto
+the goal where possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
+([Fletcher1985], [Nocedal2006] ch. 18).
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import never_late
-from smoothers.scp.collision.active_pairs import active_pairs
 from smoothers.scp.collision.broad_phase import broad_phase
 from smoothers.scp.collision.collision_scene import body_at_nodes
-from smoothers.scp.collision.linearization import ClearanceRows, linearized_clearance
+from smoothers.scp.collision.linearization import ClearanceRows, active_pairs, linearized_clearance
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
 from smoothers.scp.qp_step import Penalties, QpStep, Subproblem, solve_step, trusted_nodes, zone_of
@@ -41,64 +39,45 @@ __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"
 
 
 class SearchGuess(NamedTuple):
-    """Where a search begins, and how boldly.
+    """First variables of a search, and its first step bounds."""
 
-    Attributes:
-        variables: Curvatures and lengths.
-        trust_region: First bound of the heading changes of a step [rad].
-        proximal: First weight of the squared motion of a step.
-        patience: Iterations within which an infeasible iterate must lose a good part of its shortfall.
-    """
-
-    variables: Variables
-    trust_region: float
-    proximal: float
-    patience: int
+    variables: Variables  # curvatures and lengths
+    trust_region: float  # first bound of the heading changes of a step [rad]
+    proximal: float  # first weight of the squared motion of a step
+    patience: int  # iterations within which the shortfall of an infeasible iterate must shrink
 
 
 class Iterate(NamedTuple):
-    """A driven path and how it does.
+    """Variables with their roll-out and constraint values."""
 
-    Attributes:
-        variables: Knot curvatures and gear lengths.
-        rollout: The driven path.
-        cost: Its cost.
-        clearance: Its near pairs.
-        zones: Shape (zones,) [m], worst shortfall of clearance and of the view in each zone, >= 0.
-        end_error: Shape (3,) [m, m, rad].
-        on_goal: Whether it ends at the target.
-        feasible: Whether it may be certified.
-        view: The view where the path must have it; None where nothing must be seen.
-    """
-
-    variables: Variables
+    variables: Variables  # knot curvatures and gear lengths
     rollout: Rollout
-    cost: float
-    clearance: Clearance
-    zones: FloatArray
-    end_error: FloatArray
-    on_goal: bool
-    feasible: bool
-    view: SeenPlaces | None = None
+    cost: float  # value of the cost
+    clearance: Clearance  # near pairs
+    zones: FloatArray  # largest shortfall of clearance and view in each zone, >= 0, Shape (zones,) [m]
+    end_error: FloatArray  # Shape (3,) [m, m, rad]
+    on_goal: bool  # whether the path ends at the target
+    feasible: bool  # whether the path may be certified
+    view: SeenPlaces | None = None  # view margins, or None without a required view
 
     @property
     def shortfall(self) -> float:
-        """Worst shortfall of clearance or of the view [m]."""
+        """Largest shortfall of clearance or view [m]."""
         return float(self.zones.max())
 
     @property
     def missing(self) -> float:
-        """Shortfalls over all zones and error at the goal [m, rad]."""
+        """Sum of the shortfalls of all zones and of the goal error [m, rad]."""
         return float(self.zones.sum() + np.abs(self.end_error).sum())
 
     def merit(self, penalties: Penalties) -> float:
-        """Cost plus penalties."""
+        """Return the cost plus penalties."""
         missed, short = float(np.abs(self.end_error).sum()), float(self.zones.sum())
         return self.cost + penalties.clearance * short + penalties.goal * missed
 
 
 class Progress(NamedTuple):
-    """The state after an iteration: the current iterate, and whether the search has ended and converged."""
+    """The current iterate after an iteration, and whether the search has converged."""
 
     iterate: Iterate
     iterations: int
@@ -112,16 +91,18 @@ def search(
     max_iterations: int = 60,
     is_late: Callable[[], bool] = never_late,
 ) -> Iterator[Progress]:
-    """Yield after every iteration, the initial iterate first; the last one is `finished`.
+    """Yield the progress after every iteration, the initial iterate first; the last one is `finished`.
 
     Args:
-        nlp: What to search for.
-        guess: Where to begin.
+        nlp: Program.
+        guess: First variables.
         pool: Convex programs.
-        max_iterations: Steps at most.
-        is_late: Asked within every iteration; once it is True the search ends without a further word.
+        max_iterations: Largest number of steps.
+        is_late: Called within every iteration; True ends the search without another result.
     """
-    state = _State.at(guess, nlp.settings.loop)
+    settings = nlp.settings.loop
+    penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
+    state = _State(settings, guess.trust_region, guess.proximal, guess.patience, penalties)
     if is_late():
         return
     current, _ = evaluated(nlp, guess.variables)
@@ -148,15 +129,9 @@ def search(
 
 
 def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | None = None) -> tuple[Iterate, float]:
-    """Project, drive and judge.
+    """Return the projected iterate of `variables`, and its largest change of heading [rad] or length [m].
 
-    Args:
-        nlp: What is searched for.
-        variables: Wanted curvatures and lengths.
-        before: The iterate from which they are a step, or None.
-
-    Returns:
-        The iterate, and how far it turned [rad] or stretched [m] at most.
+    The change is 0 without an iterate `before`.
     """
     settings = nlp.settings.loop
     variables, rollout = project_and_roll_out(nlp, variables)
@@ -169,7 +144,7 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 
 
 def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
-    """A driven path and how it does; pairs further apart than `reach` [m] beyond the requirement are left out."""
+    """Return the iterate of a roll-out; pairs more than `reach` [m] above the requirement are left out."""
     settings, scene, basis = nlp.settings.loop, nlp.scene, nlp.basis
     body = body_at_nodes(scene, rollout.poses)
     pairs = broad_phase(scene, basis, rollout, body, reach + scene.rule.required)
@@ -177,7 +152,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
     count = nlp.settings.step.zones
     zones = np.zeros(count)
     if found.margin.size:
-        # The end poses are given and were checked before: the cautious bound next to them is not a fault of the path.
+        # The end poses are given and were checked; the lower bound in the intervals next to them is conservative.
         at_ends = (pairs.interval == 0) | (pairs.interval == basis.num_intervals - 1)
         short = np.where(at_ends, -settings.end_allowance, 0.0) - found.margin
         np.maximum.at(zones, zone_of(basis, basis.left[pairs.interval], count), short)
@@ -194,7 +169,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
 
 
 def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
-    """The linearization at an iterate; its steps aim at a buffer of clearance."""
+    """The linearization at an iterate, with a buffer of clearance."""
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     buffer = settings.buffer + state.overshoot(current)
     by = sensitivity(basis, current.variables, rollout)
@@ -208,7 +183,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
         seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
         rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, seeing, strict=True)))
     rows = rows.lowest(most)
-    # Less near the ends, where the pose cannot move.
+    # The buffer vanishes at the ends, where the pose cannot move.
     away = [np.hypot(*(rollout.poses[:, :2] - point[:2]).T) for point in (nlp.ends.start, nlp.ends.target)]
     wanted = buffer * np.minimum(1.0, np.minimum(away[0], away[1]) / settings.buffer_taper)
     rows = rows._replace(gap=rows.gap - wanted[rows.node])
@@ -217,7 +192,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
-    """The iterate after a step if its merit is lower; adapts trust region and proximal weight."""
+    """The iterate after a step if its merit is lower, else None; adapts trust region and proximal weight."""
     if step is None:
         state.reject(state.trust_region)
         return None
@@ -232,7 +207,7 @@ def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, stat
 
 @dataclass
 class _State:
-    """What adapts during the search."""
+    """Trust region, penalties and history of a search."""
 
     settings: LoopSettings
     trust_region: float
@@ -244,33 +219,27 @@ class _State:
     shortfalls: list[float] = field(default_factory=list)
     found: bool = False
 
-    @classmethod
-    def at(cls, guess: SearchGuess, settings: LoopSettings) -> _State:
-        """The state in which a search begins."""
-        penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
-        return cls(settings, guess.trust_region, guess.proximal, guess.patience, penalties)
-
     def overshoot(self, current: Iterate) -> float:
-        """How much more clearance than the usual buffer to aim at [m], until a first feasible iterate is found.
+        """Clearance added to the buffer before the first feasible iterate [m].
 
-        Where sides roll around a corner a step falls short by about as much as the one before it.
+        Where sides roll around a corner, a step falls short by about as much as the one before it.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
     def accept(self) -> None:
-        """A step was good: dare more."""
+        """Enlarge the trust region after an accepted step."""
         self.trust_region = min(self.settings.trust_growth * self.trust_region, self.settings.most_trust)
         self.proximal = max(self.settings.proximal_cut * self.proximal, self.settings.least_proximal)
         self.rejections = 0
 
     def reject(self, moved: float) -> None:
-        """A step that moved by so much was bad: stay closer."""
+        """Shrink the trust region after a rejected step that moved by `moved`."""
         self.trust_region = self.settings.trust_cut * min(self.trust_region, max(moved, 1e-6))
         self.proximal *= self.settings.proximal_growth
         self.rejections += 1
 
     def has_settled(self, before: Iterate, after: Iterate) -> bool:
-        """Whether a feasible iterate has stopped to improve, or will with the next step if gains shrink as they did."""
+        """Whether the gain of a feasible iterate, or the extrapolated next one, is small."""
         gain = before.merit(self.penalties) - after.merit(self.penalties)
         previous, self.gain = self.gain, gain if before.feasible else math.inf
         expected = gain * min(1.0, gain / previous) if math.isfinite(previous) else gain
@@ -278,9 +247,9 @@ class _State:
         return after.feasible and before.feasible and min(gain, 2.0 * expected) < small
 
     def is_hopeless(self, current: Iterate) -> bool:
-        """Whether to give up: a feasible iterate that no step improves, or a shortfall that no longer shrinks.
+        """Whether no step improves a feasible iterate, or the shortfall no longer shrinks.
 
-        Where the shortfall costs less than the path itself, its weight is raised first.
+        The penalties are raised first where the shortfall costs less than the path itself.
         """
         settings, penalties = self.settings, self.penalties
         if current.feasible:

@@ -1,4 +1,4 @@
-"""The problem: a docking problem and an input path as a nonlinear program of few variables.
+"""The nonlinear program of a docking problem and an input path.
 
     minimize    J(K, L)                                      (`cost`)
     subject to  |K| <= k_max, |K_(j+1) - K_j| <= s_max L / q, L > 0
@@ -6,7 +6,7 @@
                 clearance of the swept footprint >= required clearance       (`collision`)
                 marker of the dock inside the camera's view                  (`visibility_constraint`)
 
-K: curvatures at the knots, L: lengths of the gears. The final straight is not a variable: its poses are given.
+K: curvatures at the knots, L: lengths of the gears. The final straight is given and has no variables.
 """
 
 from __future__ import annotations
@@ -38,98 +38,63 @@ if TYPE_CHECKING:
 
 __all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
 
-# Least share that the curvature rate counts: splines want to stay smooth where the robot stands, too.
-_BRAKING_ROOM = 1.02  # times the braking distance: a timing needs a little to spare
-_EASED_MOST = 0.0025
-# [1/m]: robots of at least this largest curvature keep to their input as the weight of tracking says, lateral distances
-# being measured in metres; for others they are measured in turning radii.
+_BRAKING_ROOM = 1.02  # times the braking distance: slack for the timing
+_EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth where the robot is at rest, too
+# [1/m]: for smaller largest curvatures, lateral distances from the input count in turning radii instead of metres.
 _TRACKED = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Where the path begins and must end.
+    """Ends and gears of the path."""
 
-    Args:
-        start: Shape (3,) [m, m, rad].
-        target: Likewise.
-        signs: Gears, Shape (num_gears,).
-        reach: Error at the goal from which on Newton steps are not tried [m, rad].
-    """
-
-    start: FloatArray
+    start: FloatArray  # poses, Shape (3,) [m, m, rad]
     target: FloatArray
-    signs: FloatArray
-    reach: float = 0.5
+    signs: FloatArray  # gears, Shape (num_gears,)
+    reach: float = 0.5  # largest goal error for Newton steps [m, rad]
 
     def error(self, rollout: Rollout) -> FloatArray:
-        """Last pose minus target, Shape (3,)."""
+        """Return the last pose minus the target, Shape (3,)."""
         difference: FloatArray = rollout.poses[-1] - self.target
         return difference
 
 
 @dataclass(frozen=True, eq=False)
 class VariableBounds:
-    """Bounds of the variables and of the curvature rate.
+    """Bounds of the variables and of the curvature rate."""
 
-    Args:
-        lower: Shape (size,), smallest knot curvatures and gear lengths.
-        upper: Shape (size,).
-        rate: Largest curvature rate [1/m^2]; may be infinite.
-    """
-
-    lower: FloatArray
+    lower: FloatArray  # bounds of knot curvatures and gear lengths, Shape (size,)
     upper: FloatArray
-    rate: float
+    rate: float  # largest curvature rate [1/m^2]; may be infinite
 
 
 class TracedInput(NamedTuple):
-    """The input path at the nodes, without its final straight.
+    """The input path at the nodes, without its final straight."""
 
-    Attributes:
-        positions: Shape (num_nodes, 2) [m].
-        headings: Shape (num_intervals,) [rad], direction of each chord, continuous.
-        end_yaw: Yaw of the input's last pose, continuous with the headings [rad].
-    """
-
-    positions: FloatArray
-    headings: FloatArray
-    end_yaw: float
+    positions: FloatArray  # Shape (num_nodes, 2) [m]
+    headings: FloatArray  # direction of each chord, continuous, Shape (num_intervals,) [rad]
+    end_yaw: float  # yaw of the input's last pose, continuous with the headings [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """What is minimized under which constraints.
-
-    Args:
-        basis: Shape of the path.
-        ends: Start, target before the final straight, gears.
-        bounds: What iterates keep exactly.
-        inner_bounds: The same a little tighter: what the steps aim at.
-        cost: What is minimized.
-        scene: What must be kept clear of.
-        traced: The input.
-        lengths: Gear lengths to begin with, Shape (num_gears,) [m].
-        radius: Smallest turning radius, at least half a metre [m].
-        settings: Constants of the method.
-        view: What must be seen along the path, or None.
-    """
+    """Cost and constraints."""
 
     basis: Basis
-    ends: Ends
-    bounds: VariableBounds
-    inner_bounds: VariableBounds
+    ends: Ends  # start, target before the final straight, gears
+    bounds: VariableBounds  # bounds that iterates keep exactly
+    inner_bounds: VariableBounds  # slightly tighter bounds of the steps
     cost: CostModel
-    scene: Scene
-    traced: TracedInput
-    lengths: FloatArray
-    radius: float
+    scene: Scene  # obstacles and clearance rule
+    traced: TracedInput  # input at the nodes
+    lengths: FloatArray  # first gear lengths, Shape (num_gears,) [m]
+    radius: float  # smallest turning radius, at least 0.5 m [m]
     settings: Settings
-    view: ViewBound | None = None
+    view: ViewBound | None = None  # required view along the path, or None
 
 
 class Formulation(NamedTuple):
-    """What the caller of the method chooses: weights, least number of spans, length of a collision interval [m]."""
+    """Weights, least number of spans, and length of a collision interval [m], from the parameters."""
 
     weights: Weights
     spans: int
@@ -144,14 +109,14 @@ def formulate(
     lengths: FloatArray | None,
     settings: Settings,
 ) -> NonlinearProgram:
-    """The program of smoothing `path` for `problem`.
+    """Return the program of smoothing `path` for `problem`.
 
     Args:
-        path: The input.
-        problem: What must hold.
+        path: Input.
+        problem: Constraints.
         scene: Obstacles around the input.
         chosen: Weights and resolution.
-        lengths: Gear lengths to begin with where they are not those of the input, Shape (num_gears,) [m], or None.
+        lengths: First gear lengths, Shape (num_gears,) [m]; None: those of the input.
         settings: Constants of the method.
     """
     limits, straight = problem.robot.limits, problem.dock.final_straight
@@ -179,17 +144,12 @@ def formulate(
 
 
 def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProgram:
-    """The same program with other collision intervals; its variables mean the same.
-
-    Args:
-        nlp: The program.
-        cells: Intervals in every span of each gear.
-    """
+    """Return the program with `cells` collision intervals in every span of each gear, and the same variables."""
     shape = tuple((spans, count) for (spans, _), count in zip(nlp.basis.shape, cells, strict=True))
     if shape == nlp.basis.shape:
         return nlp
     old, basis = nlp.basis, basis_for(shape, nlp.settings.resolution.fit_smoothing)
-    # Where every new node lies among the old ones: at the same share of its gear's length.
+    # Fractional index of every new node among the old ones, by the share of its gear's length.
     node = np.concatenate(
         [
             np.interp(basis.fraction[basis.node_gear == m], old.fraction[own], np.flatnonzero(own))
@@ -208,7 +168,7 @@ def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProg
 
 
 def free_lengths(path: Path, final_straight: float) -> FloatArray:
-    """Gear lengths of the input without its final straight. Shape (num_gears,) [m]."""
+    """Return the gear lengths of the input without its final straight. Shape (num_gears,) [m]."""
     lengths = np.array([segment.length for segment in path.segments])
     lengths[-1] = max(lengths[-1] - final_straight, 0.25 * lengths[-1], 0.01)
     kept: FloatArray = np.maximum(lengths, 0.01)
@@ -216,10 +176,10 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Spans by share of length, at least four per gear, even where there are several gears; intervals per span.
+    """Return the spans of each gear, by share of length and at least four, and the intervals per span.
 
     Args:
-        lengths: Of the gears, Shape (num_gears,) [m].
+        lengths: Lengths of the gears, Shape (num_gears,) [m].
         chosen: Least number of spans of all gears together, and length of a collision interval.
         longest: Longest span [m].
         settings: Limits of both.
@@ -233,7 +193,7 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
 
 
 def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
-    """The input at the nodes of `basis`; headings follow its motion, not its yaws."""
+    """Return the input at the nodes of `basis`; headings are those of its chords, not its yaws."""
     poses = []
     for m, segment in enumerate(path.segments):
         share = basis.fraction[basis.node_gear == m]
@@ -251,7 +211,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
-    """Positions, and normals at the nodes from the mean of the neighbouring headings."""
+    """Positions and normals at the nodes; headings there are the means of the neighbouring ones."""
     heading = np.empty(basis.num_nodes)
     heading[basis.left] = traced.headings
     heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
@@ -261,7 +221,7 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
-    """The goal moved back by the final straight, its yaw on the branch of the input's."""
+    """The goal moved back by the final straight, with the yaw on the branch of the input."""
     goal = problem.goal.as_array()
     back = sign * problem.dock.final_straight
     goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
@@ -274,26 +234,25 @@ def _curvature_bound(limits: MotionLimits, settings: BoundSettings) -> float:
 
 
 def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[float, float]:
-    """Curvature [1/m] and curvature rate [1/m^2] that the cost counts as one."""
+    """Reference curvature [1/m] and curvature rate [1/m^2] of the cost."""
     curvature = limits.max_curvature if math.isfinite(limits.max_curvature) else settings.unlimited_curvature
     rate = limits.max_curvature_rate
-    if limits.wheelbase > 0.0:  # what the wheels can follow at full speed: more than that costs time
+    if limits.wheelbase > 0.0:  # the rate that the wheels can follow at full speed
         rate = min(rate, limits.max_steering_rate / (limits.wheelbase * limits.max_speed))
     return curvature, rate if math.isfinite(rate) else settings.unlimited_rate * curvature
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """What turning the wheels at rest by `curvature` costs [m]: the time that it takes, at full speed."""
+    """Cost of steering from 0 to `curvature` at rest: distance at full speed in the same time [m]."""
     if limits.wheelbase <= 0.0:
         return 0.0
     return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed
 
 
 def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArray | None:
-    """What turning the wheels in motion counts in each span: the square of the speed there, in full speeds.
+    """Weight of the curvature rate of steered robots in each span: the squared speed relative to the full speed.
 
-    A robot that sets off, or stops, is slow, and its wheels can follow sharper changes of curvature. The speeds are
-    those of the fastest motion along gears of these lengths that the accelerations allow.
+    The speed is that of the fastest motion along gears of these lengths under the acceleration limits.
     """
     if limits.wheelbase <= 0.0:
         return None
@@ -306,15 +265,12 @@ def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArr
 
 
 def _scaled(weights: Weights, curvature: float) -> Weights:
-    """The weights for a robot of this largest curvature [1/m]: the wider it turns the farther it may leave its input.
-
-    Reeds-Shepp words of cars are metres beside what is fast among the same obstacles.
-    """
+    """The weights for a robot of this largest curvature [1/m]; robots with wide turns may leave their input farther."""
     return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
 def _braking_distance(problem: DockingProblem) -> float:
-    """How far the robot drives until it stops, as hard as it can brake from its start state [m]."""
+    """Distance of full braking from the start state [m]."""
     (speed, acceleration), limits = problem.start_state(1), problem.robot.limits
     if speed == 0.0:
         return 0.0
@@ -326,7 +282,7 @@ def _braking_distance(problem: DockingProblem) -> float:
 def _variable_bounds(
     basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
 ) -> tuple[VariableBounds, VariableBounds]:
-    """Exact bounds, and the inner ones that steps aim at."""
+    """Exact bounds, and the inner ones of the steps."""
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]

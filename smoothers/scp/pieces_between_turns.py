@@ -1,8 +1,7 @@
-"""Paths that turn in place: cut at the turns into pieces between rests, each smoothed separately.
+"""Paths that turn in place: divided at the turns into pieces that are smoothed separately.
 
-The position of a turn and its headings are joints that stay as they are, so a piece has fixed poses at both ends, and
-free curvature where a turn is. What must hold near the start and near the goal of the whole problem holds for every
-piece; one certificate of the whole path decides in the end.
+Positions and headings of turns stay, so a piece has fixed poses at both ends and free curvature at turns. The rules
+near the start and the goal of the whole problem count for every piece; the whole path is certified.
 """
 
 from __future__ import annotations
@@ -37,14 +36,13 @@ if TYPE_CHECKING:
 __all__ = ["TurningSolver", "with_turns"]
 
 _STRAIGHT_SAMPLES = 33
-_MEANT = 0.5  # [rad]: a larger turn without motion is not a coarsely sampled curve
-# Share of what is left of the time that is kept back for the certificate of the whole: that of the pieces took about a
-# fifth of theirs.
+_MEANT = 0.5  # [rad]: smaller turns without motion may be part of a coarsely sampled curve
+# Share of the remaining time that is reserved for the certificate of the whole, as measured for pieces.
 _CERTIFICATE_SHARE = 0.2
 
 
 class _Joined(NamedTuple):
-    """Pieces and turns so far; `kept`: whether a straight piece was taken as it is."""
+    """Pieces and turns so far, their cost, and whether a straight piece of the input was kept."""
 
     segments: list[Segment]
     cost: float
@@ -53,14 +51,7 @@ class _Joined(NamedTuple):
 
 @dataclass
 class TurningSolver:
-    """Smooths what lies between the turns of a path.
-
-    Args:
-        pool: Convex programs.
-        deadline: Seconds left.
-        cancelled: Polled every iteration.
-        settings: Constants of the method.
-    """
+    """Smooths the pieces between the turns of a path; arguments as of `Solver`."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -69,15 +60,12 @@ class TurningSolver:
     outcome: SearchOutcome = field(default_factory=SearchOutcome)
 
     def follow_strategy(self, call: Call) -> Incumbent:
-        """A certified path; straight pieces are kept as they are where the whole can be certified with them.
-
-        Args:
-            call: What is asked for; its path turns in place.
+        """Return a certified path; straight pieces are kept if the whole can be certified with them.
 
         Raises:
-            FailedToSmoothPath: Which bound is in the way.
-            SmootherTimedOut: No certified path in time.
-            SmootherCancelled: The caller does not want it any more.
+            FailedToSmoothPath: If a bound cannot be kept.
+            SmootherTimedOut: If no path is certified in time.
+            SmootherCancelled: If `cancelled` returned True.
         """
         refusal = refuse_turns(call.path, call.problem)
         if refusal is not None:
@@ -90,7 +78,7 @@ class TurningSolver:
         return best
 
     def _joined(self, call: Call, *, keeps_straight: bool) -> _Joined:
-        """Every piece between the end of the turn before it and its own end, one after the other."""
+        """All turns and pieces, each piece from the end of the turn before it."""
         problem, parts = call.problem, parts_between_turns(call.path)
         earlier = _parts_like(call.earlier, parts)
         anytime = self.settings.anytime
@@ -124,7 +112,7 @@ class TurningSolver:
         return found
 
     def _smoothed(self, call: Call, before: Sequence[Segment], to_search: int) -> Incumbent:
-        """One piece, in its share of the time."""
+        """One piece, smoothed in its share of the time."""
         left = (1.0 - _CERTIFICATE_SHARE) * self.deadline.left / to_search
         solver = Solver(
             self.pool, self.deadline.shortened(at_most=self.deadline.elapsed + left), self.cancelled, self.settings
@@ -149,9 +137,9 @@ class TurningSolver:
         return best
 
     def _certified(self, found: _Joined, call: Call, *, is_final: bool) -> Incumbent | None:
-        """The whole, where it is certified; otherwise what is in the way is raised, or None where more can be tried."""
+        """The whole path if certified; else raise the violation if `is_final`, or return None."""
         began, problem = self.deadline.elapsed, call.problem
-        if not found.segments:  # the robot stands where it should: there is nothing to smooth
+        if not found.segments:
             raise FailedToSmoothPath("goal_unreachable: nothing is left of the turns of the raw path", where={})
         path = Path(tuple(found.segments), problem.frame)
         latest = self.settings.anytime.latest
@@ -170,10 +158,10 @@ class TurningSolver:
 
 
 def with_turns(path: Path) -> Path:
-    """The path with turns in place as segments of their own, where its polylines turn by much without moving.
+    """Return the path with large turns without motion in its polylines as turn segments.
 
-    Plans of grid and lattice planners hold such steps. At the end of a path they stay as they are: there the goal's
-    heading was written over that of the last step.
+    Grid and lattice planners make such steps. A turn at the end of a path is kept as it is: there planners overwrite
+    the heading of the last step with that of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:
@@ -202,13 +190,13 @@ def _split(segment: PolylineSegment) -> list[Segment]:
 
 
 def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment], i: int, pose: Pose2) -> DockingProblem:
-    """What must hold of the piece at `i`, which begins at `pose`: what is asked of an end only if it has that end."""
+    """The problem of the piece at `i` from `pose`, with the rules of the ends of the path that it contains."""
     part, later = parts[i], parts[i + 1 :]
     dock = problem.dock
     direction = DockDirection.AUTO if any(isinstance(other, Path) for other in later) else dock.direction
     if not later:
         target, straight = problem.goal, dock.final_straight
-    elif len(later) == 1:  # it ends with a turn at the goal
+    elif len(later) == 1:  # a turn at the goal follows
         target, straight = Pose2(problem.goal.x, problem.goal.y, part.end.yaw), 0.0
     else:
         target, straight = part.end, 0.0
@@ -225,7 +213,7 @@ def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment],
 
 
 def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """The straight line between two poses, where the piece is one and the second is on the axis of the first."""
+    """The straight line between two poses if the piece is straight and they share an axis, else None."""
     line = straight_line(part, start, end, settings)
     if line is None:
         return None
@@ -236,7 +224,7 @@ def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -
 
 
 def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Sequence[Path | None]:
-    """The pieces of an earlier result, where it turns as often at the same places in its order."""
+    """The pieces of an earlier result if it has the same sequence of drives and turns, else None for each part."""
     nothing: tuple[Path | None, ...] = (None,) * len(parts)
     if earlier is None:
         return nothing

@@ -1,4 +1,4 @@
-"""The step: a convex quadratic program within a trust region, with L1 penalties, solved by DAQP [Arnstrom2022].
+"""The convex step: a quadratic program within a trust region, with L1 penalties, solved by DAQP [Arnstrom2022].
 
     minimize    g'd + d'(H + mu M)d / 2 + rho_T (e+ + e-) + rho sum_z t_z          over step d and slacks e, t >= 0
     subject to  lower <= z + d <= upper                       box of curvatures and lengths, trust region of lengths
@@ -7,8 +7,7 @@
                 +-(K_(j+1) - K_j) - (s_max / q) L <= 0        curvature rate, exact
                 G d + t_zone >= buffer - gap                  clearance
 
-Columns and rows stand in named blocks. Programs are built per size and used again through casadi's buffers, which read
-and write NumPy's memory without a copy.
+Columns and rows are in named blocks. Programs are built once per size; CasADi's buffers share NumPy's memory.
 """
 
 from __future__ import annotations
@@ -48,43 +47,31 @@ __all__ = [
 
 
 class Penalties(NamedTuple):
-    """Weights of shortfalls of clearance and at the goal [1/m]."""
+    """Weights of the shortfalls of clearance and of the goal error [1/m]."""
 
     clearance: float
     goal: float
 
 
 class QpStep(NamedTuple):
-    """Change of the variables, Shape (size,), and how much the model says the cost falls."""
+    """Change of the variables, Shape (size,), and the decrease of the cost that the model predicts."""
 
     change: FloatArray
     gain: float
 
 
 class Blocks(NamedTuple):
-    """Where everything stands in a program.
+    """Columns and rows of a program."""
 
-    Attributes:
-        path: Columns of the step: knot curvatures, then gear lengths.
-        goal_above: Columns of the three slacks e+.
-        goal_below: Columns of the three slacks e-.
-        clearance_slack: Columns of the slacks of clearance, one per zone of the path.
-        goal: Rows of the pose at the end.
-        trust_region: Rows of the headings.
-        rate_up: Rows of the curvature rate, none where it is unlimited.
-        rate_down: Likewise, its negative.
-        clearance: Rows of clearance; those beyond the ones in use are empty.
-    """
-
-    path: slice
-    goal_above: slice
+    path: slice  # columns of the step: knot curvatures, then gear lengths
+    goal_above: slice  # columns of the three slacks e+ and e-
     goal_below: slice
-    clearance_slack: slice
-    goal: slice
-    trust_region: slice
-    rate_up: slice
+    clearance_slack: slice  # columns of the slacks of clearance, one per zone of the path
+    goal: slice  # rows of the pose at the end
+    trust_region: slice  # rows of the headings
+    rate_up: slice  # rows of the curvature rate and its negative, none where it is unlimited
     rate_down: slice
-    clearance: slice
+    clearance: slice  # rows of clearance; unused ones are empty
 
     @property
     def size(self) -> tuple[int, int]:
@@ -93,14 +80,7 @@ class Blocks(NamedTuple):
 
 
 def blocks_for(basis: Basis, rate_spans: int, clearance_rows: int, settings: StepSettings) -> Blocks:
-    """The blocks of a program.
-
-    Args:
-        basis: Shape of the path.
-        rate_spans: Spans whose curvature rate is bounded.
-        clearance_rows: Room for so many.
-        settings: Numbers of zones and of trust region rows.
-    """
+    """Return the blocks of a program for numbers of rate-bounded spans and of clearance rows."""
     path, above, below, slack = _consecutive(basis.size, 3, 3, settings.zones)
     rows = _consecutive(3, _trust_rows(basis, settings), rate_spans, rate_spans, clearance_rows)
     return Blocks(path, above, below, slack, *rows)
@@ -111,15 +91,14 @@ def _consecutive(*counts: int) -> list[slice]:
 
 
 def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
-    """Zone of the path in which nodes lie."""
+    """Return the penalty zones of nodes."""
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
 
 
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
-    """Nodes whose headings the trust region bounds, evenly over the path.
+    """Return the nodes whose headings the trust region bounds, evenly over the path.
 
-    Twelve do for 24 spans. Longer paths have longer spans, and need one for each: between fewer of them curvatures
-    swing as they like, however small the trust region is.
+    Twelve are enough for 24 spans; paths with more spans need one per span, or curvatures oscillate between them.
     """
     return np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64)
 
@@ -130,23 +109,14 @@ def _trust_rows(basis: Basis, settings: StepSettings) -> int:
 
 
 class Subproblem(NamedTuple):
-    """Everything about one linearization that does not change when a step is rejected.
+    """One linearization, which stays the same when a step is rejected."""
 
-    Attributes:
-        variables: Where it is.
-        quadratic: Cost model.
-        motion: Shape (size, size), squared motion of the nodes.
-        goal: Derivatives of the last pose, Shape (3, size), and its error, Shape (3,).
-        headings: Shape (trust nodes, size), derivatives of the headings that the trust region bounds.
-        rows: Clearance.
-    """
-
-    variables: Variables
+    variables: Variables  # point of the linearization
     quadratic: Quadratic
-    motion: FloatArray
-    goal: tuple[FloatArray, FloatArray]
-    headings: FloatArray
-    rows: ClearanceRows
+    motion: FloatArray  # Shape (size, size), squared motion of the nodes
+    goal: tuple[FloatArray, FloatArray]  # derivatives of the last pose, Shape (3, size), and its error, Shape (3,)
+    headings: FloatArray  # Shape (trust nodes, size), derivatives of the headings that the trust region bounds
+    rows: ClearanceRows  # clearance
 
 
 def solve_step(
@@ -157,15 +127,15 @@ def solve_step(
     proximal: float,
     penalties: Penalties,
 ) -> QpStep | None:
-    """The best step within the trust region, or None.
+    """Return the best step within the trust region, or None if both solvers fail.
 
     Args:
         nlp: Bounds and constants.
-        around: The linearization.
+        around: Linearization.
         pool: Programs.
-        trust_region: Bound of the heading changes [rad], and times the smallest radius of the length changes.
+        trust_region: Bound of the heading changes [rad]; times the smallest radius, of the length changes [m].
         proximal: Weight of the squared motion.
-        penalties: Weights of shortfalls.
+        penalties: Weights of the shortfalls.
     """
     basis, settings = nlp.basis, nlp.settings.step
     spans = basis.span_gear.size if np.isfinite(nlp.inner_bounds.rate) else 0
@@ -212,7 +182,7 @@ def _fill_cost(
 def _fill_box(
     program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables, stretch: float
 ) -> None:
-    """Bounds of the variables; lengths change by `stretch` [m] at most."""
+    """Bounds of the variables; lengths change by at most `stretch` [m]."""
     knots, flat = nlp.basis.num_knots, np.concatenate(variables)
     lower, upper = nlp.inner_bounds.lower - flat, nlp.inner_bounds.upper - flat
     lower[knots:] = np.maximum(lower[knots:], -stretch)
@@ -252,8 +222,8 @@ class ProgramPool:
     """Programs by size, built on first use. Not for concurrent use; see `pool_of_this_thread`.
 
     Attributes:
-        build_time: Seconds spent on building, over the pool's life.
-        pace: How much slower this machine is than that of the benchmarks, as far as warming up has told.
+        build_time: Total time for building programs [s].
+        pace: Time of an iteration relative to the machine of the benchmarks, measured by `warm_up`.
     """
 
     def __init__(self) -> None:
@@ -262,7 +232,7 @@ class ProgramPool:
         self.pace = 1.0
 
     def program(self, size: int, rows: int) -> DenseProgram:
-        """The program of this size."""
+        """Return the program with these numbers of columns and rows."""
         key = (size, rows)
         if key not in self._programs:
             began = time.perf_counter()
@@ -271,7 +241,7 @@ class ProgramPool:
         return self._programs[key]
 
     def load_fallback(self) -> None:
-        """Load the second solver's library, which takes some milliseconds."""
+        """Load the library of the second solver, which takes some milliseconds."""
         program = DenseProgram(2, 1)
         program.h[:] = np.eye(2)
         program.lba[0], program.uba[0], program.a[0, 0] = 0.0, 1.0, 1.0
@@ -280,8 +250,6 @@ class ProgramPool:
 
 
 class _Pools(threading.local):
-    """One pool per thread."""
-
     def __init__(self) -> None:
         self.pool = ProgramPool()
 
@@ -290,7 +258,7 @@ _POOLS = _Pools()
 
 
 def pool_of_this_thread() -> ProgramPool:
-    """The programs of the calling thread: building one takes as long as several steps, so all smoothers share them."""
+    """Return the pool that all smoothers of the calling thread share; programs take long to build."""
     return _POOLS.pool
 
 

@@ -1,4 +1,4 @@
-"""Refusals: faults that are certain before any search, and the bound that a failed search ran into."""
+"""Refusals: constraints that no path can keep, and the constraint that a failed search violates."""
 
 from __future__ import annotations
 
@@ -40,39 +40,26 @@ __all__ = [
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
-# A search is local: what it does not find near one input, it may find near another.
+# A search is local: a failure near one input proves nothing for other inputs.
 _NEAR_THIS_GUESS = "refused near this guess:"
-_SPACING = (
-    0.02  # [m] between the poses of a refused path that are measured, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
-)
-_GOAL_ALONE = 1e-4  # [m]: a stretch that stands for the goal pose alone
+_SPACING = 0.02  # [m] between measured poses of a refused path, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
+_GOAL_ALONE = 1e-4  # [m]: length of the straight that represents the goal pose
 
 
 class Refusal(NamedTuple):
-    """One bound in the way.
+    """A violated constraint."""
 
-    Attributes:
-        reason: Its name.
-        s: Where along the path [m].
-        amount: By how much, in the bound's unit.
-        obstacle: At which obstacle; empty where it is at none.
-        message: A sentence with the numbers.
-        pose: Where, Shape (3,), or None.
-        more: What else belongs into `where`.
-        path: The best path found, which breaks the bound; None where nothing was searched for.
-    """
-
-    reason: str
-    s: float
-    amount: float
-    obstacle: str
-    message: str
-    pose: FloatArray | None = None
-    more: Mapping[str, object] = MappingProxyType({})
-    path: Path | None = None
+    reason: str  # name of the constraint
+    s: float  # arc length [m]
+    amount: float  # violation, in the unit of the constraint
+    obstacle: str  # name of the obstacle, or empty
+    message: str  # sentence with the numbers
+    pose: FloatArray | None = None  # pose of the violation, Shape (3,), or None
+    more: Mapping[str, object] = MappingProxyType({})  # further entries of `where`
+    path: Path | None = None  # best path found, which violates the constraint; None before a search
 
     def error(self) -> FailedToSmoothPath:
-        """The exception that says so, with the best path found as the `path` of its `partial`."""
+        """Return the exception, with the best path found as the `path` of its `partial`."""
         where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **self.more}
         if self.pose is not None:
             where["pose"] = self.pose.tolist()
@@ -83,7 +70,7 @@ class Refusal(NamedTuple):
 
 
 def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, nearest: int) -> Refusal | None:
-    """What makes any path with these gears impossible from the start on, or None."""
+    """Return the refusal of a start, or of gears, that no path can begin or end with; or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
         message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m where the robot stands"
@@ -96,7 +83,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
     if wanted.get(problem.dock.direction, last) is not last:
         asked = problem.dock.direction.value
-        message = f"the raw path enters the dock in {last.name.lower()} gear, the dock asks for {asked}"
+        message = f"the raw path enters the dock in {last.name.lower()} gear, the dock requires {asked}"
         return Refusal("direction", path.length, 1.0, "", message)
     if problem.start_speed * first < 0.0:
         message = f"the robot moves at {problem.start_speed:.3g} m/s, the raw path begins in {first.name.lower()} gear"
@@ -105,10 +92,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
 
 
 def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
-    """A pose of the final straight, the goal included, that is closer to an obstacle than allowed; or None.
-
-    Every answer must drive these poses, so one that breaks the clearance rule is a proof.
-    """
+    """Return the refusal of a final straight or goal with too little clearance, a part of every path; or None."""
     goal, straight = problem.goal, problem.dock.final_straight
     back = float(path.segments[-1].direction) * np.linspace(straight, 0.0, _STRAIGHT_SAMPLES if straight > 0.0 else 1)
     poses = np.column_stack(
@@ -131,13 +115,10 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
 
 
 def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The final straight, or the goal alone, from which the dock is not seen though it must be; or None.
-
-    Every answer must drive these poses, so one that does not see is a proof.
-    """
+    """Return the refusal of a final straight or goal without the required view, a part of every path; or None."""
     if problem.required_view is None or not isinstance(path.segments[-1], ClothoidSegment | PolylineSegment):
         return None
-    # Without a final straight the goal alone is given: a stretch before it that is too short to matter.
+    # Without a final straight, a negligible stretch represents the goal alone.
     goal, length = problem.goal, max(problem.dock.final_straight, _GOAL_ALONE)
     sign = int(path.segments[-1].direction)
     begin = goal @ Pose2(-sign * length, 0.0, 0.0)
@@ -153,17 +134,16 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
 
 
 def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:
-    """A refusal for a place that does not see the dock, at `s` of a path [m]."""
+    """The refusal of a pose without the required view, at arc length `s` [m]."""
     more = dict(broken.where)
     pose = np.array(more.pop("pose"))
     return Refusal("view", s, broken.amount, "", broken.message, pose, more, path)
 
 
 def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
-    """What makes any path with these turns in place impossible, as long as they stay where they are; or None.
+    """Return the refusal of turns in place that stay at their positions; or None.
 
-    A robot that does not turn in place; one that moves where the path begins with a turn; a final straight where it
-    ends with one; obstacles that a turn meets.
+    Reasons are a robot that does not turn in place, a start in motion or a final straight at a turn, and obstacles.
     """
     first, last = path.segments[0], path.segments[-1]
     for segment, s in zip(path.segments, path.segment_starts[:-1].tolist(), strict=True):
@@ -171,11 +151,11 @@ def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
             continue
         message = f"the raw path turns in place by {segment.turn:.4g} rad at s = {s:.3f} m, "
         if not problem.robot.turns_in_place:
-            message += "the robot does not do that (turns_in_place)"
+            message += "the robot cannot turn in place (turns_in_place)"
         elif segment is first and problem.start_speed != 0.0:
             message += f"the robot moves at {problem.start_speed:.3g} m/s there"
         elif segment is last and problem.dock.final_straight > 0.0:
-            message += f"the dock asks for a final straight of {problem.dock.final_straight:.3g} m"
+            message += f"the dock requires a final straight of {problem.dock.final_straight:.3g} m"
         else:
             continue
         return Refusal("turn", s, abs(segment.turn), "", message, segment.pose.as_array())
@@ -183,7 +163,7 @@ def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The first turn that meets an obstacle, of those that are known: ends of the path may be none of the problem's."""
+    """The first turn that touches an obstacle; turns at ends that differ from the problem's are left out."""
     begins = path.start.gap_to(problem.start) <= _TOLERANCE
     ends = path.end.gap_to(problem.goal) <= _TOLERANCE
     last = len(path.segments) - 1
@@ -198,16 +178,13 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Which bound the search could not satisfy: the goal (through curvature and rate), clearance or the view.
-
-    It says nothing about other inputs: no search proves that there is no way. The path of the refusal is that of
-    `closest`; one that misses the goal has no final straight.
+    """Return the constraint that a failed search violates: goal, clearance or view; no proof for other inputs.
 
     Args:
-        nlp: What was searched for.
-        closest: How close it came.
-        problem: What must hold.
-        whole: The problem whose rule of clearance counts, where `problem` is a piece of it; None: it is none.
+        nlp: Program of the search.
+        closest: Iterate with the smallest violation; its path is that of the refusal.
+        problem: Problem of the path, or of a piece of it.
+        whole: Problem of the whole path, whose clearance rule counts; None: `problem`.
     """
     is_clear = closest.clearance.margin.size == 0
     if not closest.on_goal or (is_clear and nlp.view is None):
@@ -222,7 +199,7 @@ def refuse_search(
 
 
 def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Where the dock leaves the camera's view most on the best path found, or None."""
+    """The refusal of the best path found where it loses the view of the dock, or None."""
     broken = next((one for one in prove_view(path, problem).violations if one.kind == "view"), None)
     if broken is None:
         return None
@@ -231,7 +208,7 @@ def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
-    """The first violation that a certificate found in `path`, the result of a search."""
+    """Return the refusal by the first violation in the certificate of `path`."""
     broken = certificate.violations[0]
     more = dict(broken.where)
     obstacle, pose = str(more.pop("obstacle", "")), more.pop("pose", None)
@@ -240,9 +217,9 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
 
 
 def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: float = 0.0) -> Refusal:
-    """Where the path is closest to what is required, as measured by the certificate's own distances.
+    """The refusal at the pose with the least clearance above the requirement, by the distances of the certificate.
 
-    The search judges intervals by bounds, which may be short where every pose is legal.
+    The lower bounds of the search may be violated where every pose is legal.
     """
     s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
     poses = path.poses_at(s)

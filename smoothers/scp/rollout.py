@@ -1,7 +1,7 @@
-"""The roll-out: exact driving of a curvature spline at fixed nodes, and its derivatives.
+"""Poses of a curvature spline at fixed nodes (the roll-out), and their derivatives.
 
 Headings are exact, `yaw = yaw_start + W (L K)`; positions are 2-point Gauss sums of `d L / (2 n) (cos yaw, sin yaw)`
-over every interval, within some 1e-9 m of the clothoid. Everything is a function of plain arrays and of the basis.
+over every interval, within about 1e-9 m of the clothoid.
 """
 
 from __future__ import annotations
@@ -25,21 +25,13 @@ class Variables(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """A driven path.
+    """A driven path."""
 
-    Attributes:
-        poses: Shape (num_nodes, 3) [m, m, rad].
-        curvature: Shape (num_nodes,) [1/m].
-        rate: Shape (num_intervals,) [1/m^2], curvature rate, constant inside every interval.
-        steps: Shape (num_intervals,) [m], interval lengths.
-        moves: Shape (2 num_intervals, 2) [m], displacement by each Gauss point.
-    """
-
-    poses: FloatArray
-    curvature: FloatArray
-    rate: FloatArray
-    steps: FloatArray
-    moves: FloatArray
+    poses: FloatArray  # Shape (num_nodes, 3) [m, m, rad]
+    curvature: FloatArray  # Shape (num_nodes,) [1/m]
+    rate: FloatArray  # Shape (num_intervals,) [1/m^2], curvature rate, constant inside every interval
+    steps: FloatArray  # Shape (num_intervals,) [m], interval lengths
+    moves: FloatArray  # Shape (2 num_intervals, 2) [m], displacement by each Gauss point
 
 
 class Sensitivity(NamedTuple):
@@ -51,14 +43,7 @@ class Sensitivity(NamedTuple):
 
 
 def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> Rollout:
-    """Drive from a pose.
-
-    Args:
-        basis: Shape of the path.
-        variables: Curvatures and lengths.
-        start: Shape (3,) [m, m, rad].
-        signs: Gears, Shape (num_gears,).
-    """
+    """Return the path from the pose `start`, Shape (3,), in the gears `signs`, Shape (num_gears,)."""
     curvature, lengths = variables
     turned = lengths[basis.knot_gear] * curvature
     gears = basis.interval_gear
@@ -81,7 +66,7 @@ def roll_out(basis: Basis, variables: Variables, start: FloatArray, signs: Float
 
 
 def sensitivity(basis: Basis, variables: Variables, rollout: Rollout) -> Sensitivity:
-    """Derivatives of all node poses."""
+    """Return the derivatives of all node poses."""
     turns = _heading_derivatives(basis.gauss_headings, basis, variables)
     own = basis.num_knots + basis.interval_gear
     inverse = 1.0 / variables.lengths[basis.interval_gear]

@@ -1,7 +1,7 @@
-"""The strategy: what is tried and in which order, within the time that is given.
+"""The strategy: searches from several guesses, in the order of `STRATEGY`, within a time limit.
 
-`STRATEGY` is the whole list. A search can be stopped at any time: its best feasible iterate is certified when it
-converges or when time gets short, and nothing that is not certified is returned.
+The best feasible iterate of a search is certified when the search converges or the time gets short; only certified
+paths are returned.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
-from smoothers.scp.iteration_times import IterationTimes
 from smoothers.scp.loop import search
 from smoothers.scp.nlp import formulate, with_intervals
 from smoothers.scp.refusals import (
@@ -53,52 +52,40 @@ __all__ = [
     "Call",
     "Given",
     "Incumbent",
+    "IterationTimes",
     "Search",
     "SearchOutcome",
     "Solver",
     "direct_line",
-    "earlier_answer",
-    "input_answer",
     "is_clothoid_answer",
     "straight_line",
 ]
 
 
-# Kinds of violations that say something about the ends of a path alone; where the dock must be seen is counted from the
-# end of the whole path, which a piece does not know.
+# Violations that concern the ends of a path only. The stretch in view is measured from the end of the whole path.
 _OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight")
 
 
 class Call(NamedTuple):
-    """What is asked for.
+    """A smoothing task."""
 
-    Attributes:
-        path: The input, in the problem's frame.
-        problem: What must hold.
-        earlier: An earlier result in the same frame, or None.
-        formulation: Weights and resolution.
-        max_iterations: Of every search.
-        first_only: Stop at the first certified path.
-        within: Where the call is about a piece of a path: the problem of the whole, whose rule of clearance counts near
-            its own start and goal, not near the ends of the piece.
-    """
-
-    path: Path
+    path: Path  # input, in the problem's frame
     problem: DockingProblem
-    earlier: Path | None
-    formulation: Formulation
-    max_iterations: int = 60
-    first_only: bool = False
+    earlier: Path | None  # earlier result in the same frame, or None
+    formulation: Formulation  # weights and resolution
+    max_iterations: int = 60  # limit of every search
+    first_only: bool = False  # whether to stop at the first certified path
+    # for a piece of a path, the problem of the whole path, whose clearance rule counts; else None
     within: DockingProblem | None = None
-    after: float = 0.0
+    after: float = 0.0  # length of the path after the piece [m]
 
     @property
     def whole(self) -> DockingProblem:
-        """The problem whose rule of clearance counts."""
+        """Problem whose clearance rule counts."""
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
-        """The certificate of a path; of a piece, but for the ends that are not its own: those of the whole decide."""
+        """Return the certificate of a path; for a piece, without the violations at the ends of the whole path."""
         certificate = certify_path(path, self.whole, is_late=is_late)
         if self.within is None:
             return certificate
@@ -108,41 +95,30 @@ class Call(NamedTuple):
 
 
 class Given(NamedTuple):
-    """A path that is an answer as it stands, where it is certified.
-
-    Attributes:
-        status: Of the result.
-        path: Which one, or None.
-        ends_all: Whether nothing is left to search for where there is one and something is certified.
-    """
+    """A path that is returned without a search if it is certified."""
 
     status: SmoothingStatus
-    path: Callable[[Call, AnytimeSettings], Path | None]
-    ends_all: bool = False
+    path: Callable[[Call, AnytimeSettings], Path | None]  # the path, or None
+    ends_all: bool = False  # whether no search follows once the path is certified
 
 
 class Search(NamedTuple):
-    """A search from a guess; up to two repairs where the certificate refuses its result.
+    """A search from a guess, with up to two repairs where its result is not certified.
 
-    A repair begins at the refused variables. Where the search took them for feasible it aims at three times the buffer
-    and looks at four times as many obstacles in every interval, small ones included; where only the cautious bound
-    between its nodes was in the way, its intervals are half as long.
-
-    Attributes:
-        guess: Where it begins, or None.
-        thoroughly: With finer nodes and small obstacles looked at everywhere; worth trying among many obstacles only.
-        after_the_goal: Only where the search before met the goal: one that is out of reach for the curvature stays so.
-        relieved: Under the weaker rule of clearance near the start; for robots that start too close to something.
+    A repair begins at the refused variables. If they were feasible, it uses three times the buffer and considers four
+    times as many obstacles per interval, small ones included; if only the bound between nodes was violated, it uses
+    intervals of half the length.
     """
 
-    guess: Callable[[InitialGuesses], SearchGuess | None]
-    thoroughly: bool = False
-    after_the_goal: bool = False
+    guess: Callable[[InitialGuesses], SearchGuess | None]  # the first variables, or None
+    thoroughly: bool = False  # whether nodes are finer and small obstacles active everywhere; only among many obstacles
+    after_the_goal: bool = False  # whether the search is only run if the search before it reached the goal
+    # whether the weaker clearance rule near the start counts; only for starts with too little clearance
     relieved: bool = False
 
 
 def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
-    """Whether it is a clothoid path between the right ends and within the limits; the certificate decides the rest."""
+    """Whether `path` is a clothoid path between the ends of the problem and within its curvature limits."""
     if max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) > settings.same_pose:
         return False
     limits = problem.robot.limits
@@ -156,18 +132,8 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
     return True
 
 
-def earlier_answer(call: Call, settings: AnytimeSettings) -> Path | None:
-    """The earlier result, where it may be the answer."""
-    if call.earlier is None or not is_clothoid_answer(call.earlier, call.problem, settings):
-        return None
-    return call.earlier
-
-
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
-    """The straight line to the goal, where the robot already stands on its axis and no further than needed; or None.
-
-    From the staging pose nothing is left to optimize but the final straight, which the search takes for granted.
-    """
+    """Return the straight line to the goal from a start on its axis, hardly longer than the final straight; or None."""
     problem = call.problem
     line = straight_line(call.path, problem.start, problem.goal, settings)
     if line is None or line.length >= problem.dock.final_straight + settings.staging:
@@ -176,7 +142,7 @@ def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
 
 
 def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """The straight line between two poses in the only gear of a path; None where it has more, or they share no axis."""
+    """Return the straight line between two poses on one axis, in the gear of a path with one gear; else None."""
     if len(path.segments) > 1:
         return None
     sign = int(path.segments[0].direction)
@@ -187,15 +153,15 @@ def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSetting
     return ClothoidSegment(ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), sign))
 
 
-def input_answer(call: Call, settings: AnytimeSettings) -> Path | None:
-    """The input, where it may be the answer: a certified one is never exchanged for a costlier path."""
-    return call.path if is_clothoid_answer(call.path, call.problem, settings) else None
+def _if_answer(path: Path | None, call: Call, settings: AnytimeSettings) -> Path | None:
+    return path if path is not None and is_clothoid_answer(path, call.problem, settings) else None
 
 
 STRATEGY: tuple[Given | Search, ...] = (
-    Given(SmoothingStatus.INPUT_KEPT, input_answer),
+    # A certified input is never replaced by a costlier path.
+    Given(SmoothingStatus.INPUT_KEPT, lambda call, settings: _if_answer(call.path, call, settings)),
     Given(SmoothingStatus.STRAIGHT, direct_line, ends_all=True),
-    # The first search that ends with a certified path, or for want of time, is the last one.
+    # The first search that ends with a certified path, or at the time limit, is the last one.
     Search(lambda guesses: guesses.rest_of_earlier),
     Search(lambda guesses: guesses.first),
     Search(lambda guesses: guesses.on_the_input),
@@ -207,13 +173,13 @@ STRATEGY: tuple[Given | Search, ...] = (
     Search(lambda guesses: guesses.first, relieved=True),
     Search(lambda guesses: guesses.on_the_input, relieved=True),
     Search(lambda guesses: guesses.other, relieved=True, after_the_goal=True),
-    Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
+    Given(SmoothingStatus.WARM_START_KEPT, lambda call, settings: _if_answer(call.earlier, call, settings)),
 )
-"""Everything that is tried, in this order."""
+"""Candidates and searches, in order."""
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate, its cost, and its status where it was given and not searched for."""
+    """A certified path, its certificate and cost, and its status if it is not the result of a search."""
 
     path: Path
     certificate: Certificate
@@ -223,39 +189,78 @@ class Incumbent(NamedTuple):
 
 @dataclass
 class SearchOutcome:
-    """What was found.
+    """The state of a call."""
+
+    incumbent: Incumbent | None = None  # best certified path, or None
+    last: Iterate | None = None
+    converged: bool = False  # whether the search ended without a time limit
+    iterations: int = 0  # number of steps
+    # last candidate that was not certified, and its certificate, or None
+    refused: tuple[Path, Certificate] | None = None
+    setup_time: float = 0.0  # time from the start of the call to the first search [s]
+    first_certified: float | None = None  # time from the start of the call to the first certificate [s], or None
+    certify_time: float = 0.0  # time for certificates [s]
+
+
+class IterationTimes:
+    """Predicted times of the next iteration and the next certificate (S21), corrected by measured ones.
 
     Attributes:
-        incumbent: The best certified path, or None.
-        last: The last iterate.
-        converged: Whether the search ended by itself.
-        iterations: Steps tried.
-        refused: The last candidate that a certificate refused, and that certificate, or None.
-        setup_time: Seconds from the start of the call to the first search.
-        first_certified: Seconds from the start of the call to the first certificate, or None.
-        certify_time: Seconds spent on certificates.
+        iteration: Predicted time of the next iteration [s].
+        certificate: Predicted time of the next certificate [s]; 0 until known.
+        pace: Shortest measured iteration, relative to the predicted one.
     """
 
-    incumbent: Incumbent | None = None
-    last: Iterate | None = None
-    converged: bool = False
-    iterations: int = 0
-    refused: tuple[Path, Certificate] | None = None
-    setup_time: float = 0.0
-    first_certified: float | None = None
-    certify_time: float = 0.0
+    def __init__(self, deadline: Deadline, settings: AnytimeSettings) -> None:
+        self.deadline, self._settings = deadline, settings
+        self.iteration = self.certificate = 0.0
+        self._certificate_was_measured = False
+        self.pace = math.inf
+
+    def expect(self, nlp: NonlinearProgram, pace: float) -> None:
+        """Predict the times of a program, on a machine that takes `pace` times as long as that of the benchmarks."""
+        self.iteration = pace * self.expected_iteration(nlp)
+        self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
+
+    def expected_iteration(self, nlp: NonlinearProgram) -> float:
+        """Return the time of an iteration on the machine of the benchmarks [s]."""
+        corners = math.prod(nlp.scene.body.vertices.shape[:2])
+        return _expected(nlp, self._settings.iteration_seconds) + corners * self._settings.iteration_per_corner
+
+    def measured(self, seconds: float, expected: float) -> None:
+        """Update the predictions by a measured iteration [s] and its prediction [s]."""
+        self.pace = min(self.pace, seconds / expected)
+        self.iteration = max(self._settings.longest_fades * self.iteration, seconds)
+        if not self._certificate_was_measured:
+            self.certificate = max(self.certificate, self._settings.certificate_per_iteration * self.iteration)
+
+    def certified(self, since: float) -> float:
+        """Update the prediction by a certificate that began at `since` [s]; return its time [s]."""
+        self.certificate, self._certificate_was_measured = self.deadline.elapsed - since, True
+        return self.certificate
+
+    def no_more_iterations(self) -> bool:
+        """Whether less time is left than an iteration takes."""
+        return not self.deadline.fits(self.iteration)
+
+    def reserve(self, *, has_candidate: bool) -> float:
+        """Return the time reserved for the certificate of the candidate [s]."""
+        return self._settings.certificate_reserve * self.certificate if has_candidate else 0.0
+
+    def is_late(self) -> bool:
+        """Whether a running certificate is too late."""
+        return self.deadline.left < -self._settings.latest
+
+
+def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
+    """Time on the machine of the benchmarks [s], from its three coefficients."""
+    obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
+    return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
 
 
 @dataclass
 class Solver:
-    """Follows the strategy for one call.
-
-    Args:
-        pool: Convex programs.
-        deadline: Seconds left.
-        cancelled: Polled every iteration.
-        settings: Constants of the method.
-    """
+    """Runs the strategy for one call; `cancelled` is polled every iteration."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -274,15 +279,12 @@ class Solver:
         self.times = IterationTimes(self.deadline, self.settings.anytime)
 
     def follow_strategy(self, call: Call) -> Incumbent:
-        """A certified path.
-
-        Args:
-            call: What is asked for.
+        """Return a certified path.
 
         Raises:
-            FailedToSmoothPath: Which bound is in the way.
-            SmootherTimedOut: No certified path in time.
-            SmootherCancelled: The caller does not want it any more.
+            FailedToSmoothPath: If a bound cannot be kept.
+            SmootherTimedOut: If no path is certified in time.
+            SmootherCancelled: If `cancelled` returned True.
         """
         self.call = call
         self._nlp, self._guesses = self.prepared(call)
@@ -296,7 +298,7 @@ class Solver:
         return self.outcome.incumbent
 
     def _take(self, row: Given) -> bool:
-        """Certify a given path; whether that is the end."""
+        """Certify a given path; whether the strategy ends."""
         path = row.path(self.call, self.settings.anytime)
         if path is None:
             return False
@@ -307,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search, where it is worth it; whether that is the end: something is certified, or the time is over."""
+        """Search, if the row applies; whether the strategy ends, with a certified path or at the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -326,11 +328,14 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Make the program that a row asks for; False where it would be the one that was searched already."""
+        """Set the program of a row; False where the same program was searched before."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False
-            self._nlp, self._guesses = self._prepared_thoroughly()
+            self._raise_if_late()
+            scene = self._nlp.scene
+            scene = replace(scene, settings=replace(scene.settings, thins_small_obstacles=False))
+            self._nlp, self._guesses = self._formulated(self.call, scene, 1.0)
             self._is_thorough, self._closest = True, None
         if row.relieved and self._nlp.scene.start_relief == 0.0:
             if self._nlp.scene.start_clearance >= self.call.problem.path_clearance.required:
@@ -341,11 +346,11 @@ class Solver:
         return True
 
     def prepared(self, call: Call) -> tuple[NonlinearProgram, InitialGuesses]:
-        """The program of a call, with fewer nodes among many obstacles, and its guesses.
+        """Return the program of a call, with fewer nodes among many obstacles, and its guesses.
 
         Raises:
-            FailedToSmoothPath: A bound that is in the way of any path.
-            SmootherTimedOut: No time is left.
+            FailedToSmoothPath: If no path can keep a bound.
+            SmootherTimedOut: If no time is left.
         """
         self._raise_if_late()
         path, problem, resolution = call.path, call.problem, self.settings.resolution
@@ -363,15 +368,8 @@ class Solver:
         many = len(scene.obstacles) > resolution.many_obstacles
         return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
 
-    def _prepared_thoroughly(self) -> tuple[NonlinearProgram, InitialGuesses]:
-        """The same with finer nodes and small obstacles looked at everywhere."""
-        self._raise_if_late()
-        scene = self._nlp.scene
-        scene = replace(scene, settings=replace(scene.settings, thins_small_obstacles=False))
-        return self._formulated(self.call, scene, 1.0)
-
     def _formulated(self, call: Call, scene: Scene, coarser: float) -> tuple[NonlinearProgram, InitialGuesses]:
-        # Longer robots are larger in everything: obstacles can be looked at in larger distances.
+        # Larger robots need less resolution.
         interval = call.formulation.interval * max(1.0, scene.body.radius / self.settings.resolution.body_radius)
         chosen = call.formulation._replace(interval=coarser * interval)
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
@@ -386,7 +384,7 @@ class Solver:
             raise self._timed_out()
 
     def _timed_out(self) -> SmootherTimedOut:
-        """With the path of the last iterate, from which a later call may go on."""
+        """The error, with the path of the last iterate as a warm start of a later call."""
         message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
         error, last = SmootherTimedOut(message, where={"iterations": self.outcome.iterations}), self.outcome.last
         if last is not None:
@@ -405,7 +403,7 @@ class Solver:
         return refuse_search(self._nlp, closest, self.call.problem, self.call.whole).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
-        """A result from elsewhere, if it is certified."""
+        """Take a given path if it is certified."""
         certificate = self._judged(path, self.deadline.elapsed)
         if certificate.certified:
             cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)
@@ -413,7 +411,7 @@ class Solver:
             self.outcome.first_certified = self.deadline.elapsed
 
     def _search_and_repair(self, nlp: NonlinearProgram, guess: SearchGuess) -> None:
-        """Search, and search again more cautiously where the certificate refuses the result."""
+        """Search, and repair a result that is not certified."""
         chosen = self.settings.anytime
         for _ in range(chosen.repairs + 1):
             self._search(nlp, guess)
@@ -440,7 +438,7 @@ class Solver:
             before = self.deadline.elapsed
 
     def _must_settle(self) -> bool:
-        """Whether a step that takes longer than any before must be left unfinished for the sake of what is at hand."""
+        """Whether a step must be left unfinished so that the candidate can be certified in time."""
         return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
 
     def _consider(self, iterate: Iterate) -> None:
@@ -450,7 +448,7 @@ class Solver:
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Whether to stop; certifies the candidate when time becomes short."""
+        """Whether to stop; certifies the candidate when the time gets short."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
         short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
         first_only = self.call.first_only
@@ -458,11 +456,11 @@ class Solver:
             self._settle(nlp)
             short = not self.deadline.fits(step)
         found = first_only and self.outcome.incumbent is not None
-        self.outcome.converged = self.outcome.converged or found  # no more was asked for; no time limit ended it
+        self.outcome.converged = self.outcome.converged or found
         return short or found
 
     def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
-        """Certify the candidate; returns it when it was refused."""
+        """Certify the candidate; return it if it is not certified."""
         candidate, self._candidate = self._candidate, None
         if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last
@@ -487,7 +485,7 @@ class Solver:
         return None
 
     def _judged(self, path: Path, began: float) -> Certificate:
-        """The certificate of a path; what passed since `began` [s] counts as its time."""
+        """The certificate of a path; its time counts from `began` [s]."""
         certificate = self.call.certified(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)
         return certificate
@@ -502,7 +500,7 @@ class Solver:
 
 
 def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
-    """The program with the view of the dock, where the problem asks for it."""
+    """The program with the view of the dock, if the problem requires it."""
     view = call.whole.required_view
     if view is None:
         return nlp
@@ -515,7 +513,7 @@ def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> Nonli
 
 
 def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:
-    """The program that keeps more off obstacles and looks at more of them."""
+    """The program with a larger buffer and more pairs."""
     seen = nlp.scene.settings
     seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
     step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)

@@ -1,13 +1,13 @@
-"""Every tuned constant of the method, chapter by chapter, with its reason.
+"""Tuned constants of the method, with reasons.
 
-Unless a line says otherwise a value was chosen by `python -m experiments.benchmarks smoothing --seeds 30` (rate of
-certified results, milliseconds to the end and to the first certified path, cost), and the costs against the optimum by
-`python -m experiments.benchmarks optimality`. What a user chooses stands in `CasadiSmootherParameters` instead.
+Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30` (rate of certificates,
+times to the end and to the first certified path, cost), and compared with the optimum by
+`python -m experiments.benchmarks optimality`. User parameters are in `CasadiSmootherParameters`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 __all__ = [
     "DEFAULT_SETTINGS",
@@ -27,29 +27,32 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ResolutionSettings:
-    """How finely the path is described: spans of linear curvature, and the collision intervals within them."""
+    """Numbers of spans of linear curvature and of collision intervals within them."""
 
     longest_span: float = 1.2  # of the smallest turning radius: longer spans cost up to 1 % on long paths
     most_spans: int = 80  # the programs grow with the square of it
-    fewest_spans: int = 4  # per gear: pose, curvature and rate at both ends want so many
+    fewest_spans: int = 4  # per gear, for pose, curvature and rate at both ends
     fewest_intervals: int = 2  # per span
     most_intervals: int = 12  # per span
-    body_radius: float = 0.55  # [m]: the interval parameter is meant for such a body; larger ones take longer intervals
-    many_obstacles: int = 60  # every node meets every obstacle: from here on nodes are fewer ...
-    coarser_among_many: float = 1.3  # ... by this: a sixth less time for 0.3 % of the cost
+    body_radius: float = 0.55  # [m]: the interval parameter is for such a body; larger ones have longer intervals
+    many_obstacles: int = 60  # with more obstacles, intervals are longer ...
+    coarser_among_many: float = 1.3  # ... by this factor: a sixth less time for 0.3 % of the cost
     input_samples: int = 40  # per gear of the input, to find the obstacles around it
-    fit_smoothing: float = 1e-4  # of the least-squares fit of curvatures to headings: kinks do not ring
+    fit_smoothing: float = 1e-4  # of the least-squares fit of curvatures to headings: no oscillation at kinks
 
 
 @dataclass(frozen=True)
 class BoundSettings:
     """Bounds of the variables, and the reference values of the cost where a limit is infinite."""
 
-    curvature_cap: float = 20.0  # [1/m] stands for an unlimited one: a radius of 5 cm, below any wheeled robot's
-    curvature_inside: float = 0.999  # of the limit is what steps aim at; goal projection may use the rest
-    rate_inside: float = 0.99  # likewise
-    shortest_gear: float = 0.02  # [m]: a gear never vanishes
-    longest_gear: tuple[float, float] = (4.0, 20.0)  # times the input's, and [m] on top: never met, only finite
+    curvature_cap: float = 20.0  # [1/m], instead of an unlimited one: a radius of 5 cm, below that of any wheeled robot
+    curvature_inside: float = 0.999  # of the limit in steps; the rest is for the goal projection
+    rate_inside: float = 0.99  # of the curvature rate limit in steps
+    shortest_gear: float = 0.02  # [m]
+    longest_gear: tuple[float, float] = (
+        4.0,
+        20.0,
+    )  # times the length of the input, plus [m]: a bound that is never active
     unlimited_curvature: float = 1.5  # [1/m]: reference where curvature is unlimited
     unlimited_rate: float = 4.0  # [1/m]: reference rate per reference curvature where the rate is unlimited
 
@@ -60,39 +63,41 @@ class GoalProjectionSettings:
 
     tolerance: float = 1e-7  # [m, rad]
     max_steps: int = 5
-    contraction: float = 0.7  # of the error: a step that leaves more is not taken
-    renew: float = 1e-3  # error from which on the old derivatives do for the remaining steps
-    reach: float = 0.5  # of the smallest radius: error from which on Newton steps lead astray
+    contraction: float = 0.7  # of the error: a step that leaves more is rejected
+    renew: float = 1e-3  # error below which the derivatives are not updated
+    reach: float = 0.5  # of the smallest radius: larger errors prevent convergence
     alternations: int = 2  # between the goal and the curvature rate
-    polished: float = 1e-11  # of the roll-out, which is within some 1e-9 of the spline
-    exact: float = 3e-8  # [m, rad] of the spline itself, a thirtieth of what the certificate accepts
+    polished: float = 1e-11  # of the roll-out, which is within about 1e-9 of the spline
+    exact: float = 3e-8  # [m, rad] of the spline, a thirtieth of the tolerance of the certificate
     exact_steps: int = 4
 
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """The first variables, and how boldly the search begins at them."""
+    """First variables of a search, and its first step bounds."""
 
-    astray: float = 0.4  # [m]: a fit that leads further from the input is not begun with
-    turned_away: float = 0.4  # [rad], likewise at the goal
-    off_the_input: float = 0.15  # [m]: a fit that leads further from the input may be worse than a tracked one
-    trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
-    much_nearer: float = 0.1  # likewise, of how far the others lead away
-    different: float = 0.15  # [m]: guesses closer together lead to the same result
-    different_on_the_input: float = 0.03  # [m], likewise, where the one is on the input
+    astray: float = 0.4  # [m]: a fit farther from the input is not used
+    turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used
+    off_the_input: float = 0.15  # [m]: a fit farther from the input is compared with a tracked one
+    trackable: float = 0.4  # [m]: an input that is tracked with a larger error is not drivable
+    much_nearer: float = 0.1  # of the error of the others: a smaller error is accepted as well
+    different: float = 0.15  # [m]: closer guesses lead to the same result
+    different_on_the_input: float = 0.03  # [m], for the tracked guess
     pursuit_step: float = 0.25  # of the smallest radius, at most
     pursuit_longest: float = 3.0  # times the input, and a loop
-    earlier_spacing: float = 0.02  # [m], of the search for the robot on the earlier path
-    earlier_lost: float = 0.5  # [m]: a robot further from the earlier path does not follow it
-    earlier_shortest: float = 0.02  # [m]: less left of a gear is not a guess
+    earlier_spacing: float = 0.02  # [m] between poses of the earlier path
+    earlier_lost: float = 0.5  # [m]: largest distance of the robot from the earlier path
+    earlier_shortest: float = 0.02  # [m]: shortest rest of a gear
     trust_region: float = 0.45  # [rad]: first bound of the heading changes; 0.2 to 1.0 make no difference
-    bold_length: float = 12.0  # times the smallest radius: longer paths begin with smaller steps
-    proximal: float = 0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 likewise
-    trust_region_near: float = 0.2  # an earlier result is near the new one
+    bold_length: float = 12.0  # times the smallest radius: longer paths have smaller first steps
+    proximal: float = (
+        0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 make no difference
+    )
+    trust_region_near: float = 0.2  # for an earlier result
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
-    spans_per_patience: int = 32  # paths with more spans get as much more patience
-    patience_other: int = 3  # with the other guess: most problems that got so far have no answer
+    spans_per_patience: int = 32  # paths with more spans have proportionally more patience
+    patience_other: int = 3  # for the other guess: most problems are infeasible then
 
 
 @dataclass(frozen=True)
@@ -100,56 +105,56 @@ class TrackingSettings:
     """Least squares of positions, for a first guess that stays on the input."""
 
     weight: float = 30.0  # [1/m^3] of squared distance across the input: a hundred times the search's
-    along: float = 0.1  # times as much along it: rounding an input whose curvature jumps makes it a little shorter
-    cusp: float = 1.0  # times as much at cusps, in both directions: there the input's positions are anchors
+    along: float = 0.1  # times as much along it: smooth paths are a little shorter than the input
+    cusp: float = 1.0  # times as much at cusps, in both directions
     smoothness: float = 0.05  # times the search's weight of the squared curvature rate
     goal_weight: float = 100.0  # [1/m] of the error at the goal
     proximal: float = 1e-3  # weight of the squared step
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
-    most_steps: int = 20  # where a first turn was missed on a long path; five otherwise
-    most_intervals: int = 3  # per span: positions tell no more, and obstacles do not count here
-    small_gain: float = 0.05  # of the merit, not worth a further step
-    near: float = 0.02  # [m] from the input everywhere is near enough
+    most_steps: int = 20  # on long paths; usually five
+    most_intervals: int = 3  # per span, enough for positions
+    small_gain: float = 0.05  # of the merit: ends the iteration
+    near: float = 0.02  # [m]: largest distance that ends the iteration
 
 
 @dataclass(frozen=True)
 class CollisionSettings:
-    """Which pairs of interval and obstacle are looked at, and how they become rows."""
+    """Selection of pairs of interval and obstacle, and their rows."""
 
-    crop: float = 1.0  # [m] beyond the input path: obstacles further away are not looked at
+    crop: float = 1.0  # [m] beyond the input path: obstacles farther away are left out
     # Broad phase
-    few_pairs: int = 150  # below, none is dropped
+    few_pairs: int = 150  # fewer pairs are all kept
     nearest: int = 3  # obstacles of every interval, where there are more pairs
-    nearest_close: int = 4  # times as many where they might be too close: the boxes are coarse
-    surely_kept: float = 0.01  # [m] beyond the required clearance: such pairs might be too close
-    grouped_intervals: int = 6  # neighbours whose common box is looked at first: cheapest among 100 to 1000 obstacles
+    nearest_close: int = 4  # times as many of those that may be too close
+    surely_kept: float = 0.01  # [m] above the required clearance: such pairs may be too close
+    grouped_intervals: int = 6  # intervals with a common box: fastest for 100 to 1000 obstacles
     # Narrow phase
-    facing_edges: int = 12  # of a body with more, those most along the best other axis: 8 miss millimetres
-    lowest_vertices: int = 8  # that can carry the lower side of a hull; more make quadratically many chords
-    lowest_slope: float = 0.35  # how they are chosen among more
+    facing_edges: int = 12  # of a body with more, those nearest to the best other axis; 8 lose millimetres
+    lowest_vertices: int = 8  # of a hull; the number of chords grows with the square
+    lowest_slope: float = 0.35  # for the choice among more vertices
     # Active pairs
-    few_planes: int = 80  # where there are more pairs, not all of them get planes
-    thins_small_obstacles: bool = True  # among many pairs small obstacles get planes where they are closest only
-    clear: float = 1e-3  # [m]: a path with a smaller shortfall counts as clear
-    deep: float = 0.06  # of the body's width: overlap from which planes no longer tell the side
-    very_deep: float = 0.18  # [m]: with such a pair at hand ...
-    near_deep: float = 0.15  # ... all pairs with less margin than this count as deep
+    few_planes: int = 80  # with more pairs, not all of them have planes
+    thins_small_obstacles: bool = True  # small obstacles have planes only where they are closest
+    clear: float = 1e-3  # [m]: a smaller shortfall counts as clear
+    deep: float = 0.06  # of the width of the body: overlaps beyond it have discs
+    very_deep: float = 0.18  # [m]: with such an overlap ...
+    near_deep: float = 0.15  # ... smaller margins count as deep [of the width]
     # Linearization
-    support_slope: float = 0.35  # sides flatter than this share their support: rows at both ends of it
-    same_witness: float = 0.005  # [m]: witness points closer together say the same
+    support_slope: float = 0.35  # flatter sides share their support, with rows at both ends
+    same_witness: float = 0.005  # [m]: closer witness points have one row
     discs_per_node: int = 2  # the deepest ones, per obstacle
-    most_discs: int = 32  # of a part; those of a thinner one leave gaps, which the planes see once it is out
+    most_discs: int = 32  # of a part; thinner parts have gaps between discs
 
 
 @dataclass(frozen=True)
 class StepSettings:
     """The quadratic program of one step."""
 
-    zones: int = 6  # of the path, with one slack of clearance each: one alone costs 1 %, twelve cost time
-    trust_nodes: int = 12  # whose headings the trust region bounds, at least
-    clearance_rows: tuple[int, ...] = (48, 96, 160, 256, 400)  # programs are built for so many, and used again
+    zones: int = 6  # of the path, with one slack each: a single one costs 1 %, twelve take more time
+    trust_nodes: int = 12  # least number of headings in the trust region
+    clearance_rows: tuple[int, ...] = (48, 96, 160, 256, 400)  # sizes of programs
     usual_shapes: tuple[tuple[tuple[int, int], ...], ...] = (  # built at warm-up: one to three gears
         ((24, 2),),
         ((24, 3),),
@@ -157,32 +162,32 @@ class StepSettings:
         ((12, 3), (12, 3)),
         ((8, 3), (8, 3), (8, 3)),
     )
-    usual_clearance_rows: int = 3  # the first of `clearance_rows`, likewise
-    buffer: float = 8e-4  # [m]: clearance aimed at above the requirement; 0 takes a fifth more iterations
-    buffer_taper: float = 0.1  # [m]: less near the ends, where the pose cannot move
-    yaw_motion: float = 0.3  # [m^2]: what a radian counts in the squared motion
-    curved_goal_slack: float = 100.0  # curvature of the slacks: DAQP wants a positive definite Hessian
+    usual_clearance_rows: int = 3  # how many sizes of `clearance_rows` are built at warm-up
+    buffer: float = 8e-4  # [m]: clearance above the requirement; with 0, a fifth more iterations
+    buffer_taper: float = 0.1  # [m] from the ends, where the pose cannot move
+    yaw_motion: float = 0.3  # [m^2]: weight of a squared radian in the motion
+    curved_goal_slack: float = 100.0  # Hessian of the slacks: DAQP needs a positive definite one
     curved_clearance_slack: float = 10.0
     ridge: float = 1e-6
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Acceptance, trust region, penalties and ends of the sequential programs."""
+    """Acceptance, trust region, penalties and termination of a search."""
 
-    reach: float = 0.15  # [m] beyond the required clearance: pairs looked at in the first iteration
+    reach: float = 0.15  # [m] above the required clearance: pairs in the first iteration
     most_reach: float = 0.35  # [m], after a long step
     least_reach: float = 0.08  # [m], near the end
     reach_per_motion: float = 1.5
-    goal_tolerance: float = 1e-5  # [m, rad]: an iterate so close is projected exactly in the end
+    goal_tolerance: float = 1e-5  # [m, rad]: the rest is projected exactly
     clearance_tolerance: float = 1e-6  # [m], as the certificate's
-    end_allowance: float = 5e-4  # [m]: the end poses are given, and the bound between nodes is cautious
+    end_allowance: float = 5e-4  # [m]: the end poses are given, and the bound between nodes is conservative
     clearance_penalty: float = 300.0  # [1/m]; 100 to 1000 make no difference
     goal_penalty: float = 1000.0  # [1/m]
-    raised: float = 6.0  # times the clearance penalty, where a shortfall costs less than the path
+    raised: float = 6.0  # times the clearance penalty, where the shortfall costs less than the path
     goal_above_clearance: float = 3.0  # times the clearance penalty, at least
     most_penalty: float = 300.0 * 36.0
-    raised_trust: float = 0.1  # [rad] at least, after the penalty was raised
+    raised_trust: float = 0.1  # [rad] at least, after the penalty is raised
     raised_proximal: float = 1.0  # at most
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
@@ -190,72 +195,66 @@ class LoopSettings:
     proximal_growth: float = 3.0
     proximal_cut: float = 0.3
     least_proximal: float = 1e-3
-    overshot: float = 5e-3  # [m]: a smaller shortfall is added to the buffer: 6 iterations become 2 or 3 round a corner
+    overshot: float = 5e-3  # [m]: a smaller shortfall is added to the buffer: 2 or 3 instead of 6 iterations at corners
     small_step: float = 3e-4  # [rad]: a feasible iterate with a smaller trust region has converged
-    small_gain: float = 1e-3  # of the cost, not worth a step: at most 0.35 % above the optimum of ipopt
+    small_gain: float = 1e-3  # of the cost: ends the search, at most 0.35 % above the optimum of ipopt
     max_rejections: int = 7
-    shrinking: float = 0.93  # of its shortfall keeps an infeasible iterate whose patience is at its end
+    shrinking: float = 0.93  # of the shortfall: continues an infeasible search beyond its patience
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Where the dock must be seen: rows of the view, and penalties for which the goal is worth more than the view.
+    """Rows of the required view, and penalties with which an infeasible search keeps the goal rather than the view."""
 
-    With the usual penalties a search in vain gives up the goal rather than the view: of 60 starts within 3.5 m of a
-    dock, cone of 60 degrees, 16 instead of 8 were said to miss the goal. 38 were certified with either.
-    """
-
-    reach: float = 0.35  # [m]: margins beyond it get no row; as `LoopSettings.most_reach`
+    reach: float = 0.35  # [m]: larger margins have no row; as `LoopSettings.most_reach`
     goal_penalty: float = 3000.0  # [1/m]; 6000 makes no difference
     goal_above_clearance: float = 10.0  # times the clearance penalty, at least: more than all zones together
 
 
 @dataclass(frozen=True)
 class AnytimeSettings:
-    """Repairs, given candidates, and what things are expected to take until they were measured.
+    """Repairs, given candidates, and predicted times.
 
-    The seconds were measured on the machine of the benchmarks; `CasadiSmoother.warm_up` measures how much slower or
-    faster this one is. Each triple: without obstacles; per obstacle nearby; per metre, obstacle and part of the body.
+    Times are those of the machine of the benchmarks; `CasadiSmoother.warm_up` measures the speed of this one. Triples:
+    without obstacles; per obstacle nearby; per metre, obstacle and part of the body.
     """
 
     certificate_seconds: tuple[float, float, float] = (0.0025, 1.2e-5, 8e-7)
     iteration_seconds: tuple[float, float, float] = (0.0013, 2e-5, 0.0)
-    iteration_per_corner: float = 4e-5  # [s] for every corner of the footprint, in nine of ten iterations at most
-    certificate_per_iteration: float = 1.2  # until a certificate was measured, how fast this machine is was
-    longest_fades: float = 0.8  # of the longest iteration so far is expected again
+    iteration_per_corner: float = 4e-5  # [s] per corner of the footprint, an upper bound in nine of ten iterations
+    certificate_per_iteration: float = 1.2  # before a certificate is measured
+    longest_fades: float = 0.8  # of the longest iteration so far
     iteration_reserve: float = 1.1
     certificate_reserve: float = 1.2
-    grace: float = 0.0015  # [s]: how late the only certificate may be expected to end
-    latest: float = 0.0005  # [s] past the end of the budget: what a certificate has not proven by then it leaves
-    pace_range: tuple[float, float] = (0.5, 4.0)  # of the measured speed of this machine: beyond is a disturbance
-    pace_at_warm_up: float = 0.6  # shortest over expected iteration of the warm-up on the machine of the benchmarks
-    repairs: int = 2  # of a path that the certificate refused
-    repair_nearest: int = 4  # times the obstacles looked at in every interval, at each repair
+    grace: float = 0.0015  # [s]: by which the predicted end of the only certificate may be late
+    latest: float = 0.0005  # [s] after the time limit: a certificate is abandoned
+    pace_range: tuple[float, float] = (0.5, 4.0)  # of the measured speed; values beyond are disturbances
+    pace_at_warm_up: float = 0.6  # shortest relative to predicted iteration of the warm-up, on that machine
+    repairs: int = 2  # of a path that is not certified
+    repair_nearest: int = 4  # times the obstacles per interval, at each repair
     repair_buffer: float = 3.0  # times the buffer, at each repair
-    repair_finer: int = 2  # times the intervals, at a repair of what only the bound between nodes is against
-    nearly: float = (
-        5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes: the certificate decides
-    )
-    nearly_in_sags: float = 2.0  # likewise, in what that bound can lose: 5 cm for a car, 3 mm for a robot of 0.9 m
+    repair_finer: int = 2  # times the intervals, where only the bound between nodes is violated
+    nearly: float = 5e-3  # [m]: a smaller shortfall may be due to the bound between nodes and is certified
+    nearly_in_sags: float = 2.0  # the same in sags: 5 cm for a car, 3 mm for a robot of 0.9 m
     same_pose: float = 1e-6  # [m, rad], as the certificate's
-    on_axis: float = 1e-7  # [m, rad]: a robot there drives the straight line
-    staging: float = 0.05  # [m] before the final straight: from further away there is something to optimize
+    on_axis: float = 1e-7  # [m, rad]: tolerance for a straight line
+    staging: float = 0.05  # [m] before the final straight: longer lines are optimized
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All of them."""
+    """All settings."""
 
-    resolution: ResolutionSettings = field(default_factory=ResolutionSettings)
-    bounds: BoundSettings = field(default_factory=BoundSettings)
-    projection: GoalProjectionSettings = field(default_factory=GoalProjectionSettings)
-    guess: GuessSettings = field(default_factory=GuessSettings)
-    tracking: TrackingSettings = field(default_factory=TrackingSettings)
-    collision: CollisionSettings = field(default_factory=CollisionSettings)
-    step: StepSettings = field(default_factory=StepSettings)
-    loop: LoopSettings = field(default_factory=LoopSettings)
-    view: ViewSettings = field(default_factory=ViewSettings)
-    anytime: AnytimeSettings = field(default_factory=AnytimeSettings)
+    resolution: ResolutionSettings = ResolutionSettings()
+    bounds: BoundSettings = BoundSettings()
+    projection: GoalProjectionSettings = GoalProjectionSettings()
+    guess: GuessSettings = GuessSettings()
+    tracking: TrackingSettings = TrackingSettings()
+    collision: CollisionSettings = CollisionSettings()
+    step: StepSettings = StepSettings()
+    loop: LoopSettings = LoopSettings()
+    view: ViewSettings = ViewSettings()
+    anytime: AnytimeSettings = AnytimeSettings()
 
 
 DEFAULT_SETTINGS = Settings()

@@ -1,13 +1,10 @@
-"""Visibility: the marker of the dock inside the camera's view, at the nodes of the last stretch of the path.
+"""Visibility constraint: the marker of the dock in the camera's view, at the nodes of the last stretch of the path.
 
-As clearance it is a length, how far the marker would have to move in the camera's frame to leave the view, so that its
-shortfalls and rows stand beside those of clearance. Every edge of the view gives one row per node: the two half-planes
-of a cone of at most half a turn, or the nearest one of a wider cone, and the two circles of the ranges. Between two
-nodes a margin g dips below its chord by g'' h^2 / 8, to leading order an eighth of its second difference; so much more
-is asked for at the nodes, and the certificate decides.
-
-Where the stretch begins and ends lies between nodes, and moves as the path becomes longer or shorter. There the pose is
-driven on from the node before.
+A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view, so that
+shortfalls and rows can be combined with those of clearance. Every edge of the view gives one row per node: the two
+half-planes of a cone of at most half a turn, or the nearest one of a wider cone, and the two circles of the ranges.
+Between two nodes a margin falls below its chord by an eighth of its second difference, to leading order; the margins at
+the nodes are reduced by it. The two ends of the stretch lie between nodes; their poses continue the node before.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ import numpy as np
 from smoothers.scp.collision.linearization import ClearanceRows
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.model.camera import RequiredView
     from optdock.model.problem import DockingProblem
     from smoothers.scp.basis import Basis
@@ -33,44 +30,27 @@ _SAME_PLACE = 1e-9  # [m]: rounding of the places where the stretch begins and e
 
 @dataclass(frozen=True, eq=False)
 class ViewBound:
-    """What must be seen along a path.
+    """The required view along a path."""
 
-    Args:
-        view: Camera, marker and stretch.
-        problem: The whole problem, whose start and goal count for the margin that the tube asks for.
-        signs: Gears, Shape (num_gears,).
-        after: How far the robot drives after the last node [m]: the final straight, and later pieces of the path.
-    """
-
-    view: RequiredView
-    problem: DockingProblem
-    signs: FloatArray
-    after: float
+    view: RequiredView  # camera, marker and stretch
+    problem: DockingProblem  # whole problem, whose start and goal determine the required margin
+    signs: FloatArray  # gears, Shape (num_gears,)
+    after: float  # distance from the last node to the goal [m]: the final straight, and later pieces of the path
 
 
 class SeenPlaces(NamedTuple):
-    """The view at places of a driven path.
+    """The view at places of a path."""
 
-    Attributes:
-        node: The node before each place, Shape (p,).
-        ahead: How far after it the place is [m], Shape (p,); 0 at nodes.
-        poses: Shape (p, 3).
-        seen: The marker in the robot's frame, Shape (p, 2) [m].
-        normals: Direction, in the robot's frame, in which each margin grows with the place of the marker,
-            Shape (edges, p, 2).
-        margin: Of every edge, less what is required and what may be lost between nodes, Shape (edges, p) [m].
-    """
-
-    node: IntArray
-    ahead: FloatArray
-    poses: FloatArray
-    seen: FloatArray
-    normals: FloatArray
-    margin: FloatArray
+    node: IntArray  # node before each place, Shape (p,)
+    ahead: FloatArray  # distance of the place from that node [m], Shape (p,); 0 at nodes
+    poses: FloatArray  # Shape (p, 3)
+    seen: FloatArray  # marker in the robot's frame, Shape (p, 2) [m]
+    normals: FloatArray  # gradient of each margin by the marker in the robot's frame, Shape (edges, p, 2)
+    margin: FloatArray  # margin of every edge above the requirement and the loss between nodes, Shape (edges, p) [m]
 
 
 def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
-    """The view where the path must have it."""
+    """Return the view at the places where it is required."""
     left = _left_to_drive(bound, basis, variables)
     node, ahead = _places(bound.view, left)
     poses = _driven_on(bound, basis, rollout, node, ahead)
@@ -84,16 +64,7 @@ def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Ro
 def linearized_view(
     bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces, reach: float
 ) -> ClearanceRows:
-    """Rows of the margins within reach.
-
-    Args:
-        bound: What must be seen.
-        basis: Shape of the path.
-        rollout: The driven path.
-        by: Derivatives of its poses.
-        places: The view along it.
-        reach: Margins beyond it get no row [m].
-    """
+    """Return the rows of the margins below `reach` [m]."""
     edge, place = np.nonzero(places.margin < reach)
     by_place = _sensitivity(bound, basis, rollout, by, places)
     cosine, sine = np.cos(places.poses[place, 2]), np.sin(places.poses[place, 2])
@@ -107,7 +78,7 @@ def linearized_view(
 
 
 def _left_to_drive(bound: ViewBound, basis: Basis, variables: Variables) -> FloatArray:
-    """Distance from each node to the end of the path, Shape (num_nodes,) [m]; it falls from node to node."""
+    """Decreasing distance from each node to the end of the path, Shape (num_nodes,) [m]."""
     lengths = variables.lengths
     later = np.append(np.cumsum(lengths[::-1])[::-1][1:], 0.0)
     left: FloatArray = (1.0 - basis.fraction) * lengths[basis.node_gear] + later[basis.node_gear] + bound.after
@@ -115,7 +86,7 @@ def _left_to_drive(bound: ViewBound, basis: Basis, variables: Variables) -> Floa
 
 
 def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The nodes of the stretch, and where it begins and ends: nodes, and how far beyond each, Shape (p,) each."""
+    """Nodes of the stretch and its two ends: nodes, and distances after them, Shape (p,) each."""
     far, near = view.visible_distance, view.blind_distance
     inside = np.flatnonzero((left <= far + _SAME_PLACE) & (left >= near - _SAME_PLACE))
     between = [edge for edge in (far, near) if left[-1] < edge < left[0]]
@@ -168,17 +139,11 @@ def _cone(view: RequiredView, point: FloatArray) -> tuple[list[FloatArray], list
 
 
 def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
-    """How far margins at nodes, Shape (edges, n), may fall below them in the intervals beside, to leading order [m]."""
+    """Loss of the margins, Shape (edges, n), in the intervals next to each node, to leading order [m]."""
     lost = np.zeros_like(margin)
-    inner = _inner_nodes(basis)
+    inner = np.flatnonzero((basis.fraction > 0.0) & (basis.fraction < 1.0))
     lost[:, inner] = np.maximum(margin[:, inner - 1] - 2.0 * margin[:, inner] + margin[:, inner + 1], 0.0) / 8.0
     return lost
-
-
-def _inner_nodes(basis: Basis) -> IntArray:
-    """Nodes inside the gears."""
-    is_inner: BoolArray = (basis.fraction > 0.0) & (basis.fraction < 1.0)
-    return np.flatnonzero(is_inner)
 
 
 def _sensitivity(
@@ -186,8 +151,7 @@ def _sensitivity(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Derivatives of the poses at places by the variables, Shape (p, size) each.
 
-    Where the stretch begins or ends between nodes, the way there from the node before is what the node has left to
-    drive less a constant.
+    The distance of an end of the stretch from its node changes as the remaining length of the path at that node.
     """
     node, ahead = places.node, places.ahead
     between = np.flatnonzero(ahead > 0.0)

@@ -42,7 +42,7 @@ def test_comparisons_are_inclusive():
         assert not reached(DockGoalChecker(), past, goal)
 
 
-def test_a_moving_robot_is_not_docked_unless_rest_is_not_asked_for():
+def test_a_moving_robot_is_not_docked_unless_stopped_is_off():
     goal = Pose2(1.0, 2.0, 0.5)
     for moving in (Twist2(0.011), Twist2(0.0, 0.021), Twist2(0.0, 0.0, 0.011)):
         assert not reached(DockGoalChecker(), goal, goal, moving)

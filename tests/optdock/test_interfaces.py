@@ -105,7 +105,7 @@ def snake_case(name):
 
 
 @pytest.mark.parametrize("interface", INTERFACES.values())
-def test_an_interface_asks_for_what_the_table_says_and_nothing_more(interface):
+def test_the_abstract_methods_are_those_of_the_table(interface):
     asked = {ours for owner, _, ours, abstract, _ in METHODS if owner is interface and abstract}
     asked |= {ours for owner, ours in OURS if owner is interface}
     assert interface.__abstractmethods__ == asked
@@ -115,7 +115,7 @@ def test_an_interface_asks_for_what_the_table_says_and_nothing_more(interface):
 
 
 @pytest.mark.parametrize("interface", INTERFACES.values())
-def test_an_interface_holds_no_data_of_its_own(interface):
+def test_an_interface_has_no_data(interface):
     assert "__init__" not in vars(interface)
     assert set(getattr(interface, "__annotations__", {})) <= set(Plugin.__annotations__)
 
@@ -125,7 +125,7 @@ def minimal(interface):
     return type("Minimal", (interface,), dict.fromkeys(interface.__abstractmethods__))()
 
 
-def test_what_an_author_need_not_write_does_as_nav2s_defaults():
+def test_optional_methods_have_nav2s_defaults():
     controller, layer = minimal(Controller), minimal(Layer)
     assert controller.cancel() is True
     assert controller.reset() is None
@@ -144,7 +144,7 @@ def test_what_an_author_need_not_write_does_as_nav2s_defaults():
     assert never_cancelled() is False
 
 
-def test_what_nav2_does_not_know_is_given_by_name():
+def test_arguments_unknown_to_nav2_are_keyword_only():
     kinds = {name: parameter.kind for name, parameter in inspect.signature(Smoother.smooth).parameters.items()}
     for name in ("problem", "warm_start", "cancel_checker"):
         assert kinds[name] is inspect.Parameter.KEYWORD_ONLY
@@ -162,7 +162,7 @@ def test_enumerations_have_nav2s_numbers(enumeration, numbers):
     assert {member.name: int(member) for member in enumeration} == numbers
 
 
-def test_what_nav2_writes_out_is_returned():
+def test_nav2s_output_arguments_are_results():
     assert SmoothingResult(None).completed is True
     assert SmoothingResult(None).report == SmoothingReport()
     assert BehaviorResult(BehaviorStatus.SUCCEEDED) == BehaviorResult(BehaviorStatus.SUCCEEDED, 0, "")
@@ -244,7 +244,7 @@ def test_one_except_clause_catches_every_error_of_ours():
     assert issubclass(errors.SmootherCancelled, errors.SmootherException)
 
 
-def test_an_error_says_where():
+def test_an_error_has_a_place():
     error = errors.GoalOccupied("too close", where={"s": 1.5})
     assert (str(error), error.code, error.where, error.partial) == ("too close", 206, {"s": 1.5}, None)
     where = {"s": 1.0}

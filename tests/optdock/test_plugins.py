@@ -48,7 +48,7 @@ class ListedParameters(PluginParameters):
     names: list[str] = Field(default_factory=list)
 
 
-def test_equal_parameters_are_checked_once_and_those_that_can_be_written_into_are_nobody_elses():
+def test_immutable_parameters_are_validated_once_and_mutable_ones_are_not_shared():
     values = {"tolerance": 0.2, "cycles": 4}
     first = parse_parameters(NearParameters, values, "Near")
     assert parse_parameters(NearParameters, dict(values), "Near") is first
@@ -85,7 +85,7 @@ class NumberedParameters(PluginParameters):
     number: int = Field(default_factory=itertools.count().__next__)
 
 
-def test_parameters_that_are_no_constant_are_made_for_each_plugin_anew():
+def test_parameters_that_are_not_constant_are_not_shared():
     for gear in Gear:
         assert parse_parameters(GearParameters, {"gear": gear}, "Gear").gear is gear
     mine, other = (parse_parameters(OpenParameters, {}, "Open") for _ in range(2))
@@ -129,7 +129,7 @@ def test_a_number_is_no_switch(bad):
         Near(loud=bad)
 
 
-def test_whole_numbers_stand_for_floats_and_floats_without_a_fraction_for_whole_numbers():
+def test_integers_and_integral_floats_are_interchangeable():
     assert Near(tolerance=1, cycles=4.0).parameters == NearParameters(tolerance=1.0, cycles=4)
     with pytest.raises(InvalidValue, match="Near.cycles"):
         Near(cycles=4.5)
@@ -141,7 +141,7 @@ def test_any_name_that_a_file_may_hold_is_refused_by_name(name):
         create_plugin(GoalChecker, "SimpleGoalChecker", {name: 1})
 
 
-def test_self_is_an_unknown_parameter_like_any_other():
+def test_self_is_an_unknown_parameter():
     with pytest.raises(InvalidValue, match="self: unknown parameter"):
         Near().set_parameters(**{"self": 1})
 
@@ -219,21 +219,21 @@ def test_a_failed_configuration_leaves_the_plugin_as_it_was():
 
 
 @pytest.mark.parametrize("release", ["cleanup", "shutdown"])
-def test_a_plugin_lets_go_of_its_context_at_the_end(release):
+def test_cleanup_and_shutdown_release_the_context(release):
     plugin, context = Near(), PluginContext(name="near")
     plugin.configure(context)
     getattr(plugin, release)()
     assert plugin.context is not context
 
 
-def test_what_is_no_context_is_refused():
+def test_configure_requires_a_context():
     plugin = Near()
     with pytest.raises(InvalidValue, match="Near: configure needs a PluginContext, got None"):
         plugin.configure(None)
     assert plugin.state is LifecycleState.UNCONFIGURED
 
 
-def test_every_listed_plugin_is_what_its_kind_says():
+def test_every_listed_plugin_is_a_subclass_of_its_interface():
     listed = available_plugins()
     assert {info.kind for info in listed} <= set(INTERFACES)
     for info in listed:
@@ -256,7 +256,7 @@ def test_an_unknown_plugin_is_refused_with_the_nearest_name():
         load_plugin(Smoother, "AxisGoalChecker")
 
 
-def test_what_is_not_an_interface_is_refused():
+def test_an_unknown_interface_is_refused():
     with pytest.raises(PluginError, match="must be one of"):
         load_plugin(Plugin, "x")
 
@@ -342,7 +342,7 @@ def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tm
     ("name", "content"),
     [("checkers/__init__.py", ""), ("checkers/axis.py", "class AxisGoalChecker: pass"), ("checkers.py", "")],
 )
-def test_a_folder_beside_the_script_that_hides_the_plugins_is_named(tmp_path, name, content):
+def test_a_folder_next_to_the_script_that_hides_the_plugins_is_named(tmp_path, name, content):
     hiding = tmp_path / name.split("/")[0]
     if hiding.suffix != ".py":
         hiding.mkdir()
@@ -358,7 +358,7 @@ def test_a_folder_beside_the_script_that_hides_the_plugins_is_named(tmp_path, na
     assert "PluginError: goal_checkers: plugin AxisGoalChecker (checkers.axis:AxisGoalChecker)" in done.stderr
 
 
-def test_a_folder_that_hides_nothing_is_not_blamed(tmp_path):
+def test_a_folder_that_hides_nothing_is_not_named(tmp_path):
     foreign_distribution(tmp_path)
     (tmp_path / "checkers").mkdir()  # no package: Python goes on to the installed one
     done = run(

@@ -9,9 +9,9 @@ from experiments.families import instance
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from smoothers.scp.collision.active_pairs import active_pairs, local_minima
 from smoothers.scp.collision.broad_phase import Pairs, broad_phase, swept_boxes
 from smoothers.scp.collision.collision_scene import body_at_nodes, scene_around
+from smoothers.scp.collision.linearization import active_pairs, local_minima
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.cost import Weights
 from smoothers.scp.initial_guess import InitialGuesses

@@ -48,7 +48,7 @@ def test_at_rest_nothing_is_needed():
     assert _braking_distance(asked(0.0, (1.0, 0.0))[1]) == 0.0
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(st.sampled_from([1.0, -1.0]), st.floats(0.1, 0.45), st.floats(-0.5, 0.5))
 def test_the_first_gear_of_a_smoothed_path_is_long_enough_to_stop_in(gear, speed, bend):
     raw, problem = asked(gear * speed, (0.03 * gear, 0.0), (-1.5 * gear, bend))

@@ -40,7 +40,7 @@ def hall(blocked_from):
     return Costmap(data, 0.05)
 
 
-def test_an_obstacle_outside_what_was_read_is_not_driven_into(monkeypatch):
+def test_an_obstacle_outside_the_region_read_is_avoided(monkeypatch):
     bulge = smoother(hall(5.9)).smooth(RAW, 10.0).path.sample(0.02).y.max()
     assert bulge > 2.0 + FOOTPRINT.circumscribed_radius - 0.2  # blocking 0.2 m above it lies outside what is read
     monkeypatch.setattr(casadi_smoother, "_READ_AROUND", 0.0)
@@ -56,7 +56,7 @@ def test_a_result_is_covered_within_the_margin_only():
     assert not casadi_smoother.covers(RAW, far)
 
 
-def test_every_thread_has_programs_of_its_own():
+def test_threads_do_not_share_programs():
     seen = []
     thread = threading.Thread(target=lambda: seen.append(pool_of_this_thread()))
     thread.start()
@@ -117,9 +117,9 @@ def least_clearance(path, blocks):
     return float(shapely.distance(outlines(path.sample(0.002).poses), blocks).min())
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.integers(0, 10_000))
-def test_what_is_smoothed_comes_no_closer_than_its_input(seed):
+def test_a_result_keeps_the_clearance_of_its_input(seed):
     raw, costmap, blocks = random_scene(np.random.default_rng(seed))
     plugin = CasadiSmoother(max_curvature=2.0, max_curvature_rate=8.0)
     plugin.configure(PluginContext(costmap=costmap, footprint=FOOTPRINT))
@@ -156,13 +156,13 @@ def bend(**parameters):
         ({"kept_clearance": 0.1, "clearance": 0.2}, 0.2),
     ],
 )
-def test_it_keeps_the_larger_of_what_is_asked_for_and_what_the_input_keeps(parameters, least):
+def test_the_larger_of_required_and_kept_clearance_counts(parameters, least):
     plugin, raw, walls = bend(**parameters)
     assert least_clearance(raw, walls) == pytest.approx(0.378, abs=0.01)
     assert least - 2e-6 <= least_clearance(plugin.smooth(raw, 30.0).path, walls) <= least + 0.03
 
 
-def test_where_it_cannot_be_kept_the_refusal_says_who_asks_for_it():
+def test_a_refusal_names_the_parameter_that_requires_the_clearance():
     plugin, raw, _ = bend(max_curvature=0.35)
     with pytest.raises(
         FailedToSmoothPath, match=r"0.3000 m are required, as much as the input keeps, up to kept_clearance = 0.3 m$"
@@ -170,7 +170,7 @@ def test_where_it_cannot_be_kept_the_refusal_says_who_asks_for_it():
         plugin.smooth(raw, 30.0)
 
 
-def test_the_rule_lets_the_end_be_as_close_as_the_input_has_it():
+def test_the_rule_permits_the_clearance_of_the_input_at_its_end():
     """A path that docks: it ends a centimetre before the wall, and keeps half a metre on the way."""
     data = np.zeros((60, 120), dtype=np.uint8)
     data[:, 100:] = 254
@@ -181,7 +181,7 @@ def test_the_rule_lets_the_end_be_as_close_as_the_input_has_it():
     assert plugin.smooth(raw, 30.0).path.end.gap_to(end) < 1e-6
 
 
-def test_where_no_obstacle_is_known_the_result_says_so(caplog):
+def test_without_known_obstacles_the_report_has_a_warning(caplog):
     plugin = CasadiSmoother()
     plugin.configure(PluginContext(name="alone", footprint=FOOTPRINT))
     with caplog.at_level(logging.WARNING, "optdock"):

@@ -11,6 +11,7 @@ from optdock.model.segments import Direction, PolylineSegment
 from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.nlp import Formulation, formulate
+from smoothers.scp.qp_step import ProgramPool
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 
@@ -51,3 +52,10 @@ def test_robots_without_steered_wheels_count_curvature_rates_alike_everywhere():
 def test_the_wider_a_robot_turns_the_farther_it_may_leave_its_input(curvature, share):
     cost = formulated(MotionLimits(max_curvature=curvature), 3.0).cost
     assert cost.weights.tracking == pytest.approx(share * Weights().tracking)
+
+
+def test_the_pool_builds_each_program_once_and_measures_the_time():
+    pool = ProgramPool()
+    assert pool.program(4, 3) is pool.program(4, 3)
+    assert pool.program(4, 2) is not pool.program(4, 3)
+    assert pool.build_time > 0.0

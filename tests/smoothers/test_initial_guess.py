@@ -109,7 +109,7 @@ def test_an_input_that_starts_sideways_is_driven_and_the_fit_is_the_other_guess(
 
 
 @pytest.mark.parametrize("turned", [-1.3, 1.0])
-def test_a_start_that_looks_the_wrong_way_is_turned_round_while_driving(cases, turned):
+def test_a_start_with_another_heading_is_corrected_in_motion(cases, turned):
     problem = cases.open_problem(Pose2(5.0, 0.0, 0.0), start=Pose2(0.0, 0.0, turned))
     raw = cases.kinked((0.0, 0.0), (2.5, 0.0), (5.0, 0.0))
     result = CasadiSmoother().smooth(raw, 30.0, problem=problem)

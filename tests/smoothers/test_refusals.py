@@ -36,8 +36,8 @@ def measured(pose, problem):
     return required, clearance, problem.all_obstacles.name_of(row)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_clearance_refusal_is_what_is_measured_at_its_pose(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clearance_refusal_names_the_worst_measured_pose(seed):
     problem, error = refusal_of("gap_blocked", seed)
     where, path = error.where, error.partial.path
     assert where["reason"] == "clearance"
@@ -49,19 +49,13 @@ def test_a_clearance_refusal_is_what_is_measured_at_its_pose(seed):
     assert path.pose_at(where["s"]).gap_to(pose) < EXACT
     assert where["amount"] > 0.0
     assert f"{where['amount']:.4f} m closer to {obstacle}" in str(error)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_pose_of_the_best_path_is_much_worse_than_the_one_that_is_named(seed):
-    problem, error = refusal_of("gap_blocked", seed)
-    path = error.partial.path
-    for s in np.linspace(0.0, path.length, 400):
+    for s in np.linspace(0.0, path.length, 200):
         required, clearance, _ = measured(path.pose_at(s), problem)
-        assert required - clearance <= error.where["amount"] + 5e-3
+        assert required - clearance <= where["amount"] + 5e-3
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_path_that_misses_the_goal_ends_where_the_refusal_says(seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_a_path_that_misses_the_goal_ends_at_the_pose_of_the_refusal(seed):
     problem, error = refusal_of("too_close", seed)
     path, where = error.partial.path, error.where
     end = Pose2.from_sequence(where["pose"])
@@ -70,7 +64,7 @@ def test_a_path_that_misses_the_goal_ends_where_the_refusal_says(seed):
     assert end.distance_to(problem.goal @ Pose2(-back, 0.0, 0.0)) == pytest.approx(where["amount"], abs=1e-4)
 
 
-def test_where_every_measured_pose_is_legal_the_refusal_says_so():
+def test_a_refusal_with_only_legal_poses_names_the_bound():
     case = instance("corridor", 0)
     path = CasadiSmoother().smooth(case.raw_path, 30.0, problem=case.problem).path
     error = _too_close(path, case.problem, 0.0123).error()
@@ -91,7 +85,7 @@ def test_a_failed_call_leaves_the_best_path_of_the_search_uncertified():
     assert not certify_path(left.path, problem).certified
 
 
-def test_what_is_refused_before_any_search_leaves_no_path():
+def test_a_refusal_before_any_search_has_no_path():
     _, error = refusal_of("approach_blocked", 0)
     assert error.partial is None
 
@@ -109,7 +103,7 @@ def test_a_time_out_names_the_option_that_gives_more():
     assert caught.value.where == {"iterations": 3}
 
 
-def test_a_budget_of_which_nothing_is_left_for_smoothing_says_so(monkeypatch):
+def test_a_budget_without_time_for_smoothing_is_a_time_out(monkeypatch):
     monkeypatch.setattr(refinement, "_RESERVED_LEAST", 60.0)
     monkeypatch.setattr(refinement, "_RESERVED_MOST", 60.0)
     with pytest.raises(SmootherTimedOut, match="^smoothing ran out of time; raise time_budget, which is 30 s$"):
@@ -121,7 +115,7 @@ SMOOTHERS = (CasadiSmoother, SimpleSmoother, SavitzkyGolaySmoother)
 
 @pytest.mark.parametrize("kind", SMOOTHERS)
 @pytest.mark.parametrize("poses", [[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], np.zeros((3, 3)), None])
-def test_poses_are_no_path_and_the_refusal_says_what_makes_one(kind, poses):
+def test_poses_instead_of_a_path_are_refused_with_a_hint(kind, poses):
     with pytest.raises(InvalidPath, match=r"path: must be a Path.*Path.from_poses\(poses\) makes one"):
         kind().smooth(poses, 1.0, problem=instance("open_s", 0).problem)
 

@@ -4,15 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
+from optdock.errors import InvalidValue, SmootherTimedOut
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap
 from optdock.model.path import Direction, Path, PolylineSegment
-from optdock.plugins.interfaces import PluginContext, Smoother
-from optdock.plugins.registry import create_plugin
+from optdock.plugins.interfaces import PluginContext
 from smoothers.nav2.pieces import poses_of
 from smoothers.nav2.simple import SimpleSmoother, _Sweep
 
@@ -47,7 +46,7 @@ def smoothed(poses, **parameters):
     return poses_of(SimpleSmoother(**parameters).smooth(Path.from_poses(poses), 10.0).path)
 
 
-def test_nav2_irregular_line_gets_even():
+def test_nav2_irregular_line_becomes_even():
     # Nav2's own test: the largest gap of 0.70 m must fall below 0.50 m.
     assert np.diff(IRREGULAR).max() == pytest.approx(0.70)
     gaps = np.diff(smoothed(line(IRREGULAR))[:, 1])
@@ -148,6 +147,7 @@ def test_refinement_goes_on_where_the_first_pass_stopped():
     assert again == pytest.approx(smoothed(corner(), refinement_num=1)[:, :2], abs=1e-9)
 
 
+@settings(max_examples=20)
 @given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-3.0, 3.0), st.sampled_from([bow, there_and_back]))
 def test_a_moved_path_is_smoothed_to_the_moved_result(x, y, yaw, shape):
     frame = Pose2(x, y, yaw)
@@ -212,7 +212,7 @@ def limited_to(sweeps, poses, costmap=None):
 
 
 @pytest.mark.parametrize("sweeps", [1, 4, 8])
-def test_a_time_limit_returns_the_last_whole_sweep_and_says_so(sweeps):
+def test_a_time_limit_returns_the_last_whole_sweep_as_incomplete(sweeps):
     result = limited_to(sweeps, corner())
     whole = SimpleSmoother(max_its=sweeps + 1, do_refinement=False).smooth(Path.from_poses(corner()), 10.0)
     assert not result.completed
@@ -229,16 +229,16 @@ def test_a_time_limit_leaves_later_pieces_as_they_were():
     assert [segment.direction for segment in result.path.segments] == [Direction.FORWARD, Direction.REVERSE]
 
 
-def test_what_a_time_limit_leaves_has_entered_nothing_either():
+def test_a_result_at_the_time_limit_is_free_of_collisions():
     blocked = grid(LETHAL, (0.58, 0.42))
     for sweeps in (1, 2, 3):
         points = poses_of(limited_to(sweeps, corner(), blocked).path)[:, :2]
         assert (blocked.cost_at(points) == FREE_SPACE).all()
 
 
-@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.4, 2.0, math.pi, 9.0])
+@pytest.mark.parametrize("yaw", [-3.0, 0.4, math.pi, 9.0])
 @pytest.mark.parametrize("shape", [bow, there_and_back])
-def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
+def test_start_and_goal_keep_their_headings(yaw, shape):
     """The seed: preserve start and end poses; Nav2's smoother turns the start along the first step."""
     poses = shape()
     raw = Path.from_poses(poses)
@@ -251,11 +251,6 @@ def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
     assert math.cos(result.start.yaw - yaw) == pytest.approx(1.0, abs=1e-15)
     assert math.cos(result.end.yaw - poses[-1, 2]) == pytest.approx(1.0, abs=1e-15)
     assert [segment.direction for segment in result.segments] == gears
-
-
-def test_cancelling_stops_it():
-    with pytest.raises(SmootherCancelled):
-        SimpleSmoother().smooth(Path.from_poses(corner()), 10.0, cancel_checker=lambda: True)
 
 
 @pytest.mark.parametrize("wrong", [{"tolerance": 0.0}, {"max_its": 0}, {"w_data": -0.1}, {"w_smoth": 0.3}])
@@ -271,12 +266,6 @@ def test_weights_that_converge_slowly_are_accepted_and_weights_that_never_do_are
     too_much = {name: value * 2.001 / 1.99 for name, value in weights.items()}
     with pytest.raises(InvalidValue, match=r"w_data \+ 2 w_smooth: must be < 2"):
         SimpleSmoother(**too_much)
-
-
-def test_nav2s_name_finds_it():
-    found = create_plugin(Smoother, "nav2_smoother::SimpleSmoother", {"w_data": 0.1})
-    assert found.parameters.w_data == 0.1
-    assert type(found).__name__ == "SimpleSmoother"
 
 
 def test_a_curve_is_taken_as_samples():

@@ -59,7 +59,7 @@ class HandClock:
 
 
 @pytest.mark.parametrize(("delay", "certified"), [(0.0, True), (1.0, False)])
-def test_a_certificate_that_takes_too_long_is_given_up_and_says_nothing_about_the_path(monkeypatch, delay, certified):
+def test_a_late_certificate_is_abandoned_without_a_verdict(monkeypatch, delay, certified):
     clock, case = HandClock(), instance("corridor", 1)
 
     def slowly(path, problem, *, is_late):

@@ -18,13 +18,12 @@ from optdock.verification import pose_clearances
 from smoothers.scp.collision.collision_scene import scene_around
 from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import rate_is_kept
-from smoothers.scp.initial_guess import InitialGuesses
+from smoothers.scp.initial_guess import InitialGuesses, largest_deviation, track
 from smoothers.scp.loop import evaluated
 from smoothers.scp.nlp import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
-from smoothers.scp.tracking import strayed, track
 
 CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_curvature=0.25, max_curvature_rate=0.44))
 # Gear, curvature [1/m] and length [m]: words of full arcs, as Reeds-Shepp paths are, with pieces of a few decimetres.
@@ -64,11 +63,13 @@ def tracked(nlp):
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_it_stays_on_words_of_full_arcs_within_the_bounds_whereas_a_fit_of_headings_leaves_them(word):
+def test_tracking_stays_on_words_of_full_arcs_where_a_fit_of_headings_drifts(word):
     nlp = program_of(driven_word(word))
     variables = tracked(nlp)
-    assert strayed(nlp, driven(nlp, variables)) < 0.1
-    assert strayed(nlp, driven(nlp, variables)) < 0.5 * strayed(nlp, driven(nlp, InitialGuesses(nlp).fitted))
+    assert largest_deviation(nlp, driven(nlp, variables)) < 0.1
+    assert largest_deviation(nlp, driven(nlp, variables)) < 0.5 * largest_deviation(
+        nlp, driven(nlp, InitialGuesses(nlp).fitted)
+    )
     assert np.abs(variables.curvature).max() <= 0.25
     assert rate_is_kept(nlp.basis, variables, nlp.bounds)
 
@@ -80,27 +81,27 @@ def test_a_mirrored_input_is_tracked_by_the_mirrored_path(word):
     assert right.lengths == pytest.approx(left.lengths, abs=1e-6)
 
 
-def test_what_is_drivable_already_is_left_where_it_is():
+def test_a_drivable_input_is_not_moved():
     turned = np.linspace(0.0, 0.5, 60)
     poses = np.column_stack((8.0 * np.sin(turned), 8.0 - 8.0 * np.cos(turned), turned))
     nlp = program_of(poses)
-    assert strayed(nlp, driven(nlp, tracked(nlp))) < 1e-3
+    assert largest_deviation(nlp, driven(nlp, tracked(nlp))) < 1e-3
 
 
 def test_it_stops_at_once_when_it_is_late():
     nlp = program_of(driven_word(WORDS[0]))
     fitted = InitialGuesses(nlp).fitted
     late = track(nlp, pool_of_this_thread(), fitted, 0.45, lambda: True)
-    assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
+    assert largest_deviation(nlp, driven(nlp, late)) > largest_deviation(nlp, driven(nlp, tracked(nlp)))
 
 
-def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_others():
+def test_the_tracked_guess_is_first_where_the_others_collide():
     poses = driven_word(WORDS[1])
     free = InitialGuesses(program_of(poses))
     begun = evaluated(free.nlp, free.first.variables)[0].rollout.poses
     assert free.first.variables is free.pursued
     # Boxes where corners of the drive pass and the input does not.
-    corners = transform_points(begun, CAR.footprint.vertices).reshape(-1, 2)
+    corners = transform_points(begun[::2], CAR.footprint.vertices).reshape(-1, 2)
     boxes = [ObstacleSet.from_rectangles(at[None] - 0.15, at[None] + 0.15, "box") for at in corners]
     beside = [box for box in boxes if pose_clearances(poses, CAR.footprint, box)[0].min() > 0.02]
     obstacles = functools.reduce(ObstacleSet.__add__, beside)
@@ -117,7 +118,7 @@ def test_an_input_that_cannot_be_driven_is_not_tracked():
     assert guesses.on_the_input is None
 
 
-def test_finer_intervals_drive_the_same_path_beside_the_same_input():
+def test_finer_intervals_keep_the_path_and_the_input():
     nlp = program_of(driven_word(WORDS[1]))
     finer, variables = with_intervals(nlp, [3 * cells for _, cells in nlp.basis.shape]), tracked(nlp)
     same = np.concatenate([np.flatnonzero(finer.basis.node_gear == m)[::3] for m in range(finer.basis.num_gears)])

@@ -129,9 +129,9 @@ def test_a_straight_piece_in_the_way_of_an_obstacle_is_bent():
 @pytest.mark.parametrize(
     ("path", "options", "word"),
     [
-        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "does not do that"),
+        (STRAIGHT, {"robot": dataclasses.replace(ROBOT, turns_in_place=False)}, "cannot turn in place"),
         (STRAIGHT, {"start_speed": 0.1}, "the robot moves at 0.1 m/s"),
-        (chained(Pose2(0.0, 0.0, 0.0), [(1.0, 0.0)], 0.8), {}, "asks for a final straight"),
+        (chained(Pose2(0.0, 0.0, 0.0), [(1.0, 0.0)], 0.8), {}, "requires a final straight"),
     ],
 )
 def test_turns_that_cannot_be_are_refused_by_name(path, options, word):
@@ -167,7 +167,7 @@ def test_the_clearance_tapers_at_the_dock_alone():
     assert certify_path(smoothed(parked, problem_of(parked, [wall])).path, problem_of(parked, [wall])).certified
 
 
-def test_what_stops_a_piece_is_told_in_the_coordinates_of_the_path():
+def test_a_refused_piece_is_reported_in_the_coordinates_of_the_path():
     raw = chained(Pose2(0.0, 0.0, 0.0), 1.0, [(1.5, 0.0), (3.0, 0.1)])
     x, y = 1.6 * math.cos(1.0), 1.6 * math.sin(1.0)
     problem = problem_of(raw, [box(x - 3.0, y - 0.2, x + 3.0, y + 0.2)])

@@ -128,13 +128,13 @@ def test_where_the_view_costs_nothing_the_result_is_the_same(cases):
 @pytest.mark.parametrize(
     "camera", [Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi), Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi, 0.1, 3.0)]
 )
-def test_a_camera_that_sees_all_around_asks_for_ranges_alone(cases, camera):
+def test_a_camera_with_full_field_of_view_has_range_rows_only(cases, camera):
     task = seen_problem(cases, Pose2(2.5, 0.3, 0.0), camera)
     guess = cases.kinked((0.0, 0.0), (1.2, 0.0), (1.8, 0.3), (2.5, 0.3))
     assert CasadiSmoother().smooth(guess, 2.0, problem=task).report.certificate.certified
 
 
-def test_a_robot_with_a_camera_in_front_looks_turns_and_backs_in(cases):
+def test_a_robot_with_a_front_camera_turns_and_docks_in_reverse(cases):
     task = seen_problem(cases, Pose2(0.0, 0.0, 0.0), start=Pose2(2.8, 0.2, math.pi), visible=1.7, blind=1.3,
                         marker=(-0.6, 0.0), max_yaw_rate=1.0, max_yaw_acceleration=1.0)  # fmt: skip
     robot = dataclasses.replace(task.robot, turns_in_place=True)
@@ -178,7 +178,7 @@ def test_pieces_between_turns_in_place_see_as_well(cases):
 
 
 @pytest.mark.parametrize("straight", [0.0, 0.3])
-def test_a_dock_that_is_too_near_to_be_seen_is_refused_before_any_search(cases, straight):
+def test_a_dock_within_the_minimum_range_is_refused_before_any_search(cases, straight):
     near = dataclasses.replace(NARROW, min_range=0.3)
     task = seen_problem(cases, Pose2(2.5, 0.0, 0.0), near)
     task = dataclasses.replace(task, dock=dataclasses.replace(task.dock, final_straight=straight))

@@ -1,4 +1,4 @@
-"""The scene that contracts are tried in: a robot, a dock 3 m ahead, a free map, and raw paths to it."""
+"""The scene of the contract suites: a robot, a dock 3 m ahead, a free map, and raw paths to the dock."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.lifecycle import PluginContext
+from optdock.testing.drives import cusp_drive
 
 __all__ = [
     "GOAL",
@@ -41,23 +42,23 @@ _DOCK = Footprint.rectangle(front=0.8, rear=-0.45, width=0.8)
 
 
 def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: ObstacleSet | None = None) -> DockingProblem:
-    """From `start` into a dock whose station begins 5 cm before the docked robot's nose."""
+    """Return a problem from `start` into a dock whose station begins 5 cm before the docked robot's front."""
     return DockingProblem(start, Dock(goal, _DOCK), ROBOT, obstacles or ObstacleSet.empty())
 
 
 def scene_context(problem: DockingProblem | None = None) -> PluginContext:
-    """Surroundings with everything in them: a problem, a footprint, and a free map of 10 m x 6 m around it."""
+    """Return a context with a problem, a footprint, and a free map of 10 m x 6 m."""
     found = problem or scene_problem()
     return PluginContext(name="contract", costmap=free_costmap(), footprint=found.robot.footprint, problem=found)
 
 
 def free_costmap() -> Costmap:
-    """A map of 10 m x 6 m around the scene with nothing in it."""
+    """Return a free map of 10 m x 6 m around the scene."""
     return Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-4.0, -3.0))
 
 
 def room_costmap() -> Costmap:
-    """The same map with the walls of `room` in it."""
+    """Return the same map with the walls of `room`."""
     free, walls = free_costmap(), room()
     rows, columns = np.indices(free.data.shape)
     centres = np.array(free.origin) + free.resolution * (np.column_stack((columns.ravel(), rows.ravel())) + 0.5)
@@ -66,15 +67,14 @@ def room_costmap() -> Costmap:
 
 
 def room() -> ObstacleSet:
-    """Walls around the robot at the origin: too narrow to turn, too short to drive a metre either way."""
-    near, far, ahead, behind = 0.3, 3.0, 0.7, -0.6
-    sides = [[(-far, y), (far, y), (far, 2.0 * y), (-far, 2.0 * y)] for y in (near, -near)]
-    ends = [[(x, -near), (2.0 * x, -near), (2.0 * x, near), (x, near)] for x in (ahead, behind)]
-    return ObstacleSet.from_polygons([np.array(polygon) for polygon in (*sides, *ends)])
+    """Return walls around the robot at the origin, too narrow to turn and too short to drive a metre."""
+    low = np.array([(-3.0, 0.3), (-3.0, -0.6), (0.7, -0.3), (-1.2, -0.3)])
+    high = np.array([(3.0, 0.6), (3.0, -0.3), (1.4, 0.3), (-0.6, 0.3)])
+    return ObstacleSet.from_rectangles(low, high, "wall")
 
 
 def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
-    """A rough polyline from `start` towards `goal` straight ahead of it: an S with 1 cm of zigzag, 5 cm steps."""
+    """Return a polyline from `start` to a `goal` ahead of it: an S with 1 cm of zigzag, in steps of 5 cm."""
     end = goal.in_frame_of(start)
     x = np.linspace(0.0, end.x, 1 + round(abs(end.x) / 0.05))
     share = x / end.x
@@ -86,7 +86,7 @@ def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
 
 
 def bent_path() -> Path:
-    """From the origin to the goal over a corner 1 m aside: whatever rounds it off drives nearer to its inside."""
+    """Return a polyline from the origin to the goal with a corner 1 m to the left."""
     x = np.linspace(0.0, GOAL.x, 61)
     y = np.interp(x, [0.0, 0.4 * GOAL.x, GOAL.x], [0.0, 1.0, GOAL.y])
     yaw = np.arctan2(np.diff(y, append=2.0 * y[-1] - y[-2]), np.diff(x, append=2.0 * x[-1] - x[-2]))
@@ -95,24 +95,15 @@ def bent_path() -> Path:
 
 
 def post_inside_the_bend() -> ObstacleSet:
-    """A post of 20 cm that the robot passes by less than a millimetre where it turns on `bent_path`."""
+    """Return a post of 20 cm inside the corner of `bent_path`, which the robot passes by less than 1 mm."""
     return ObstacleSet.from_rectangles(np.array([[1.2, 0.469]]), np.array([[1.4, 0.669]]), "post")
 
 
 def cusp_path() -> Path:
-    """A rough polyline that drives 1.5 m forward through a left arc and 1.5 m back through another."""
-    s = np.linspace(0.0, 1.5, 31)
-    there = np.column_stack((np.sin(0.4 * s) / 0.4, (1.0 - np.cos(0.4 * s)) / 0.4, 0.4 * s))
-    tip = Pose2.from_sequence(there[-1])
-    back = [tip @ Pose2(-x, y, -yaw) for x, y, yaw in there[1:]]
-    return Path.from_poses([*map(Pose2.from_sequence, there), *back])
+    """Return a polyline through a left turn forward and a right turn in reverse."""
+    return moved_path(cusp_drive(ORIGIN).path, ORIGIN)
 
 
 def moved_path(path: Path, motion: Pose2) -> Path:
-    """A path carried along by a rigid motion: the same polyline steps elsewhere.
-
-    Args:
-        path: Sampled every 5 cm where it is not a polyline.
-        motion: Applied to every pose.
-    """
+    """Return the poses of a path, every 5 cm, moved by a rigid motion."""
     return Path.from_poses([motion @ Pose2.from_sequence(row) for row in path.sample(0.05).poses])

@@ -1,7 +1,7 @@
-"""Broad phase: which obstacle the footprint may come near in which interval, by boxes [Ericson2005].
+"""Broad phase: near pairs of interval, body part and obstacle, by bounding boxes [Ericson2005].
 
-Boxes along the world's axes of six neighbouring intervals at once, then of each, then in the frame of the body, whose
-box is much tighter around a body that stands askew.
+Axis-aligned boxes of six neighbouring intervals at once, then of each interval, then boxes in the frame of the body,
+which are much tighter around a rotated body.
 """
 
 from __future__ import annotations
@@ -30,17 +30,7 @@ class Pairs(NamedTuple):
 
 
 def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
-    """Pairs within `reach` [m] by their boxes, in the scene's frame and the body's; of each interval the nearest few.
-
-    Scene boxes alone keep most obstacles around a body that stands askew.
-
-    Args:
-        scene: Obstacles and body.
-        basis: Shape of the path.
-        rollout: The driven path.
-        body: The body at the nodes.
-        reach: Pairs further apart are left out [m].
-    """
+    """Return the pairs whose boxes are within `reach` [m]; where there are many, the nearest few of each interval."""
     row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
     apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
     near = np.flatnonzero(apart < reach)
@@ -51,7 +41,7 @@ def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes,
 
 
 def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, FloatArray]]:
-    """Along x and y: from where to where each part reaches in each interval, Shape (parts * intervals,) each."""
+    """Lower and upper bounds along x and y of each part in each interval, Shape (parts * intervals,) each."""
     left, shape, found = basis.left, (-1, basis.num_nodes), []
     for values in (body.corners.x, body.corners.y):
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
@@ -63,7 +53,7 @@ def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, Floa
 def _by_world_boxes(
     scene: Scene, boxes: list[tuple[FloatArray, FloatArray]], reach: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows of `boxes` and obstacles within `reach` [m], and their separation; some neighbouring rows at once first."""
+    """Rows of `boxes` and obstacles within `reach` [m], and their separation; groups of rows are tested first."""
     lower, upper, count = scene.obstacles.lower, scene.obstacles.upper, boxes[0][0].size
     together = scene.settings.grouped_intervals
     starts = np.arange(0, count, together)
@@ -84,7 +74,7 @@ def _by_world_boxes(
 
 
 def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Lower bound of the signed distance from the gaps of boxes along x and y, all of one shape."""
+    """Lower bound of the signed distance, from the gaps of boxes along x and y."""
     right, up = np.maximum(x, 0.0), np.maximum(y, 0.0)
     outside = np.sqrt(right * right + up * up)
     distance: FloatArray = outside + np.minimum(np.maximum(x, y), 0.0)
@@ -94,20 +84,7 @@ def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
 def _in_body_frame(
     scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, pairs: tuple[IntArray, IntArray]
 ) -> FloatArray:
-    """Separation of obstacles and body in the frame of the body at the left node, by the box of all that it sweeps.
-
-    Obstacles count as their scene boxes, whose extent along a direction (c, s) is |c| x + |s| y.
-
-    Args:
-        scene: Obstacles and body.
-        basis: Shape of the path.
-        rollout: The driven path.
-        body: The body at the nodes.
-        pairs: Row (part and interval) and obstacle of each pair, Shape (p,) each.
-
-    Returns:
-        Shape (p,) [m].
-    """
+    """Separation [m] of swept body and obstacle box in the frame of the body at the left node. Shape (p,)."""
     row, obstacle = pairs
     middle, half = swept_boxes(scene, basis, rollout, body)
     node = basis.left[row % basis.num_intervals]
@@ -117,18 +94,18 @@ def _in_body_frame(
     along = np.abs(c * dx + s * dy - middle.x[row]) - half.x[row]
     across = np.abs(c * dy - s * dx - middle.y[row]) - half.y[row]
     wide, high = scene.box_half.x[0, obstacle], scene.box_half.y[0, obstacle]
-    c, s = np.abs(c), np.abs(s)
+    c, s = np.abs(c), np.abs(s)  # the extent of a box along a direction (c, s) is |c| x + |s| y
     return _box_separation(along - (c * wide + s * high), across - (s * wide + c * high))
 
 
 def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes) -> tuple[Points, Points]:
-    """Middle and half extent of what each part sweeps, in the left node's frame. Shape (parts * intervals,) [m]."""
+    """Return middle and half extent of the area that each part sweeps, in the left node's frame. Shape (p,) [m]."""
     left, shape = basis.left, (-1, len(scene.body.vertices), basis.num_nodes)
     x = body.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
     y = body.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
     c, s = body.cosine[left], body.sine[left]
     turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
-    # A vertex accelerates by at most this, and strays from its chord by an eighth of it times the step squared.
+    # Bound of a vertex's second derivative; its distance from the chord is at most an eighth of that times step^2.
     bend = turn + scene.body.radius * (turn**2 + np.abs(rollout.rate))
     stray = 0.125 * rollout.steps**2 * bend
     boxes = []
@@ -140,15 +117,7 @@ def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes)
 
 
 def _nearest(row: IntArray, apart: FloatArray, scene: Scene) -> BoolArray:
-    """Which pairs are among the nearest few of their row.
-
-    The bound is coarse, so more of those that might be too close are kept than of the others.
-
-    Args:
-        row: Interval and part of every pair, Shape (p,).
-        apart: Their separation, Shape (p,) [m].
-        scene: How many are wanted, and the required clearance.
-    """
+    """Whether each pair is among the nearest few of its row; more are kept of those that may be too close."""
     order = np.lexsort((apart, row))
     first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
     rank = np.empty(row.size, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The scene: convex obstacles, the convex parts of the body, and the clearance required at a pose, as plain arrays."""
+"""Scene of the collision constraints: convex obstacles, convex parts of the body, and required clearance, as arrays."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ class Points(NamedTuple):
     y: FloatArray
 
     def columns(self, chosen: IntArray | BoolArray) -> Points:
-        """The chosen pairs."""
+        """Return the chosen pairs."""
         return Points(self.x[:, chosen], self.y[:, chosen])
 
     def along(self, axis: Points) -> FloatArray:
-        """Heights along one axis per pair, Shape (1, p). Shape (k, p)."""
+        """Return the coordinates along one axis per pair, Shape (1, p). Shape (k, p)."""
         heights: FloatArray = axis.x * self.x + axis.y * self.y
         return heights
 
     def across(self, axis: Points) -> FloatArray:
-        """Coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
+        """Return the coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
         coordinates: FloatArray = axis.x * self.y - axis.y * self.x
         return coordinates
 
     def at(self, row: IntArray) -> Points:
-        """One point per pair. Shape (1, p)."""
+        """Return the point in row `row` of every pair. Shape (1, p)."""
         columns = np.arange(row.size)
         return Points(self.x[row, columns][None], self.y[row, columns][None])
 
@@ -62,56 +62,34 @@ class Body(NamedTuple):
     width: float
 
 
-# Which part of the rule decides.
+# The part of the clearance rule that decides.
 DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 
 class Requirement(NamedTuple):
-    """Required clearance at positions.
+    """Required clearance at positions."""
 
-    Attributes:
-        value: Shape (n,) [m].
-        gradient: By position, Shape (n, 2).
-        rule: Which one decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`.
-        leaving: What the growth from the start alone would ask for, Shape (n,) [m].
-    """
-
-    value: FloatArray
-    gradient: FloatArray
-    rule: IntArray
-    leaving: FloatArray
+    value: FloatArray  # Shape (n,) [m]
+    gradient: FloatArray  # by position, Shape (n, 2)
+    rule: IntArray  # part that decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`
+    leaving: FloatArray  # requirement by the growth from the start alone, Shape (n,) [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Obstacles near the path, the body, and the clearance rule.
+    """Obstacles near the path, the body, and the clearance rule."""
 
-    Args:
-        obstacles: Near the input path.
-        body: What moves.
-        rule: Clearance rule.
-        start: Start position, Shape (2,) [m].
-        goal: Goal position, Shape (2,) [m].
-        start_clearance: Clearance of the start pose [m].
-        settings: Which pairs are looked at, and how.
-        start_relief: Of the clearance rule [m].
-
-    Attributes:
-        outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
-        edge_normals: Their outward edge normals.
-        box_middle, box_half: Middle and half extent of their bounding boxes, Shape (1, m) [m].
-    """
-
-    obstacles: ObstacleSet
+    obstacles: ObstacleSet  # obstacles near the input path
     body: Body
     rule: ClearanceRule
-    start: FloatArray
+    start: FloatArray  # positions, Shape (2,) [m]
     goal: FloatArray
-    start_clearance: float
-    settings: CollisionSettings = DEFAULT_SETTINGS.collision
-    start_relief: float = 0.0
-    outline: Points = field(init=False, repr=False)
-    edge_normals: Points = field(init=False, repr=False)
+    start_clearance: float  # clearance of the start pose [m]
+    settings: CollisionSettings = DEFAULT_SETTINGS.collision  # selection of pairs
+    start_relief: float = 0.0  # length of the weaker rule near the start [m]
+    outline: Points = field(init=False, repr=False)  # obstacle vertices, one column per obstacle, Shape (k, m) [m]
+    edge_normals: Points = field(init=False, repr=False)  # their outward edge normals
+    # middle and half extent of their bounding boxes, Shape (1, m) [m]
     box_middle: Points = field(init=False, repr=False)
     box_half: Points = field(init=False, repr=False)
 
@@ -124,7 +102,7 @@ class Scene:
         object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
 
     def required(self, positions: FloatArray) -> Requirement:
-        """What is required at robot positions, Shape (n, 2) [m]."""
+        """Return the required clearance at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
         from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
         docking = self.rule.near_goal(from_goal)
@@ -142,7 +120,7 @@ class Scene:
         return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
 
     def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
-        """How fast what is required grows with the distance from an end at which `least` is enough, Shape (n,)."""
+        """Slope of the requirement over the distance from an end where `least` is required, Shape (n,)."""
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
@@ -150,7 +128,7 @@ class Scene:
 
 @lru_cache(maxsize=16)
 def body_of(footprint: Footprint) -> Body:
-    """The padded parts of a footprint, once per footprint object."""
+    """Return the padded parts of a footprint, computed once per footprint."""
     width = max(len(part.vertices) for part in footprint.bodies)
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
@@ -167,7 +145,7 @@ def _padded(rows: FloatArray, count: int) -> FloatArray:
 def scene_around(
     problem: DockingProblem, positions: FloatArray, start_clearance: float, settings: CollisionSettings
 ) -> Scene:
-    """The scene within reach of a path through `positions`, Shape (n, 2) [m]."""
+    """Return the scene within reach of a path through `positions`, Shape (n, 2) [m]."""
     body = body_of(problem.robot.footprint)
     reach = body.radius + problem.path_clearance.required + settings.crop
     near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
@@ -177,24 +155,17 @@ def scene_around(
 
 
 class BodyAtNodes(NamedTuple):
-    """The body at every node.
+    """The body at every node."""
 
-    Attributes:
-        corners: Scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m].
-        inward: Inward normals of the body's edges, likewise.
-        required: Clearance required at the nodes.
-        cosine, sine: Of the yaw, Shape (nodes,).
-    """
-
-    corners: Points
-    inward: Points
-    required: Requirement
-    cosine: FloatArray
+    corners: Points  # scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m]
+    inward: Points  # inward normals of the body's edges, same shape
+    required: Requirement  # required clearance at the nodes
+    cosine: FloatArray  # of the yaw, Shape (nodes,)
     sine: FloatArray
 
 
 def body_at_nodes(scene: Scene, poses: FloatArray) -> BodyAtNodes:
-    """The body at all poses, Shape (nodes, 3)."""
+    """Return the body at all poses, Shape (nodes, 3)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     shape = (scene.body.vertices.shape[1], -1)
     turned = []

@@ -1,12 +1,12 @@
-"""Linearization: clearance as linear rows, exact to first order at the points that witness it.
+"""Linearization: the active set of near pairs, and their clearance as linear rows, exact to first order.
 
 Separating planes: a row moves the hull point over the obstacle at a tangent coordinate, a mix of two hull vertices,
-possibly of different nodes. Holding only whole vertices above a fixed plane would be safe too, but then no side could
-roll around a corner.
+possibly of different nodes. Rows of whole vertices above a fixed plane would be safe too, but could not let a side roll
+around a corner.
 
-Covering discs: where the body overlaps an obstacle deeply, the axis of least overlap of neighbouring intervals may
+Covering discs: where the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may
 point to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so discs along
-it agree on the side; they have an exact signed distance to the obstacle.
+the centre line agree on the side; they have an exact signed distance to the obstacle.
 """
 
 from __future__ import annotations
@@ -20,44 +20,93 @@ from smoothers.scp.collision.narrow_phase import chords
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers.scp.basis import Basis
-    from smoothers.scp.collision.active_pairs import ActivePairs
+    from smoothers.scp.collision.broad_phase import Pairs
     from smoothers.scp.collision.collision_scene import Scene
     from smoothers.scp.collision.narrow_phase import Chords, Clearance
     from smoothers.scp.rollout import Rollout, Sensitivity
     from smoothers.scp.settings import CollisionSettings
 
-__all__ = ["ClearanceRows", "covering_disc_rows", "covering_discs", "linearized_clearance", "separating_plane_rows"]
+__all__ = [
+    "ActivePairs",
+    "ClearanceRows",
+    "active_pairs",
+    "covering_disc_rows",
+    "covering_discs",
+    "linearized_clearance",
+    "local_minima",
+    "separating_plane_rows",
+]
+
+
+class ActivePairs(NamedTuple):
+    """Indices of the pairs with planes, and of the deeply penetrating ones with discs; ascending, Shape (n,), (m,)."""
+
+    separated: IntArray
+    penetrating: IntArray
+
+
+def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
+    """Return all near pairs, or at most `most` planes where there are more.
+
+    While the path is not clear of many pairs, a small obstacle gets planes only in the intervals where the body comes
+    closest: the rows of neighbouring intervals are nearly equal and would displace those of other obstacles.
+    """
+    settings, worst = scene.settings, float(found.margin.min(initial=np.inf))
+    deep = _deeply_penetrating(found.margin, worst, scene.body.width, settings)
+    chosen = ~deep
+    limit = min(most, max(settings.few_planes, num_intervals))
+    if settings.thins_small_obstacles and worst < -settings.clear and np.count_nonzero(chosen) > limit:
+        small = 2.0 * np.maximum(scene.box_half.x[0], scene.box_half.y[0]) < scene.body.width
+        chosen &= ~small[found.pairs.obstacle] | local_minima(found.pairs, found.margin)
+    planes = np.flatnonzero(chosen)
+    if planes.size > limit:
+        planes = np.sort(planes[np.argpartition(found.margin[planes], limit)[:limit]])
+    return ActivePairs(planes, np.flatnonzero(deep))
+
+
+def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
+    """Pairs whose overlap determines no side, with their neighbours where one is very deep. Shape (p,)."""
+    if worst >= -settings.deep * width:
+        return np.zeros(margin.size, dtype=np.bool_)
+    least = -settings.deep if worst >= -settings.very_deep else settings.near_deep
+    deep: BoolArray = margin < least * width
+    return deep
+
+
+def local_minima(pairs: Pairs, margin: FloatArray) -> BoolArray:
+    """Whether each pair is a local minimum of the distance over neighbouring intervals. Shape (p,)."""
+    order = np.lexsort((pairs.interval, pairs.obstacle, pairs.part))
+    interval, part, obstacle = (np.diff(column[order]) for column in pairs)
+    neighbours = (interval == 1) & (part == 0) & (obstacle == 0)
+    value = margin[order]
+    lowest = np.ones(margin.size, dtype=np.bool_)
+    lowest[:-1] &= ~neighbours | (value[:-1] <= value[1:])
+    lowest[1:] &= ~neighbours | (value[1:] <= value[:-1])
+    result = np.empty(margin.size, dtype=np.bool_)
+    result[order] = lowest
+    return result
 
 
 class ClearanceRows(NamedTuple):
-    """Constraints `gradient . step + gap >= 0`: (r, size), (r,) [m], and the node each belongs to (r,)."""
+    """Constraints `gradient . step + gap >= 0`: gradient (r, size), gap (r,) [m], and the node of each row (r,)."""
 
     gradient: FloatArray
     gap: FloatArray
     node: IntArray
 
     def subset(self, keep: IntArray | BoolArray) -> ClearanceRows:
-        """The rows at `keep`."""
+        """Return the rows at `keep`."""
         return ClearanceRows(self.gradient[keep], self.gap[keep], self.node[keep])
 
     def lowest(self, most: int) -> ClearanceRows:
-        """At most so many, those with the smallest gaps."""
+        """Return the `most` rows with the smallest gaps."""
         return self if self.gap.size <= most else self.subset(np.argpartition(self.gap, most)[:most])
 
 
 def linearized_clearance(
     scene: Scene, basis: Basis, rollout: Rollout, by: Sensitivity, found: Clearance, active: ActivePairs
 ) -> ClearanceRows:
-    """Rows of the active pairs: of planes, and of discs where the body overlaps an obstacle deeply.
-
-    Args:
-        scene: Obstacles and body.
-        basis: Shape of the path.
-        rollout: The driven path.
-        by: Derivatives of its poses.
-        found: Near pairs.
-        active: Which of them.
-    """
+    """Return the rows of the active pairs; those that move only the given start are left out."""
     if found.margin.size == 0:
         return ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
     rows = separating_plane_rows(basis, rollout, by, found, active.separated, scene.settings)
@@ -65,7 +114,7 @@ def linearized_clearance(
         pushing = covering_disc_rows(scene, basis, rollout, by, found, active.penetrating)
         rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, pushing, strict=True)))
     still = np.abs(rows.gradient).max(axis=1, initial=0.0) < 1e-9
-    return rows.subset(~(still & (rows.node <= 0)))  # the start is given
+    return rows.subset(~(still & (rows.node <= 0)))
 
 
 def separating_plane_rows(
@@ -76,7 +125,7 @@ def separating_plane_rows(
     chosen: IntArray,
     settings: CollisionSettings,
 ) -> ClearanceRows:
-    """Up to three rows for every chosen pair of `found`."""
+    """Return up to three rows for every chosen pair of `found`."""
     picked = _witnesses(found, chosen, settings)
     place, pair = np.nonzero(picked.used)
     columns = chosen[pair]
@@ -98,7 +147,7 @@ def separating_plane_rows(
 
 
 class _Witness(NamedTuple):
-    """Hull points: two hull vertices, the share of the second, the gap there, and which count; Shape (t, p) each."""
+    """Witness points on the hull: two vertices, share of the second, gap, and whether in use; Shape (t, p) each."""
 
     first: IntArray
     second: IntArray
@@ -125,7 +174,7 @@ def _witnesses(found: Clearance, chosen: IntArray, settings: CollisionSettings) 
 def _shared_support(
     along: FloatArray, height: FloatArray, beside: FloatArray, tops: FloatArray, slope: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tangent range over which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
+    """Tangent range in which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
     columns = np.arange(along.shape[1])
     i, j = np.argmin(height, axis=0), np.argmax(tops, axis=0)
     of_hull = height <= height[i, columns] + slope * np.abs(along - along[i, columns]) + 1e-9
@@ -165,7 +214,7 @@ def _lower_side(
 def covering_disc_rows(
     scene: Scene, basis: Basis, rollout: Rollout, by: Sensitivity, found: Clearance, chosen: IntArray
 ) -> ClearanceRows:
-    """ClearanceRows that move the deepest discs of the chosen pairs out of their obstacles."""
+    """Return rows that move the deepest discs of the chosen pairs out of their obstacles."""
     parts = [
         _part_rows(scene, rollout, basis, found, chosen[found.pairs.part[chosen] == b], b)
         for b in range(len(scene.body.vertices))
@@ -197,12 +246,7 @@ def _part_rows(
 
 
 def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
-    """Centres (d, 2) [m] along the longer side of a body part's box, at most so many, and their radius [m].
-
-    Args:
-        vertices: Shape (v, 2) [m].
-        most: Discs at most.
-    """
+    """Return centres, Shape (d, 2), and radius [m] of at most `most` discs along the box of `vertices` (v, 2)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent, middle = high - low, 0.5 * (low + high)
     long = int(np.argmax(extent))

@@ -1,17 +1,16 @@
 """Narrow phase: separating planes between obstacles and the footprint swept between two neighbouring nodes.
 
 For an interval with end poses k and k + 1 let H be the vertices of the footprint at both. For a unit axis n from
-obstacle to robot a vertex dips below the chord of its two positions by at most `sag = h^2 / 8 * max(g'', 0)`, where g''
-is the second derivative of its height along n. So everything the vertex sweeps is at least
+obstacle to robot a vertex falls below the chord of its two positions by at most `sag = h^2 / 8 * max(g'', 0)`, where
+g'' is the second derivative of its coordinate along n. The area that the vertex sweeps is therefore at least
 
     min over H of (n.v - required - sag) - max over the obstacle of n.q
 
-above the requirement: a lower bound for ANY n, between the nodes too. g'' is taken at both ends; within the interval it
-changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
+above the requirement: a lower bound for any n, between the nodes too. g'' is taken at both ends; within the interval
+it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
 
-(In the plane they are lines; "plane" is the name that the field uses.) The axis n is the best of the candidates that
-separate convex polygons ([Ericson2005], 5.2), refined once. Hulls of two neighbouring nodes are those of
-[Schulman2014]. Arrays hold one pair per column, so that every reduction runs over contiguous memory.
+The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. Hulls of two
+neighbouring nodes are those of [Schulman2014]. Arrays hold one pair per column for contiguous reductions.
 """
 
 from __future__ import annotations
@@ -36,48 +35,26 @@ if TYPE_CHECKING:
 
 __all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "most_sag", "narrow_phase", "sag"]
 
-_CACHED = (
-    100_000  # numbers, 0.8 MB: what is read again at once should still be in the processor's cache (8 times as fast)
-)
+_CACHED = 100_000  # numbers, 0.8 MB: blocks of this size stay in the processor's cache (8 times as fast)
 
 
 class Clearance(NamedTuple):
-    """Near pairs and how far each is above the requirement; one column per pair.
+    """Near pairs and their margins above the requirement; one column per pair."""
 
-    Attributes:
-        pairs: Which interval, part, obstacle.
-        hull: Swept vertices, those of the left node first, Shape (2v, p) [m].
-        axis: Unit, obstacle to robot, Shape (1, p).
-        heights: Shape (2v, p) [m], n.v less requirement and sag.
-        outline: Obstacle vertices, Shape (k, p) [m].
-        top: Shape (p,) [m], largest n.q of the obstacle.
-        margin: Shape (p,) [m], proven lower bound of clearance - required.
-        required: At every node.
-    """
-
-    pairs: Pairs
-    hull: Points
-    axis: Points
-    heights: FloatArray
-    outline: Points
-    top: FloatArray
-    margin: FloatArray
-    required: Requirement
+    pairs: Pairs  # interval, part and obstacle
+    hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
+    axis: Points  # unit, obstacle to robot, Shape (1, p)
+    heights: FloatArray  # Shape (2v, p) [m], n.v less requirement and sag
+    outline: Points  # obstacle vertices, Shape (k, p) [m]
+    top: FloatArray  # Shape (p,) [m], largest n.q of the obstacle
+    margin: FloatArray  # Shape (p,) [m], proven lower bound of clearance - required
+    required: Requirement  # at every node
 
 
 def narrow_phase(
     scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, body: BodyAtNodes, pairs: Pairs
 ) -> Clearance:
-    """The proven margin of every pair.
-
-    Args:
-        scene: Obstacles and body.
-        basis: Shape of the path.
-        rollout: The driven path.
-        signs: Gear of each segment, Shape (num_gears,).
-        body: The body at the nodes.
-        pairs: Of the broad phase.
-    """
+    """Return the proven margin of every pair; `signs` are the gears, Shape (num_gears,)."""
     left = basis.left[pairs.interval]
     column = pairs.part * basis.num_nodes + left
     hull, inward = _both_ends(body.corners, column), body.inward.columns(column)
@@ -85,7 +62,9 @@ def narrow_phase(
     axis = best_separating_axes(hull, outline, normals, inward, scene.settings)
     along = hull.along(axis)
     sign = signs[basis.interval_gear[pairs.interval]]
-    dip = sag(scene, rollout, pairs, _Seen(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), body)
+    dip = sag(
+        scene, rollout, pairs, _AxisCoordinates(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), body
+    )
     heights = along - _node_requirements(body.required, left, len(dip))
     heights[: len(dip)] -= dip
     heights[len(dip) :] -= dip
@@ -94,7 +73,7 @@ def narrow_phase(
 
 
 def _both_ends(points: Points, column: IntArray) -> Points:
-    """The columns of the left nodes above those of the right nodes."""
+    """Stack the columns of the left nodes above those of the right nodes."""
     both = np.concatenate((column, column + 1))
     count, size = points.x.shape[0], column.size
     return Points(
@@ -108,8 +87,8 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
     """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
 
-    Every rule is convex in distance and the smallest one counts, so where another takes over within an interval
-    the larger of its ends is safe. Next to the start only the right end may be raised: the left one is given.
+    Every part of the rule is convex in the distance and the smallest one counts; where the part changes within an
+    interval the larger value of both ends is safe. Next to the start only the right end is raised: the left is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -120,8 +99,8 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     return np.repeat(np.stack((first, last)), count, axis=0)
 
 
-class _Seen(NamedTuple):
-    """Pairs seen along their axes: end nodes (2, p), gear (p,), axis, hull vertices along and across it (2v, p)."""
+class _AxisCoordinates(NamedTuple):
+    """Pairs in coordinates of their axes: end nodes (2, p), gear (p,), axis, hull along and across it (2v, p)."""
 
     nodes: IntArray
     sign: FloatArray
@@ -130,15 +109,15 @@ class _Seen(NamedTuple):
     across: FloatArray
 
 
-def sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtNodes) -> FloatArray:
-    """How far every vertex may dip below its chord along the axis. Shape (v, p)."""
-    axis, nodes = seen.axis, seen.nodes
+def sag(scene: Scene, rollout: Rollout, pairs: Pairs, frame: _AxisCoordinates, body: BodyAtNodes) -> FloatArray:
+    """Return the bound by which every vertex may fall below its chord along the axis. Shape (v, p) [m]."""
+    axis, nodes = frame.axis, frame.nodes
     step, rate = rollout.steps[pairs.interval], rollout.rate[pairs.interval]
     x, y, kappa = rollout.poses[nodes, 0], rollout.poses[nodes, 1], rollout.curvature[nodes]
-    shape = (2, len(seen.along) // 2, step.size)
-    along = seen.along.reshape(shape) - (axis.x * x + axis.y * y)[:, None]
-    across = seen.across.reshape(shape) - (axis.x * y - axis.y * x)[:, None]
-    lateral = seen.sign * kappa * (axis.y * body.cosine[nodes] - axis.x * body.sine[nodes])
+    shape = (2, len(frame.along) // 2, step.size)
+    along = frame.along.reshape(shape) - (axis.x * x + axis.y * y)[:, None]
+    across = frame.across.reshape(shape) - (axis.x * y - axis.y * x)[:, None]
+    lateral = frame.sign * kappa * (axis.y * body.cosine[nodes] - axis.x * body.sine[nodes])
     # n . R90 arm is minus the arm's coordinate across n.
     bend = (lateral[:, None] - rate * across - (kappa * kappa)[:, None] * along).max(axis=0)
     most, reach = np.abs(kappa).max(axis=0), scene.body.reach[pairs.part].T
@@ -148,12 +127,7 @@ def sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtN
 
 
 def most_sag(rollout: Rollout, radius: float) -> float:
-    """Roughly the most that any vertex within `radius` [m] may dip below its chord: what finer intervals can give back.
-
-    Args:
-        rollout: The driven path.
-        radius: Of the body [m].
-    """
+    """Return an estimate of the largest sag of a vertex within `radius` [m] of the origin of the body [m]."""
     turn, rate = np.abs(rollout.curvature).max(), np.abs(rollout.rate).max()
     return float(0.125 * rollout.steps.max() ** 2 * (turn + radius * (turn**2 + rate)))
 
@@ -161,18 +135,18 @@ def most_sag(rollout: Rollout, radius: float) -> float:
 def best_separating_axes(
     hull: Points, outline: Points, normals: Points, inward: Points, settings: CollisionSettings
 ) -> Points:
-    """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (1, p).
+    """Return the unit axes, obstacle to robot, with the largest separation among the candidates. Shape (1, p).
 
     Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices,
-    the normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
-    Without that last one the predicted and the found separation differ to first order.
+    the normals of the chord of the closest vertex, and the normal of the hull's edge over the obstacle's support point.
+    Without the last one the predicted and the actual separation differ to first order.
 
     Args:
         hull: Swept vertices, those of the left node first, Shape (2v, p).
         outline: Obstacle vertices, Shape (k, p).
         normals: Outward obstacle edge normals, Shape (k, p).
         inward: Inward body edge normals at the left node, Shape (v, p).
-        settings: How many edges of the body are candidates, and how many vertices may carry the lower side of a hull.
+        settings: Numbers of body edges and of hull vertices that are candidates.
     """
     closest, chord = _vertex_axes(hull, outline, normals)
     vertex = _stacked(closest, chord, Points(-chord.x, -chord.y))
@@ -189,7 +163,7 @@ def best_separating_axes(
 
 
 def _stacked(*points: Points) -> Points:
-    """All of several, one above the other."""
+    """Stack the rows of several."""
     return Points(*(np.concatenate(values) for values in zip(*points, strict=True)))
 
 
@@ -205,7 +179,7 @@ def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:
 
 
 def _blocks(size: int, count: int) -> Iterator[slice]:
-    """Columns of `size` numbers each, as many at a time as stay in the cache."""
+    """Yield slices of columns of `size` numbers each that fit in the cache."""
     step = max(1, _CACHED // size)
     return (slice(start, start + step) for start in range(0, count, step))
 
@@ -233,7 +207,7 @@ def _closest(hull: Points, outline: Points) -> tuple[IntArray, IntArray]:
 
 
 def _unit(vectors: Points, fallback: Points) -> Points:
-    """Vectors scaled to length 1; the fallback where they are too short to point anywhere."""
+    """Vectors scaled to length 1; the fallback where they are shorter than 1e-9."""
     length = np.hypot(vectors.x, vectors.y)
     short = length < 1e-9
     if not short.any():
@@ -243,7 +217,7 @@ def _unit(vectors: Points, fallback: Points) -> Points:
 
 
 class Chords(NamedTuple):
-    """Chords between the vertices of every hull that can carry its lower side, from left to right; Shape (c, p) each.
+    """Chords between the vertices of every hull that may form its lower side, from left to right; Shape (c, p) each.
 
     `first`, `second`: vertex indices. `along`, `height`: of the first. `run`, `rise`: to the second, run >= 0.
     """
@@ -256,14 +230,14 @@ class Chords(NamedTuple):
     rise: FloatArray
 
     def levels(self, place: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Share of the second vertex at tangent coordinates `place`, and whether the chord spans it."""
+        """Return the share of the second vertex at tangent coordinates `place`, and whether the chord spans them."""
         usable = self.run > 1e-12
         share = (place - self.along) / np.where(usable, self.run, 1.0)
         return share, usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
 
 
 def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -> Chords:
-    """All chords between points at tangent coordinates `along`, Shape (k, p); of many points only the lowest count."""
+    """Return all chords between points at tangent coordinates `along`, Shape (k, p); of many points the lowest."""
     columns = np.arange(along.shape[1])
     if along.shape[0] > settings.lowest_vertices:
         lowest = np.argmin(height, axis=0)
@@ -279,13 +253,13 @@ def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -
 
 @cache
 def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
-    """First and second of every pair of so many."""
+    """Indices of every pair among `count` elements."""
     first, second = np.triu_indices(count, 1)
     return readonly(first), readonly(second)
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:
-    """The normal of the hull's lower edge over the obstacle's support point, where that separates better."""
+    """The normal of the hull's lower edge over the obstacle's support point, where it separates more."""
     support = outline.at(np.argmax(outline.along(axis), axis=0))
     lines = chords(hull.across(axis), hull.along(axis), settings)
     share, spans = lines.levels(support.across(axis))

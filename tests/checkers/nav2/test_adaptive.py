@@ -82,7 +82,7 @@ def test_acceptance_latches_until_reset():
     assert verdicts(checker, [0.5]) == [False]
 
 
-def test_without_state_every_call_decides_anew():
+def test_without_state_every_call_is_independent():
     assert verdicts(adaptive(stateful=False), [0.05, 0.5]) == [True, False]
 
 

@@ -151,7 +151,7 @@ class TestStopped:
         assert reached(checker, at(2.0))
 
 
-def test_tolerances_say_what_is_measured():
+def test_tolerances_are_none_where_nothing_is_measured():
     assert PositionGoalChecker(xy_goal_tolerance=0.1).tolerances == (0.1, 0.1, None, None, None, 1.0)
     assert SimpleGoalChecker(xy_goal_tolerance=0.1).tolerances == (0.1, 0.1, 0.25, None, None, 1.0)
     assert StoppedGoalChecker(trans_stopped_velocity=0.1).tolerances == (0.25, 0.25, 0.25, 0.1, 0.25, 1.0)

@@ -1,4 +1,4 @@
-"""How a gate is seen failing."""
+"""Check that every test of a contract can fail."""
 
 import pytest
 
@@ -13,19 +13,19 @@ def suite_of(contract, plugin, **attributes):
 
 
 def require_every_gate(contract, good, broken, *, errors=(), **attributes):
-    """`good` passes, and each test of the contract's own fails for the plugin that `broken` holds for it.
+    """`good` passes, and each test of the contract itself fails for every plugin that `broken` lists for it.
 
     Args:
         contract: The contract.
         good: A plugin class that keeps it.
-        broken: A plugin class, or a dict of suite attributes, by the name of the test that must catch it.
+        broken: Plugin classes, or dicts of suite attributes, by the name of the test that must catch them.
         errors: Exceptions other than ContractBroken with which a test may fail.
         attributes: Of the suite.
     """
     own = {name for name in dir(contract) if name.startswith("test_")}
     own -= COMMON if contract is not PluginContract else set()
     assert failures(suite_of(contract, good, **attributes)) == {}
-    for name, plugin in broken.items():
+    for name, plugin in ((name, plugin) for name, plugins in broken.items() for plugin in plugins):
         suite = suite_of(contract, good if isinstance(plugin, dict) else plugin, **attributes)
         if isinstance(plugin, dict):
             suite = type("Suite", (suite,), plugin)

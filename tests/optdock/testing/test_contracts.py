@@ -1,6 +1,6 @@
 """Every installed plugin, found through its entry point, keeps the contract of its kind.
 
-A sample below says what the suite cannot know: what to feed a layer with, what to command a behavior.
+The samples below are the observations of layers, the commands of behaviors, and pure numbers.
 """
 
 import re
@@ -12,16 +12,9 @@ import numpy as np
 import pytest
 
 from optdock.errors import InvalidValue
-from optdock.geometry.obstacles import ObstacleSet
 from optdock.model.costmap import OccupancyGrid
 from optdock.plugins.registry import INTERFACES, available_plugins
 from optdock.testing.contracts import CONTRACTS, installed_suites
-from optdock.testing.contracts.contract_scene import scene_context, scene_problem
-
-
-def dock_blocked_from_staging(suite):
-    wall = np.array([[2.4, -1.0], [2.6, -1.0], [2.6, 2.0], [2.4, 2.0]])
-    return scene_context(scene_problem(obstacles=ObstacleSet.from_polygons([wall])))
 
 
 def feed_map(suite, layer):
@@ -29,12 +22,7 @@ def feed_map(suite, layer):
     layer.set_map(OccupancyGrid(occupancy, 0.05, (-1.5, -1.2)))
 
 
-def feed_points(suite, layer):
-    layer.add_points([[1.0, 0.2], [0.8, -0.5], [-0.9, 0.9]], (0.0, 0.0))
-
-
 DRIVE = {"target": 1.0, "speed": 0.3}
-SPIN = {"target_yaw": 1.5}
 SAMPLES = {
     "planners.DockPlanner": {"needs_context": True, "unitless": {"step", "alpha", "beta", "gamma"}},
     "planners.ManoeuvrePlanner": {
@@ -80,7 +68,7 @@ def test_every_installed_plugin_has_a_suite_and_every_kind_a_contract():
         assert suite.__doc__ == f"{info.kind}: {info.target}."
 
 
-def test_every_sample_belongs_to_a_plugin_and_says_what_its_suite_knows():
+def test_every_sample_belongs_to_a_plugin_and_has_known_attributes():
     assert set(SAMPLES) <= {f"{info.kind}.{info.name}" for info in available_plugins()}
     with pytest.raises(InvalidValue, match=re.escape("GlobalPlannerContract has no need_context; did you mean needs_")):
         installed_suites({"planners.DockPlanner": {"need_context": True}})
@@ -122,5 +110,5 @@ def test_a_plugin_of_another_distribution_is_judged_by_the_same_suite_without_py
     assert done.stdout.splitlines() == [
         "False",
         "{}",
-        "['test_a_robot_far_away_has_not', 'test_reset_forgets_every_latch']",
+        "['test_a_robot_elsewhere_has_not_arrived', 'test_reset_clears_every_latch']",
     ]

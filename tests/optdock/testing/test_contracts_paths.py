@@ -9,7 +9,6 @@ from pydantic import Field
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import normalize_angle
 from optdock.model.path import Direction, Path, PolylineSegment
-from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.plugins.interfaces import (
     GlobalPlanner,
     Smoother,
@@ -73,18 +72,18 @@ def foreign_error(self, start, goal, cancel_checker=lambda: False):
 
 def test_every_gate_of_planners_can_fail(every_gate):
     broken = {
-        "test_the_path_begins_at_the_start_and_ends_at_the_goal": planner(
-            joined=lambda self, poses, goal: Path.from_poses(poses[:-1])
-        ),
-        "test_the_path_stands_in_the_frame_of_the_problem": planner(
-            joined=lambda self, poses, goal: Path.from_poses([*poses[:-1], goal], "map")
-        ),
-        "test_yaws_a_full_turn_apart_are_the_same": planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1))),
-        "test_a_rigid_motion_of_the_task_moves_the_path": planner(point=bulging(lambda start: start.x)),
-        "test_it_stops_when_cancelled_and_plans_again": planner(
-            create_plan=lambda self, start, goal, cancel_checker=None: Line.create_plan(self, start, goal)
-        ),
-        "test_it_fails_by_name": planner(create_plan=foreign_error),
+        "test_the_path_leads_from_start_to_goal_in_their_frame": [
+            planner(joined=lambda self, poses, goal: Path.from_poses(poses[:-1])),
+            planner(joined=lambda self, poses, goal: Path.from_poses([*poses[:-1], goal], "map")),
+        ],
+        "test_a_motion_of_the_task_moves_the_path": [
+            planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1))),
+            planner(point=bulging(lambda start: start.x)),
+        ],
+        "test_it_stops_when_cancelled_and_plans_again": [
+            planner(create_plan=lambda self, start, goal, cancel_checker=None: Line.create_plan(self, start, goal))
+        ],
+        "test_it_fails_by_name": [planner(create_plan=foreign_error)],
     }
     every_gate(GlobalPlannerContract, Line, broken, errors=(ZeroDivisionError,))
 
@@ -166,21 +165,20 @@ class CallOnly(Same):
 
 def test_every_gate_of_smoothers_can_fail(every_gate):
     broken = {
-        "test_a_problem_counts_the_same_configured_and_in_the_call": CallOnly,
-        "test_the_ends_stay": smoother(shortened),
-        "test_the_frame_stays": smoother(lambda self, path, *_: SmoothingResult(Path(path.segments, "odom"))),
-        "test_it_drives_into_nothing_that_the_path_cleared": smoother(sagging),
-        "test_a_rigid_motion_of_the_task_moves_the_result": smoother(on_a_grid),
-        "test_the_result_says_what_it_is": smoother(lambda self, path, *_: SmoothingResult(path, completed=1)),
-        "test_the_input_is_not_touched": smoother(touching),
-        "test_gears_stay_in_order": smoother(one_gear),
-        "test_a_path_too_short_is_refused_or_returned": smoother(dividing),
-        "test_no_time_is_time_out_or_a_usable_path": smoother(halved_in_haste),
-        "test_a_time_limit_is_a_finite_number_that_is_not_negative": Timeless,
-        "test_it_stops_when_cancelled_and_smooths_again": Deaf,
-        "test_an_earlier_result_helps_or_is_ignored": smoother(
-            lambda self, path, _, warm: SmoothingResult(warm or path)
-        ),
+        "test_a_problem_counts_the_same_configured_and_in_the_call": [CallOnly],
+        "test_the_result_replaces_the_input": [
+            smoother(shortened),
+            smoother(lambda self, path, *_: SmoothingResult(Path(path.segments, "odom"))),
+            smoother(lambda self, path, *_: SmoothingResult(path, completed=1)),
+            smoother(touching),
+            smoother(one_gear),
+        ],
+        "test_obstacles_that_the_path_clears_stay_clear": [smoother(sagging)],
+        "test_a_rigid_motion_of_the_task_moves_the_result": [smoother(on_a_grid)],
+        "test_a_path_too_short_is_refused_or_returned": [smoother(dividing)],
+        "test_little_time_is_a_time_out_or_a_usable_path": [smoother(halved_in_haste), Timeless],
+        "test_it_stops_when_cancelled_and_smooths_again": [Deaf],
+        "test_a_warm_start_keeps_the_ends": [smoother(lambda self, path, _, warm: SmoothingResult(warm or path))],
     }
     every_gate(SmootherContract, Same, broken, errors=(ZeroDivisionError,))
 
@@ -233,41 +231,25 @@ def slower_far_away(self, path, limits, start_speed):
     return dataclasses.replace(limits, max_speed=share * limits.max_speed), start_speed
 
 
-class Forgetful(Trajectory):
-    def __reduce__(self):
-        law = self.time_law
-        return Trajectory, (self.path, TimeLaw(law.durations, 0.5 * law.jerks))
-
-
-def lossy(self, result):
-    motion = result.trajectory
-    return dataclasses.replace(result, trajectory=motion and Forgetful(motion.path, motion.time_law))
-
-
 def test_every_gate_of_time_parameterizers_can_fail(every_gate):
+    def change(**values):
+        return timing(answer=lambda self, result: dataclasses.replace(result, **values))
+
     broken = {
-        "test_what_is_ok_is_certified": timing(
-            question=lambda self, path, limits, v: (dataclasses.replace(limits, max_jerk=2.0 * limits.max_jerk), v)
-        ),
-        "test_moving_the_path_changes_no_time": timing(question=slower_far_away),
-        "test_impossible_starts_are_statuses": timing(
-            answer=lambda self, result: dataclasses.replace(result, status=TimingStatus.OK)
-        ),
-        "test_a_path_too_short_to_stop_on_says_by_how_much": timing(
-            answer=lambda self, result: dataclasses.replace(result, overshoot=0.0)
-        ),
-        "test_a_turn_in_place_is_no_motion_along_a_path": timing(
-            answer=lambda self, result: TimingResult(TimingStatus.OK, result.trajectory)
-        ),
-        "test_a_path_of_almost_no_length_has_a_status": timing(
-            answer=lambda self, result: TimingResult(TimingStatus.OK, None)
-        ),
-        "test_a_start_that_is_no_number_is_refused_or_bad": timing(
-            question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)
-        ),
-        "test_trajectories_can_be_sent": timing(answer=lossy),
-        "test_what_is_not_ok_says_why": timing(answer=lambda self, result: dataclasses.replace(result, reason="")),
-        "test_it_stops_when_cancelled_and_times_again": timing(hearing=lambda self, _: never_cancelled),
-        "test_little_time_is_a_status": timing(patience=lambda self, max_time: math.inf),
+        "test_a_motion_that_is_ok_is_certified": [
+            timing(
+                question=lambda self, path, limits, v: (dataclasses.replace(limits, max_jerk=2 * limits.max_jerk), v)
+            )
+        ],
+        "test_moving_the_path_changes_no_time": [timing(question=slower_far_away)],
+        "test_infeasible_starts_are_statuses": [change(status=TimingStatus.OK), change(reason="")],
+        "test_a_path_too_short_to_stop_on_has_an_overshoot": [change(overshoot=0.0)],
+        "test_degenerate_paths_and_starts_have_a_status": [
+            timing(answer=lambda self, result: TimingResult(TimingStatus.OK, result.trajectory)),
+            timing(answer=lambda self, result: TimingResult(TimingStatus.OK, None)),
+            timing(question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)),
+        ],
+        "test_it_stops_when_cancelled_and_times_again": [timing(hearing=lambda self, _: never_cancelled)],
+        "test_little_time_is_a_status": [timing(patience=lambda self, max_time: math.inf)],
     }
     every_gate(TimeParameterizerContract, Delegating, broken)
