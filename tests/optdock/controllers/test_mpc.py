@@ -268,7 +268,7 @@ def test_a_turn_that_the_finish_leaves_out_slows_nothing_down():
     """The speed of such a command is the program's, as much as with the turn."""
     speeds = []
     for turn in (1e-6, 0.0):
-        limiter = mpc._Remembering()
+        limiter = mpc._ProgramLimiter()
         limiter.follow(Twist2(), Twist2(), PERIOD, LIMITS, Drive.DIFFERENTIAL, in_place=True)
         for _ in range(50):
             acceleration = min(limiter.acceleration + LIMITS.max_jerk * PERIOD, LIMITS.max_acceleration)
