@@ -384,12 +384,13 @@ def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
     """
     if usual >= _EQUAL * period:
         return _fastest_evenly(gap, jerk, period)
-
-    def fits(slope: float) -> bool:
-        next_slope = slope - 0.5 * jerk * (period + usual)
-        return next_slope <= _fastest_evenly(gap - slope * period, jerk, usual)
-
-    return _largest(fits, 0.0, gap / period)
+    low, high = 0.0, gap / period
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        next_slope = middle - 0.5 * jerk * (period + usual)
+        fits = next_slope <= _fastest_evenly(gap - middle * period, jerk, usual)
+        low, high = (middle, high) if fits else (low, middle)
+    return low
 
 
 def _fastest_evenly(gap: float, jerk: float, period: float) -> float:

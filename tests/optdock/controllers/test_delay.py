@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optdock.controllers.delay_estimate import DelayEstimate
+from optdock.controllers.control_timing import DelayEstimate
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.limits import MotionLimits
@@ -23,9 +23,7 @@ def identified(actuation, commands=RAMP, known=0.0):
     return estimate.delay
 
 
-@pytest.mark.parametrize(
-    ("lag", "latency"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.05), (0.2, 0.1), (0.06, 0.025)]
-)
+@pytest.mark.parametrize(("lag", "latency"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.2, 0.1), (0.06, 0.025)])
 @pytest.mark.parametrize("sign", [1.0, -0.7])
 def test_it_finds_latency_plus_lag_on_the_first_ramp(lag, latency, sign):
     found = identified(Actuation(linear_lag=lag, latency=latency), [sign * command for command in RAMP])
@@ -57,7 +55,7 @@ def test_what_is_known_gives_way_to_evidence():
     assert identified(Actuation(), known=0.2) == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("rate", [10, 20, 50, 100, 200])
+@pytest.mark.parametrize("rate", [10, 50, 200])
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
     period, random = 1.0 / rate, np.random.default_rng(1)

@@ -70,7 +70,7 @@ def differences(commands, period):
     return v, acceleration, np.diff(acceleration, prepend=0.0) / period
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-2.0, 2.0)), min_size=1, max_size=6),
     st.sampled_from([0.005, 0.02, 0.05, 0.1]),
@@ -105,7 +105,7 @@ SHARED = {
 }  # fmt: skip
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.sampled_from(sorted(SHARED)),
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
@@ -145,7 +145,7 @@ def lateral_jerks(commands, period, *, steered=False):
     return np.where(brakes, np.diff(np.abs(v * w)), np.abs(np.diff(v * w))) / period
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
     st.sampled_from([0.01, 0.02, 0.05]),
@@ -182,8 +182,8 @@ def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
     assert eased.angular == pytest.approx(0.1 * 0.02 / 0.3)
 
 
-@pytest.mark.parametrize("period", [0.005, 0.02, 0.05, 0.1])
-@pytest.mark.parametrize("target", [0.3, -0.25, 0.02, 1e-4])
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("target", [0.3, -0.25, 1e-4])
 def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
     commands = followed([Twist2(target)] * round(3.0 / period), period)
     v, _, _ = differences(commands, period)
@@ -232,8 +232,8 @@ def test_steered_wheels_turn_no_faster_than_they_can():
 
 def test_a_robot_that_is_to_stop_is_commanded_nothing_in_the_end():
     """Not what rounding has left of its speed, at periods as stamps give them."""
-    periods = np.diff(100.0 + 0.02 * np.arange(121)).tolist()
-    for speed in np.linspace(0.01, 0.5, 40).tolist():
+    periods = np.diff(100.0 + 0.02 * np.arange(91)).tolist()
+    for speed in np.linspace(0.01, 0.5, 15).tolist():
         limiter = CommandLimiter()
         limiter.restart(Twist2(speed, 0.1))
         commands = [

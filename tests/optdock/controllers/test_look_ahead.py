@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
+from optdock.controllers.look_ahead import LookAhead, stopping_way
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
@@ -66,7 +66,6 @@ def test_it_finds_what_dense_poses_find(twist, duration, places):
 def test_a_turn_in_place_and_its_braking_are_looked_at():
     beside = context([box(-0.25, 0.28, 0.02)])  # the rear left corner swings through it
     twist = Twist2(0.0, 1.0)
-    assert stopping_time(twist, 0.5, 2.0) == 0.5
     soon = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02),))
     braking = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02 + 0.25),))
     for turn in (1.0, -1.0):

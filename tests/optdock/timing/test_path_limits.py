@@ -10,7 +10,8 @@ from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
-from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits, worst_ratio
+from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
+from optdock.timing.plan_checks import worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.verification import certify_trajectory
 

@@ -17,7 +17,8 @@ from optdock.model.limits import SpeedZone
 from optdock.timing import ruckig_moves
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import reference_motion
-from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along, worst_ratio
+from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along
+from optdock.timing.plan_checks import worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.timing.start_states import full_stop
 
@@ -91,7 +92,7 @@ def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
     assert_reaches(MotionState(), MotionState(1.0), move(MotionState(), MotionState(1.0), BOX))
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
 def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, acceleration, jerk, start):
     box = DriveBounds(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
@@ -121,8 +122,8 @@ def test_threads_do_not_share_ruckig_objects():
     lengths = [0.1 * n for n in range(1, 60)]
     alone = [move(MotionState(), MotionState(length), BOX) for length in lengths]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda length: move(MotionState(), MotionState(length), BOX), lengths * 5))
-    assert together == alone * 5
+        together = list(pool.map(lambda length: move(MotionState(), MotionState(length), BOX), lengths * 3))
+    assert together == alone * 3
 
 
 def test_intermediate_positions_are_never_set():
@@ -160,14 +161,7 @@ def test_moves_reach_their_target_within_the_bounds(first, last, length):
     assert abs(motion.jerks).max() <= BOX.jerk * (1.0 + 1e-9)
     assert motion.states[2].max() <= BOX.acceleration * (1.0 + 1e-9)
     assert motion.states[2].min() >= -BOX.deceleration * (1.0 + 1e-9)
-    t = [motion.duration * n / 200 for n in range(201)]
-    assert min(motion.at(value)[1] for value in _arrays(t)) > -1e-8
-
-
-def _arrays(times):
-    import numpy as np
-
-    return [np.array([value]) for value in times]
+    assert motion.at(np.linspace(0.0, motion.duration, 201))[1].min() > -1e-8
 
 
 def _bounds(make, all_limits, seed, **more):
@@ -175,7 +169,7 @@ def _bounds(make, all_limits, seed, **more):
     return ReferenceBounds(limits_along(path, all_limits, SpeedZone(0.15, 0.4))[0], **more)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_moves_join_to_one_motion_over_the_segment(make, all_limits, seed):
     bounds = _bounds(make, all_limits, seed)
     found = reference_motion(bounds, MotionState())
