@@ -156,10 +156,7 @@ class CommandLimiter:
         return min(max(slope, -most), most)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced as far as the jerk allows so that the robot can stop within `room`.
-
-        The deceleration decreases with the speed, so that the robot does not start to reverse.
-        """
+        """Return the acceleration, reduced within the jerk so that the robot can stop in `room` without reversing."""
         forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
         speed = forward * self.command.linear
         least = max(forward * self.acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
@@ -227,10 +224,9 @@ class CommandLimiter:
 
 
 class _Turn(NamedTuple):
-    """Turn of a command: the yaw rate, or the curvature of steered wheels.
+    """Yaw rate, or curvature of steered wheels: the nearest reachable to the wanted one, and the smallest reachable.
 
-    `wanted`: the reachable turn nearest to the wanted one; `least`: the smallest reachable turn; `fade`: rate at which
-    its size can decrease later.
+    `fade`: rate at which its size can decrease later.
     """
 
     wanted: float
@@ -252,16 +248,10 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 
 
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
-    """Whether a command and its continuation are within the limits that speed and turn share.
+    """Whether a command is within the limits that speed and turn share, now and while both decrease fastest.
 
-    In the continuation the acceleration decreases by the jerk, and the turn by its `fade`.
-
-    Args:
-        speed: Speed in the direction in which it rises [m/s].
-        rise: Acceleration at the end of the period [m/s^2].
-        amount: Size of the yaw rate, or of the curvature.
-        turn: Kind of the turn.
-        limits: Limits of the robot.
+    `speed` and `rise`, the acceleration at the end of the period, count in the direction of the rise; `amount` is the
+    size of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     shared: tuple[tuple[int, float, float, float], ...]
@@ -305,9 +295,9 @@ def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, floa
 
 
 def _rise_to(gap: float, jerk: float, period: float) -> float:
-    """Return the largest acceleration that can decrease to zero within the speed `gap`, for any later periods.
+    """Return the largest acceleration a that can decrease to zero within the speed `gap`, for any later periods.
 
-    Under the jerk the speed rises by another u^2 / (2 jerk), u = a - jerk * period / 2 at the end of the period.
+    The speed rises by another u^2 / (2 jerk) with u = a - jerk * period / 2, the acceleration at the end of the period.
     """
     gap = max(gap, 0.0)
     return min(max(math.sqrt(2.0 * jerk * gap) - 0.5 * jerk * period, 0.5 * jerk * period), gap / period)
@@ -334,10 +324,9 @@ def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
 
 
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
-    """Return the largest deceleration of the coming period.
+    """Return the largest deceleration of the coming period, which beyond rest is an acceleration with its own limit a.
 
-    Beyond rest a deceleration is an acceleration, with another limit a: to decrease from b to a it takes
-    (b^2 - a^2) / (2 jerk) of the speed.
+    To decrease from b to a it takes (b^2 - a^2) / (2 jerk) of the speed.
     """
     most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
     until_rest = speed / most
@@ -378,10 +367,7 @@ def smooth_slope(
 
 
 def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
-    """Return the largest slope of a period that can decrease to zero within `gap`, over `usual` periods after it.
-
-    Between the middles of two periods a slope falls by at most `jerk` times the time between.
-    """
+    """Return the largest slope of a period that can decrease to zero within `gap`, over `usual` periods after it."""
     if usual >= _EQUAL * period:
         return _fastest_evenly(gap, jerk, period)
     low, high = 0.0, gap / period
@@ -394,9 +380,9 @@ def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
 
 
 def _fastest_evenly(gap: float, jerk: float, period: float) -> float:
-    """Return the slope of `_fastest` for equal periods.
+    """Return the slope of `_fastest` for equal periods, between whose middles it falls by at most `jerk` * `period`.
 
-    In units of jerk times period: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
+    In these units slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
     step = jerk * period
     units = max(gap, 0.0) / (step * period)
@@ -418,10 +404,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` that keeps the lateral jerk.
-
-    It is no larger than both `angular` and the last one: braking in a bend may exceed the lateral jerk.
-    """
+    """Return the yaw rate nearest to `angular` that keeps the lateral jerk, no larger than it and the last one."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period

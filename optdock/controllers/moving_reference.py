@@ -98,14 +98,9 @@ class TrajectoryReference:
     """The present set-point: `trajectory` at time `time`, which advances by `rate` seconds per second.
 
     The commands are ahead of the reference by a preview that compensates the delay of the drive. Where the preview or
-    the rate changes, the reference shifts and the commands stay continuous.
-
-    A rate below 1 scales the speed by the rate and every acceleration by its square, so a trajectory stays within its
-    limits. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
-    `rate^2 * acceleration + speed * d rate/dt` stays within the limits too, and it begins and ends smoothly.
-
-    Args:
-        trajectory: The trajectory to play back.
+    the rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate
+    and every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
+    `rate^2 * acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -143,8 +138,8 @@ class TrajectoryReference:
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
         """Let `trajectory` take over `lead` seconds from now, instead of those that were to take over later.
 
-        The place of the change is fixed on the running trajectory, by its present rate: a later change of the rate
-        moves the instant, so that the reference does not jump. A standing reference waits.
+        The place of the change is fixed by the present rate: a later change of the rate moves the instant, so that the
+        reference does not jump. A standing reference waits.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()
@@ -156,10 +151,7 @@ class TrajectoryReference:
         self._joints.append(_joint(shown, at, trajectory))
 
     def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
-        """Set the lead of the commands to `preview` seconds, by a shift of the reference unless `at_once`.
-
-        A reference at its end does not shift.
-        """
+        """Set the lead of the commands [s], by a shift of the reference before its end unless `at_once`."""
         if self.time + self._preview > 0.0 and not at_once and not self.finished:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
@@ -221,9 +213,9 @@ class TrajectoryReference:
         return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
 
     def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
-        """Return the poses over the next `distance` [m] along the path; None where the path ends before.
+        """Return poses over the next `distance` [m] of the path, offset as `pose` is from `now`; None beyond the path.
 
-        The robot keeps the offset that `pose` has from the reference pose `now`. Shape (n, 3).
+        Shape (n, 3).
         """
         count = 2 + math.ceil(distance / _WAY_STEP)
         ahead = self._place(self.trajectory, self.time) + np.linspace(0.0, distance, count)
@@ -250,9 +242,8 @@ class TrajectoryReference:
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of the first gear when the robot is not there.
 
-        Points of later gears would skip a part of the manoeuvre. The first rate makes the reference no faster than the
-        robot at `linear` m/s; from rest the reference begins late by the drive's `delay` [s], so that no command is
-        left out.
+        The first rate makes the reference no faster than the robot at `linear` m/s; from rest the reference begins late
+        by the drive's `delay` [s], so that no command is left out.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times

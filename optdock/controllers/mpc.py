@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 __all__ = ["CycleOutcome", "MpcController", "MpcControllerParameters", "MpcStatus"]
 
 _RICCATI_STEP = 0.1  # [s]: finer steps of the cost to go change commands by less than a percent
-_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _JERK_TOLERANCE = 1e-3  # of the limit
 _AT_REST = 1e-6  # [m/s]
 _LONGEST_LATENCY = 0.5  # [s], for which commands are kept
@@ -102,22 +101,14 @@ class _Plan(NamedTuple):
 class MpcController(TrackingController):
     """Follows a trajectory by model predictive control: a TrackingController with another law.
 
-    **Law.** Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as
-    braking takes, subject to the robot's limits: speeds, acceleration, deceleration, jerk, yaw rate and acceleration,
-    wheel speed, lateral acceleration, and for an Ackermann drive curvature and steering rate (`mpc_program`). The first
-    command is returned. The time after the horizon counts by the cost to go along the rest of the trajectory, with a
-    weight on the errors at its end, so that an error is corrected before the dock as far as possible.
+    Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as braking
+    takes, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go weighs the
+    rest of the trajectory, so that an error is corrected before the dock as far as possible. Latency and lag, given or
+    identified, are part of the model. Errors across and in heading are kept within the robot's tube,
+    `Robot.tracking`, if it has one and the limits allow it.
 
-    **Drive.** Latency and lag, given or identified, are part of the model: the pose is predicted to the time when the
-    command takes effect, from the commands under way.
-
-    **Tube.** Errors across and in heading are kept within the robot's tube, `Robot.tracking`, if it has one and the
-    limits allow it.
-
-    **Exceptions.** `status` reports a jerk limit that no commands keep (the reference jumped), a tube that is left, and
-    a program without a solution; then the commands found before continue, and after them NoValidControl is raised.
-
-    Time, finish, collisions and limits are those of the TrackingController.
+    `status` reports a jerk limit that no commands keep (the reference jumped), a tube that is left, and a program
+    without a solution; then the commands found before continue, and after them NoValidControl is raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
@@ -227,7 +218,7 @@ class MpcController(TrackingController):
         p = self.parameters
         errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
         effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
-        return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
+        return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors)
 
     def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
         """Return times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
@@ -306,7 +297,7 @@ class MpcController(TrackingController):
         now = self._clock.now or 0.0
         found = None if self._program is None else self._program.solve(cycle)
         if found is not None:
-            exceeded = found.over_jerk > _JERK_TOLERANCE * cycle.bounds.jerk
+            exceeded = found.over_jerk > _JERK_TOLERANCE * self._limits.max_jerk
             self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
             self._plan = _Plan(now, np.cumsum(cycle.h) - cycle.h, found.commands)
             command: FloatArray = found.commands[0]
@@ -351,20 +342,7 @@ class MpcController(TrackingController):
         if math.isfinite(limits.max_yaw_acceleration):
             rest = max(rise, fall) * limits.max_yaw_acceleration * period**2
             lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
-        return CommandBounds(
-            speed=speed,
-            yaw_rate=_both_ways(limits.max_yaw_rate, n),
-            acceleration=acceleration,
-            yaw_acceleration=_both_ways(limits.max_yaw_acceleration, n),
-            jerk=limits.max_jerk,
-            wheel_speed=limits.max_wheel_speed,
-            half_track=0.5 * limits.track_width,
-            lateral=lateral,
-            about=about,
-            curvature=curvature,
-            curvature_rate=limits.max_steering_rate / limits.wheelbase if limits.wheelbase > 0.0 else math.inf,
-            gear=gear,
-        )
+        return CommandBounds(limits, speed, acceleration, lateral, about, curvature, gear)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
         """Return the least and the largest curvature that the wheels can reach by `times`, Shape (2, n)."""
@@ -421,8 +399,7 @@ def _both_ways(bound: float, count: int) -> FloatArray:
 def _landing(room: float, jerk: float, period: float) -> float:
     """Return the largest change of the speed in one period after which it can still level out within `room` [m/s].
 
-    Every later change is smaller by the unit jerk * period^2. A change of m units, n <= m < n + 1, is followed by
-    m - 1, m - 2, .. m - n: in all m (n + 1) - n (n + 1) / 2.
+    In units of jerk * period^2 a change of m, n <= m < n + 1, precedes m - 1, .. m - n: m (n + 1) - n (n + 1) / 2.
     """
     unit = jerk * period**2
     units = max(room, 0.0) / unit

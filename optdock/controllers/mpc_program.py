@@ -23,6 +23,7 @@ from optdock.quadratic_program import UNBOUNDED, DenseProgram
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.limits import MotionLimits
 
 __all__ = [
     "Prediction",
@@ -33,6 +34,7 @@ __all__ = [
     "step_matrices",
 ]
 
+_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
 _SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as none
 _MOST_ITERATIONS = 300  # of the active set, some 3 ms; a warm start takes 20
@@ -52,12 +54,7 @@ class ReferenceArcs(NamedTuple):
 
 
 def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
-    """Return the arcs from each pose to the next.
-
-    Args:
-        poses: Shape (n + 1, 3), yaw continuous.
-        times: Shape (n + 1,) [s], increasing.
-    """
+    """Return the arcs from each pose, Shape (n + 1, 3), yaw continuous, to the next; times Shape (n + 1,) [s]."""
     h, turn = np.diff(times), np.diff(poses[:, 2])
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
@@ -67,12 +64,7 @@ def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
 
 
 def step_matrices(arcs: ReferenceArcs, lags: tuple[float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5), of every step.
-
-    Args:
-        arcs: Motion of the reference.
-        lags: Time constants of speed and yaw rate [s].
-    """
+    """Return A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5); `lags` of speed and yaw rate [s]."""
     v, w, h, n = arcs.v, arcs.w, arcs.h, arcs.h.size
     turn = w * h
     c, s, chord = np.cos(0.5 * turn), np.sin(0.5 * turn), h * np.sinc(turn / (2.0 * np.pi))
@@ -109,12 +101,7 @@ class Prediction(NamedTuple):
 
 
 def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatArray]) -> Prediction:
-    """Eliminate the states.
-
-    Args:
-        state: Present state of the robot, Shape (5,).
-        matrices: Result of `step_matrices`.
-    """
+    """Eliminate the states, from the present one, Shape (5,), and the result of `step_matrices`."""
     a, b, c = matrices
     n = len(a)
     errors, by = np.empty((n, 5)), np.zeros((n, 5, 2 * n))
@@ -154,54 +141,40 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
 
 
 class MpcWeights(NamedTuple):
-    """Weights of the cost, per second; `final`, `tube` and `jerk` count once.
+    """Weights of the cost, per second; `final` counts once.
 
     Attributes:
         errors: Errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,).
         effort: Deviations of speed and yaw rate from the nominal commands, Shape (2,).
         change: Rates of these deviations, Shape (2,).
         final: Errors at the end of the trajectory, Shape (3,).
-        tube: Exact penalty of leaving the tube [1/m].
-        jerk: Exact penalty of exceeding the jerk [s^3/m].
     """
 
     errors: FloatArray
     effort: FloatArray
     change: FloatArray
     final: FloatArray
-    tube: float
-    jerk: float
 
 
 class CommandBounds(NamedTuple):
     """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit.
 
     Attributes:
+        limits: Limits of the robot, for those that are the same at all steps.
         speed: [m/s].
-        yaw_rate: [rad/s].
         acceleration: Between the speeds, the first from the last command [m/s^2].
-        yaw_acceleration: Between the yaw rates [rad/s^2].
-        jerk: Largest change of the accelerations, a number [m/s^3].
-        wheel_speed: Of the rims, a number [m/s].
-        half_track: Half the distance of the wheels, a number [m].
         lateral: Of speed times yaw rate, linearized about `about` [m/s^2].
         about: Commands, Shape (n, 2).
         curvature: Of steered wheels [1/m]; None for a differential drive.
-        curvature_rate: Largest change of the curvature between the commands, a number [1/(m s)].
         gear: Sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight.
     """
 
+    limits: MotionLimits
     speed: FloatArray
-    yaw_rate: FloatArray
     acceleration: FloatArray
-    yaw_acceleration: FloatArray
-    jerk: float
-    wheel_speed: float
-    half_track: float
     lateral: FloatArray
     about: FloatArray
     curvature: FloatArray | None
-    curvature_rate: float
     gear: FloatArray
 
 
@@ -260,7 +233,7 @@ class TrackingProgram:
         self._program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
         self._program.lbx[-2:] = 0.0
         self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP requires a positive definite cost
-        self._program.g[-2:] = weights.tube, weights.jerk
+        self._program.g[-2:] = _EXACT
         self._h: FloatArray = np.zeros(steps)
         self._spans = self._jerk_spans = self._h
         self._changes = np.zeros((steps, steps))
@@ -289,9 +262,8 @@ class TrackingProgram:
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
-        A command is the mean over its step, so two of them are half of both steps apart. The difference of two means is
-        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of
-        these, so a motion that keeps the jerk in continuous time keeps it here.
+        A command is the mean over its step, so two of them are half of both steps apart. Their difference is the mean
+        of the acceleration over a triangle around the border; the jerk counts between the centroids of these triangles.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
@@ -325,25 +297,26 @@ class TrackingProgram:
         program.g[:-2] = gradient
 
     def _fill_bounds(self, cycle: MpcCycle) -> None:
-        program, bounds, last = self._program, cycle.bounds, cycle.last
+        program, bounds, last, limits = self._program, cycle.bounds, cycle.last, cycle.bounds.limits
         lower, upper, a = program.lba, program.uba, program.a
-        for box, speed, yaw_rate in zip((program.lbx, program.ubx), bounds.speed, bounds.yaw_rate, strict=True):
-            box[0:-2:2], box[1:-2:2] = speed, yaw_rate
-        changes = (self._speed_changes, bounds.acceleration), (self._yaw_rate_changes, bounds.yaw_acceleration)
-        for i, (rows, between) in enumerate(changes):
-            lower[rows], upper[rows] = between
+        program.lbx[0:-2:2], program.ubx[0:-2:2] = bounds.speed
+        program.lbx[1:-2:2], program.ubx[1:-2:2] = -limits.max_yaw_rate, limits.max_yaw_rate
+        lower[self._speed_changes], upper[self._speed_changes] = bounds.acceleration
+        most = limits.max_yaw_acceleration
+        lower[self._yaw_rate_changes], upper[self._yaw_rate_changes] = -most, most
+        for i, rows in enumerate((self._speed_changes, self._yaw_rate_changes)):
             lower[rows.start] += last[i] / self._spans[0]
             upper[rows.start] += last[i] / self._spans[0]
         # jerk = (second differences of u) with the last command and its acceleration before the first
         known = np.zeros(self._steps)
         known[0] = -(last[0] / self._spans[0] + cycle.last_acceleration) / self._jerk_spans[0]
         known[1] = last[0] / self._spans[0] / self._jerk_spans[1]
-        upper[self._jerks] = bounds.jerk - np.concatenate((known, -known))
+        upper[self._jerks] = limits.max_jerk - np.concatenate((known, -known))
         at = np.arange(self._steps)
         for half, sign in ((0, 1.0), (1, -1.0)):
             row = self._wheels.start + half * self._steps + at
-            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * bounds.half_track
-            lower[row], upper[row] = -bounds.wheel_speed, bounds.wheel_speed
+            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * 0.5 * limits.track_width
+            lower[row], upper[row] = -limits.max_wheel_speed, limits.max_wheel_speed
         row, (v, w) = self._lateral.start + at, bounds.about.T
         a[row, 2 * at], a[row, 2 * at + 1] = w, v
         lower[row], upper[row] = bounds.lateral + v * w
@@ -374,7 +347,9 @@ class TrackingProgram:
         row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
         for k, sign in ((both + 1, 1.0), (both, -1.0)):
             program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
-        most = np.minimum(bounds.curvature_rate * self._spans[both + 1], UNBOUNDED)
+        base = bounds.limits.wheelbase
+        fastest = bounds.limits.max_steering_rate / base if base > 0.0 else np.inf  # change of the curvature [1/(m s)]
+        most = np.minimum(fastest * self._spans[both + 1], UNBOUNDED)
         program.lba[row], program.uba[row] = -most - change, most - change
 
     def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:

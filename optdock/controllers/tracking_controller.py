@@ -94,23 +94,17 @@ class TrackingController(Controller):
     """Follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
     **Time.** Every call advances the reference by the time since the last one, as the stamps say, or by `period` if
-    given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is normally 1,
-    lower under a speed limit, and falls smoothly to 0 while the robot lags behind by `slow_down_lag` to `stop_lag`, so
-    the reference waits for a blocked robot. A robot further than `max_error` (or `max_yaw_error`) from the reference
-    has left the certified motion: NoValidControl. The first call after `set_path` starts at the nearest point of the
-    trajectory's first gear when the robot is not at its beginning, no faster than the robot. A repeated stamp returns
-    the same command. A trajectory with a `start_stamp` takes over at that time, in motion.
+    given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower under
+    a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot further than
+    `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
 
-    **Law.** See `tracking_law`; gains are lower where the drive's delay requires it (`delay_bounds`). The feed-forward
-    is that of the middle of the coming period, `preview` ahead. Without `preview` the delay is identified from the
-    first ramp on (`DelayEstimate`) and kept from path to path until `reset`.
+    **Law.** See `tracking_law`. The feed-forward is that of the middle of the coming period, `preview` ahead. Without
+    `preview` the delay of the drive is identified from the first ramp on, and kept until `reset`.
 
-    **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay to zero. A drive
-    that ignores small commands gets larger ones, first `min_speed` and `min_yaw_rate` if given, until the error is
-    within half of what the goal checker accepts (or `finish_tolerance`). A lateral error cannot be removed in place:
-    near the end it is corrected over a shorter distance than `convergence_distance`, as far as curvature and delay
-    allow. An error that is not accepted and does not decrease for `patience` raises NoValidControl, as does a robot
-    that does not follow.
+    **Finish.** At the trajectory's end the same law holds the last pose. A drive that ignores small commands gets
+    larger ones, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal checker
+    accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
+    NoValidControl, as does a robot that does not follow.
 
     **Collisions.** A command after which the robot could not stop before it touches something raises NoValidControl.
     The checked motion is the commands under way in the drive, one period of the new command, and braking, along its arc

@@ -84,8 +84,8 @@ def delay_bounds(speed: float, delay: float, damping: float) -> DelayBounds:
 
     Across, the open loop is (2 zeta a s + a^2) / s^2 with a = |v| / L. Its gain is 1 at
     w = a sqrt(2 zeta^2 + sqrt(4 zeta^4 + 1)), where its phase margin is atan(2 zeta w / a). Along, and for turns in
-    place, it is k / s, with a gain of 1 at w = k and a margin of 90 degrees. A lag takes less phase than an equal
-    latency.
+    place, it is k / s, with a gain of 1 at w = k and a margin of 90 degrees. A lag takes less phase
+    than an equal latency.
 
     Args:
         speed: Speed of the reference [m/s], of either sign.
@@ -226,15 +226,7 @@ class DeadBandPush:
         self._push = [0.0, 0.0]
 
     def add_to(self, wanted: Twist2, error: Pose2, near: Pose2, velocity: Twist2, period: float) -> Twist2:
-        """Return `wanted` plus the push of this period.
-
-        Args:
-            wanted: Command towards the goal.
-            error: The goal in the robot's frame.
-            near: Errors that need no push; y is not used.
-            velocity: Measured velocity.
-            period: Time since the last call [s].
-        """
+        """Return the command `wanted` plus the push of this period; errors within `near` need no push."""
         return Twist2(
             wanted.linear + self._grown(0, error.x, near.x, velocity.linear, period),
             wanted.angular + self._grown(1, error.yaw, near.yaw, velocity.angular, period),

@@ -157,8 +157,9 @@ class _Iterate:
         band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
         band[1, 2:] += normal[5, 2:-2]
         force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-        force -= _lapack().product(3, 1.0, quadratic, self.c)[2:-2]
-        _factor, solution, info = _lapack().solve(band, force)
+        band_solve, band_product = _lapack()
+        force -= band_product(3, 1.0, quadratic, self.c)[2:-2]
+        _factor, solution, info = band_solve(band, force)
         change = np.zeros(self.program.steps.size + 2)
         if info == 0:
             change[2:-2] = solution
@@ -176,21 +177,15 @@ def _fraction_to_boundary(values: FloatArray, change: FloatArray, share: float) 
     return min(1.0, -share / worst) if worst < 0.0 else 1.0
 
 
-class _Lapack(NamedTuple):
-    """Solver of a banded positive definite system, and product of a banded symmetric matrix with a vector."""
-
-    solve: Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
-    product: Callable[[int, float, FloatArray, FloatArray], FloatArray]
-
-
 def load_lapack() -> None:
     """Import LAPACK now."""
     _lapack()
 
 
 @cache
-def _lapack() -> _Lapack:
+def _lapack() -> tuple[Callable[..., tuple[object, FloatArray, int]], Callable[..., FloatArray]]:
+    """Return the solver of a banded positive definite system, and the product of a banded symmetric matrix."""
     from scipy.linalg.blas import dsbmv
     from scipy.linalg.lapack import dpbsv
 
-    return _Lapack(dpbsv, dsbmv)
+    return dpbsv, dsbmv

@@ -17,7 +17,7 @@ reciprocals, `slowness`: the largest counts, and an infinite limit is zero.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -67,7 +67,7 @@ _CAP_JUMP = 0.001  # of a speed cap: likewise, smaller jumps of the steering cap
 
 
 class LimitPoints(NamedTuple):
-    """Shape (n,) each: curvature [1/m], curvature rate [1/m^2], slowness = 1 / speed cap [s/m]."""
+    """Curvature [1/m], curvature rate [1/m^2], slowness = 1 / speed cap [s/m], Shape (n,) each."""
 
     curvature: FloatArray
     rate: FloatArray
@@ -114,12 +114,7 @@ class SpeedCaps:
         return self.drive.steering_per_metre(curvature, rate) / self.drive.max_steering_rate
 
     def tightest(self, bend: float, rate: float) -> str:
-        """Return the name of the lowest cap in `MotionLimits`.
-
-        Args:
-            bend: |curvature| [1/m].
-            rate: Curvature rate [1/m^2].
-        """
+        """Return the name of the lowest cap, at a |curvature| [1/m] and a curvature rate [1/m^2]."""
         drive = self.drive
         table = (
             (1.0 / self.max_speed, "max_speed" if self.direction > 0 else "max_reverse_speed"),
@@ -165,12 +160,6 @@ class PathLimits:
     zone_speed: float
     excess: FloatArray | None = None
     begin: float = 0.0
-    slowness_left: FloatArray = field(init=False, repr=False)
-    slowness_right: FloatArray = field(init=False, repr=False)
-    steepest: FloatArray = field(init=False, repr=False)
-    turning: tuple[TurningLimit, ...] = field(init=False, repr=False)
-    length: float = field(init=False)
-    duration_estimate: float = field(init=False)
 
     def __post_init__(self) -> None:
         slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
@@ -214,8 +203,7 @@ class PathLimits:
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
         """Return the slowness of the maximum velocity curve of every cell, with the zone. Shape (n - 1,) [s/m].
 
-        Args:
-            turning_share: Share of the turning limits for the curvature rate.
+        The curvature rate may use `turning_share` of the turning limits.
         """
         slowness = np.maximum(self.slowness_left, self.slowness_right)
         if self.has_zone:
@@ -328,10 +316,7 @@ def segment_limits(
 
 
 def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
-    """Return the curvature rates at `s`, each in the cell around one of the `middles`, Shape (n,) [1/m^2].
-
-    A polyline's curvature may change from step to step faster than its means at the poses; so `certify_trajectory`.
-    """
+    """Return the curvature rates at `s`, of a polyline at least the swing of its steps, Shape (n,) [1/m^2]."""
     rates = segment.curvature_rate_at(s)
     if not isinstance(segment, PolylineSegment):
         return rates
@@ -343,10 +328,7 @@ def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
 
 
 def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
-    """Return the excess of the steps' curvature over the mean between the poses, Shape (n,) [1/m].
-
-    A coarse polyline has the step's curvature over the whole step, as in `certify_trajectory`.
-    """
+    """Return the excess of the steps' curvature, as in `certify_trajectory`, over the mean between the poses [1/m]."""
     steps = np.abs(segment.step_curvature)
     at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
     excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
@@ -397,10 +379,6 @@ class ReferenceBounds:
     smooth: bool = False
     relief: float = 0.0
     tightenings: tuple[Tightening, ...] = ()
-    speed_squared: FloatArray = field(init=False, repr=False)
-    turning: tuple[FloatArray, ...] = field(init=False, repr=False)
-    cap_squared: FloatArray = field(init=False, repr=False)
-    jumps: IntArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         limits = self.limits

@@ -66,10 +66,9 @@ class Worst(NamedTuple):
 
 
 class _Ratios(NamedTuple):
-    """Ratios of quantities and limits at distances `s`, Shape (n,); lateral acceleration as its root.
+    """Ratios of speed (lateral acceleration as its root) and turning limits at distances `s`, Shape (n,).
 
-    `turning` is that of `turning_ratio`; `drive`, of the acceleration, exists only at the first of these distances, as
-    the acceleration is linear between them.
+    `drive`, of the acceleration, exists only at the first of these, as the acceleration is linear between them.
     """
 
     s: FloatArray

@@ -142,10 +142,7 @@ def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
 
 
 def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float, *, at_end: bool) -> float:
-    """Return the end acceleration of an arc of jerk J from (or, mirrored, to) speed `v`, acceleration `a`.
-
-    With the acceleration reduced to zero after it the speed peaks at v + (2 a_end^2 - a^2) / (2 J), below the cap.
-    """
+    """Return the end acceleration of an arc of jerk J that keeps its mirror image below the caps."""
     limits, jerk = bounds.limits, bounds.jerk
     top = max(_ARC_DRIVE * drive, a)
     reach = max(state_after(MotionState(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
@@ -417,14 +414,9 @@ def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: F
 
 
 def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
-    """Return the upper bands of Q, c' Q c / 2 = sum of (weight * step of x'' between neighbouring cells)^2.
+    """Return the bands of Q, c' Q c / 2 = sum of (weight * step of x'' between cells)^2; weight Shape (M - 1,).
 
-    Args:
-        spline: The maps.
-        weight: Per pair of neighbouring cells, Shape (M - 1,).
-
-    Returns:
-        Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
+    Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
     """
     left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
     row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
@@ -440,8 +432,8 @@ def initial_guess(
 ) -> FloatArray:
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
-    It is the acceleration-limited profile, averaged over the time that jerk needs to change from one drive limit to the
-    other, below the launch from the first state and the stop to the last. It halves the iterations, to about 10.
+    It is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration from one
+    limit to the other, below the launch and the stop. It halves the iterations, to about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
@@ -538,17 +530,10 @@ def solve_reference(
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:
-    """Return the reference itself as a motion: two phases of equal duration for every cell, exact at the knots.
+    """Return the reference as a motion: two phases of equal duration h for every cell, exact at the knots.
 
-    Within a cell the acceleration is linear in s, so the jerk x''/2 * v changes only with the speed. From the
-    gains of speed and acceleration over a cell of duration 2 h,
-    j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h, Q = (dv - 2 a h) / h^2.
-    The distance is then (2 v + dv) h - da h^2 / 3, which gives h.
-
-    Args:
-        s: Distances of states on a spline of v^2, Shape (n,) [m].
-        v: Their speeds [m/s].
-        a: Their accelerations [m/s^2].
+    From the gains of speed and acceleration over a cell, j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h,
+    Q = (dv - 2 a h) / h^2. The distance is then (2 v + dv) h - da h^2 / 3, which gives h. Shapes (n,).
     """
     ds, dv, da = np.diff(s), np.diff(v), np.diff(a)
     both = v[:-1] + v[1:]

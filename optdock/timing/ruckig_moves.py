@@ -151,13 +151,7 @@ def _ruckig() -> ModuleType:
 class _Nodes(NamedTuple):
     """States between which moves are made: both ends of the segment and the knots between.
 
-    Attributes:
-        s: Distances, Shape (n,) [m].
-        v: Speeds [m/s].
-        a: Accelerations [m/s^2].
-        time: Reference time [s].
-        jerk: Largest |jerk| of the reference in the n - 1 cells [m/s^3].
-        zone: Index of the node at the zone start; 0 without one inside.
+    `time`: of the reference [s]; `jerk`: its largest |jerk| per cell [m/s^3]; `zone`: index of the zone start, or 0.
     """
 
     s: list[float]

@@ -18,8 +18,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot, TrackingTube
-from optdock.plugins.interfaces import Controller, PluginContext
-from optdock.plugins.registry import create_plugin
+from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 
@@ -237,10 +236,6 @@ def test_it_stops_before_what_stands_in_its_way():
     controller.set_path(trajectory)
     with pytest.raises(NoValidControl, match="collision ahead"):
         drive(controller, trajectory, 250)
-
-
-def test_it_is_found_by_name():
-    assert isinstance(create_plugin(Controller, "MpcController", {"horizon": 0.6}), MpcController)
 
 
 class TestFastAndLate:

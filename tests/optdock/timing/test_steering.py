@@ -348,7 +348,7 @@ def test_cusps_of_one_path_are_its_joints():
     assert joint_curvatures(s_bend(0.0, 0.1)).shape == (0, 2)
 
 
-@pytest.mark.parametrize("period", [0.02, 0.3, 5.0])
+@pytest.mark.parametrize("period", [0.02, 5.0])
 def test_samples_show_the_wait_at_the_cusp(period):
     path = fold()
     motion = timed(path, CAR)
