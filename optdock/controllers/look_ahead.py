@@ -105,13 +105,8 @@ class LookAhead:
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """Return the obstacles of the context in a box and around it, from the present costmaps."""
         around = self._around
-        if around is None or around.context is not context or not around.holds(lower, upper):
-            low, high = lower - _MARGIN, upper + _MARGIN
-            problem = context.problem
-            fixed = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(low, high)
-            own = None if problem is None else problem.costmap
-            grids = tuple(grid for grid in context.costmaps(CostmapInfoType.BOTH) if grid is not own)
-            around = self._around = _Around(context, low, high, fixed, tuple(_Grid(grid, low, high) for grid in grids))
+        if around is None or around.context is not context or not around.contains(lower, upper):
+            around = self._around = _Around(context, lower - _MARGIN, upper + _MARGIN)
         return around.obstacles()
 
 
@@ -139,15 +134,17 @@ class _Grid:
 class _Around:
     """The obstacles of a context in a box."""
 
-    def __init__(
-        self, context: PluginContext, lower: FloatArray, upper: FloatArray, fixed: ObstacleSet, grids: tuple[_Grid, ...]
-    ) -> None:
+    def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
         self.context, self._lower, self._upper = context, lower, upper
-        self._fixed, self._grids = fixed, grids
+        problem = context.problem
+        self._fixed = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
+        own = None if problem is None else problem.costmap
+        grids = (grid for grid in context.costmaps(CostmapInfoType.BOTH) if grid is not own)
+        self._grids = tuple(_Grid(grid, lower, upper) for grid in grids)
         self._parts: tuple[ObstacleSet, ...] = ()
-        self._all = fixed
+        self._all = self._fixed
 
-    def holds(self, lower: FloatArray, upper: FloatArray) -> bool:
+    def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
         """Whether a box lies inside."""
         return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
 

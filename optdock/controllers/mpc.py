@@ -79,15 +79,10 @@ class CycleOutcome(str, Enum):
 
 
 class MpcStatus(NamedTuple):
-    """Result of a cycle.
+    """Result of a cycle."""
 
-    Attributes:
-        outcome: Source of its command.
-        outside_tube: Largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube.
-    """
-
-    outcome: CycleOutcome
-    outside_tube: float
+    outcome: CycleOutcome  # source of its command
+    outside_tube: float  # largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube
 
 
 class _Plan(NamedTuple):

@@ -141,67 +141,38 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
 
 
 class MpcWeights(NamedTuple):
-    """Weights of the cost, per second; `final` counts once.
+    """Weights of the cost, per second; `final` counts once."""
 
-    Attributes:
-        errors: Errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,).
-        effort: Deviations of speed and yaw rate from the nominal commands, Shape (2,).
-        change: Rates of these deviations, Shape (2,).
-        final: Errors at the end of the trajectory, Shape (3,).
-    """
-
-    errors: FloatArray
-    effort: FloatArray
-    change: FloatArray
-    final: FloatArray
+    errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
+    effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
+    change: FloatArray  # rates of these deviations, Shape (2,)
+    final: FloatArray  # errors at the end of the trajectory, Shape (3,)
 
 
 class CommandBounds(NamedTuple):
-    """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit.
+    """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit."""
 
-    Attributes:
-        limits: Limits of the robot, for those that are the same at all steps.
-        speed: [m/s].
-        acceleration: Between the speeds, the first from the last command [m/s^2].
-        lateral: Of speed times yaw rate, linearized about `about` [m/s^2].
-        about: Commands, Shape (n, 2).
-        curvature: Of steered wheels [1/m]; None for a differential drive.
-        gear: Sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight.
-    """
-
-    limits: MotionLimits
-    speed: FloatArray
-    acceleration: FloatArray
-    lateral: FloatArray
-    about: FloatArray
-    curvature: FloatArray | None
-    gear: FloatArray
+    limits: MotionLimits  # limits of the robot, for those that are the same at all steps
+    speed: FloatArray  # [m/s]
+    acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
+    lateral: FloatArray  # of speed times yaw rate, linearized about `about` [m/s^2]
+    about: FloatArray  # commands, Shape (n, 2)
+    curvature: FloatArray | None  # of steered wheels [1/m]; None for a differential drive
+    gear: FloatArray  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
 
 
 class MpcCycle(NamedTuple):
-    """Data of one cycle.
+    """Data of one cycle."""
 
-    Attributes:
-        prediction: Errors as a function of the commands.
-        nominal: Commands that keep the robot on the reference, the first row from the last cycle. Shape (n + 1, 2).
-        cost_to_go: After the last step, Shape (3, 3).
-        h: Length of each step, Shape (n,) [s].
-        elapsed: Time since the last command [s].
-        bounds: Bounds of the commands.
-        last: Command of the last cycle, Shape (2,).
-        last_acceleration: Change of its speed [m/s^2].
-        tube: Half width [m] and yaw error [rad] of the tube; None without one.
-    """
-
-    prediction: Prediction
-    nominal: FloatArray
-    cost_to_go: FloatArray
-    h: FloatArray
-    elapsed: float
-    bounds: CommandBounds
-    last: FloatArray
-    last_acceleration: float
-    tube: tuple[float, float] | None
+    prediction: Prediction  # errors as a function of the commands
+    nominal: FloatArray  # commands that keep to the reference, the first row of the last cycle, Shape (n + 1, 2)
+    cost_to_go: FloatArray  # after the last step, Shape (3, 3)
+    h: FloatArray  # length of each step, Shape (n,) [s]
+    elapsed: float  # time since the last command [s]
+    bounds: CommandBounds  # bounds of the commands
+    last: FloatArray  # command of the last cycle, Shape (2,)
+    last_acceleration: float  # change of its speed [m/s^2]
+    tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without one
 
 
 class Solution(NamedTuple):

@@ -46,24 +46,14 @@ def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
 
 
 class Program(NamedTuple):
-    """The program: M cells, M + 2 coefficients of which two are given at each end.
+    """The program: M cells, M + 2 coefficients of which two are given at each end."""
 
-    Attributes:
-        steps: Lengths of the cells h, Shape (M,) [m].
-        rows: Linear constraints A c <= 1 as stencils, Shape (3, rows, M).
-        with_speed: Constraints B c v <= 1 as stencils, Shape (3, rows, M). In the first two v is the largest speed in
-            the cell.
-        places: v^2 of the others as stencils, Shape (3, rows - 2, M).
-        right_share: Weight of c_{i+1} in the value at knot i, Shape (M + 1,).
-        quadratic: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
-    """
-
-    steps: FloatArray
-    rows: FloatArray
-    with_speed: FloatArray
-    places: FloatArray
-    right_share: FloatArray
-    quadratic: FloatArray
+    steps: FloatArray  # lengths of the cells h, Shape (M,) [m]
+    rows: FloatArray  # linear constraints A c <= 1 as stencils, Shape (3, rows, M)
+    with_speed: FloatArray  # b c v <= 1 as stencils, Shape (3, rows, M); first two: v the largest speed in the cell
+    places: FloatArray  # v^2 of the others as stencils, Shape (3, rows - 2, M)
+    right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
+    quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2), LAPACK's storage
 
 
 def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:

@@ -62,19 +62,12 @@ def braking_slack(state: MotionState, jerk: float) -> float:
 
 
 class Motion(NamedTuple):
-    """A start state and phases, with the states at all phase borders.
+    """A start state and phases, with the states at all phase borders."""
 
-    Attributes:
-        durations: Shape (n,) [s].
-        jerks: Shape (n,) [m/s^3].
-        times: Borders, Shape (n + 1,) [s].
-        states: Distance, speed, acceleration at the borders, Shape (3, n + 1).
-    """
-
-    durations: FloatArray
-    jerks: FloatArray
-    times: FloatArray
-    states: FloatArray
+    durations: FloatArray  # Shape (n,) [s]
+    jerks: FloatArray  # Shape (n,) [m/s^3]
+    times: FloatArray  # borders, Shape (n + 1,) [s]
+    states: FloatArray  # distance, speed, acceleration at the borders, Shape (3, n + 1)
 
     @classmethod
     def of(cls, start: MotionState, phases: Iterable[tuple[float, float]]) -> Motion:

@@ -154,15 +154,10 @@ def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPla
 
 
 class ReferenceMotion(NamedTuple):
-    """A motion over a segment along a reference.
+    """A motion over a segment along a reference."""
 
-    Args:
-        phases: The motion.
-        moves: Its moves; empty if the reference itself is the motion.
-    """
-
-    phases: Phases
-    moves: tuple[Move, ...] = ()
+    phases: Phases  # the motion
+    moves: tuple[Move, ...] = ()  # its moves; empty if the reference itself is the motion
 
     @property
     def bad(self) -> tuple[Move, ...]:

@@ -76,12 +76,7 @@ class LimitPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedCaps:
-    """Speed caps as a function of curvature, as their reciprocals.
-
-    Args:
-        drive: Limits of the drive.
-        direction: Gear.
-    """
+    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear."""
 
     drive: MotionLimits
     direction: Direction
@@ -130,17 +125,6 @@ class SpeedCaps:
 class PathLimits:
     """Limits along one segment: the curvature is linear between nodes; its rate linear in a cell, jumping at nodes.
 
-    Args:
-        s: Nodes, Shape (n,) [m], n >= 2, first 0, strictly increasing, every knot and the zone start among them.
-        curvature: At the nodes, Shape (n,) [1/m].
-        rate_left: d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2].
-        rate_right: Just left of every cell's right node, Shape (n - 1,) [1/m^2].
-        caps: Speed caps by curvature.
-        zone_start: Start of the speed zone, exactly a node; `length` without a zone [m].
-        zone_speed: Speed limit from there on [m/s].
-        excess: Addition of the speed caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero.
-        begin: Start of this segment on the whole path [m], for messages.
-
     Attributes:
         slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
         slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
@@ -151,15 +135,15 @@ class PathLimits:
             from rest to rest under acceleration or jerk alone [s].
     """
 
-    s: FloatArray
-    curvature: FloatArray
-    rate_left: FloatArray
-    rate_right: FloatArray
+    s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start
+    curvature: FloatArray  # at the nodes, Shape (n,) [1/m]
+    rate_left: FloatArray  # d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2]
+    rate_right: FloatArray  # just left of every cell's right node, Shape (n - 1,) [1/m^2]
     caps: SpeedCaps
-    zone_start: float
-    zone_speed: float
-    excess: FloatArray | None = None
-    begin: float = 0.0
+    zone_start: float  # start of the speed zone, exactly a node; `length` without a zone [m]
+    zone_speed: float  # speed limit from there on [m/s]
+    excess: FloatArray | None = None  # addition of the caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero
+    begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
     def __post_init__(self) -> None:
         slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
@@ -359,13 +343,6 @@ class Tightening(NamedTuple):
 class ReferenceBounds:
     """The limits of a segment less margins: bounds of the reference per cell, and of the moves along it.
 
-    Args:
-        limits: The segment's limits.
-        step: Knot spacing of the reference [s].
-        smooth: Whether the reference itself is the motion, with jerk that hardly changes between knots.
-        relief: Distance without margins, as full braking from a moving start leaves none [m].
-        tightenings: Stretches with reduced speed.
-
     Attributes:
         speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
         turning: Bounds of the turning limits in each cell, for the reference, Shape (n - 1,) each.
@@ -375,9 +352,9 @@ class ReferenceBounds:
     """
 
     limits: PathLimits
-    step: float = KNOT_STEP
-    smooth: bool = False
-    relief: float = 0.0
+    step: float = KNOT_STEP  # knot spacing of the reference [s]
+    smooth: bool = False  # whether the reference itself is the motion, with jerk that hardly changes between knots
+    relief: float = 0.0  # distance without margins, as full braking from a moving start leaves none [m]
     tightenings: tuple[Tightening, ...] = ()
 
     def __post_init__(self) -> None:

@@ -39,21 +39,13 @@ _REACHED_SHARE = 1e-3  # of a segment shorter than that
 
 
 class Worst(NamedTuple):
-    """The largest ratio of a quantity and its limit along a motion.
+    """The largest ratio of a quantity and its limit along a motion."""
 
-    Args:
-        ratio: Largest ratio.
-        s: Its place [m].
-        path: Factor on time that keeps speeds and turning limits, which depend on the path.
-        drive: Factor on time that keeps acceleration and jerk.
-        limit: Name of the limit if the ratio is above 1; else empty.
-    """
-
-    ratio: float
-    s: float
-    path: float
-    drive: float
-    limit: str = ""
+    ratio: float  # largest ratio
+    s: float  # its place [m]
+    path: float  # factor on time that keeps speeds and turning limits, which depend on the path
+    drive: float  # factor on time that keeps acceleration and jerk
+    limit: str = ""  # name of the limit if the ratio is above 1; else empty
 
     @property
     def stretch(self) -> float:
@@ -138,29 +130,17 @@ def _limit_name(limits: PathLimits, motion: Motion, ratios: _Ratios, k: int) -> 
 
 
 class SegmentPlan(NamedTuple):
-    """Result of a method for one segment.
+    """Result of a method for one segment."""
 
-    Args:
-        status: Status of the timing.
-        phases: The motion; empty without one.
-        ratio: Largest ratio of a quantity and its limit along the motion; 0 where it was not computed.
-        overshoot: Distance that full braking needs beyond the end [m].
-        how: The method, for the report.
-        reason: Why the status is not OK.
-        limit: The violated limit; else empty.
-        s: Place of the violation [m]; None without one.
-        arrives: Whether the motion ends at rest at the end of the segment.
-    """
-
-    status: TimingStatus
-    phases: Phases = ()
-    ratio: float = 0.0
-    overshoot: float = 0.0
-    how: str = ""
-    reason: str = ""
-    limit: str = ""
-    s: float | None = None
-    arrives: bool = True
+    status: TimingStatus  # status of the timing
+    phases: Phases = ()  # the motion; empty without one
+    ratio: float = 0.0  # largest ratio of a quantity and its limit along the motion; 0 where it was not computed
+    overshoot: float = 0.0  # distance that full braking needs beyond the end [m]
+    how: str = ""  # the method, for the report
+    reason: str = ""  # why the status is not OK
+    limit: str = ""  # the violated limit; else empty
+    s: float | None = None  # place of the violation [m]; None without one
+    arrives: bool = True  # whether the motion ends at rest at the end of the segment
 
 
 def end_slack(limits: PathLimits) -> float:

@@ -161,31 +161,18 @@ def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float,
 
 
 class Grid(NamedTuple):
-    """Knots of the reference and their limits.
+    """Knots of the reference and their limits."""
 
-    Attributes:
-        knots: Shape (M + 1,) [m].
-        steps: Shape (M,) [m].
-        bound: Largest v^2 at the knots, the minimum over both half cells around, Shape (M + 1,) [m^2/s^2].
-        curvature: At the knots, Shape (M + 1,) [1/m].
-        rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
-        turning: Bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each.
-        centre_curvature: At the cell centres, Shape (M,) [1/m].
-        centre_rate: As `rate`, at the cell centres, Shape (2, M) [1/m^2].
-        zone: Index of the knot at the zone start; 0 without one inside.
-        time: Pseudo time of the knots, Shape (M + 1,) [s].
-    """
-
-    knots: FloatArray
-    steps: FloatArray
-    bound: FloatArray
-    curvature: FloatArray
-    rate: FloatArray
-    turning: tuple[FloatArray, ...]
-    centre_curvature: FloatArray
-    centre_rate: FloatArray
-    zone: int
-    time: FloatArray
+    knots: FloatArray  # Shape (M + 1,) [m]
+    steps: FloatArray  # Shape (M,) [m]
+    bound: FloatArray  # largest v^2 at the knots, the minimum over both half cells around, Shape (M + 1,) [m^2/s^2]
+    curvature: FloatArray  # at the knots, Shape (M + 1,) [1/m]
+    rate: FloatArray  # largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2]
+    turning: tuple[FloatArray, ...]  # bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each
+    centre_curvature: FloatArray  # at the cell centres, Shape (M,) [1/m]
+    centre_rate: FloatArray  # as `rate`, at the cell centres, Shape (2, M) [1/m^2]
+    zone: int  # index of the knot at the zone start; 0 without one inside
+    time: FloatArray  # pseudo time of the knots, Shape (M + 1,) [s]
 
 
 def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
@@ -324,22 +311,14 @@ class Spline(NamedTuple):
 
     Knot i: x_i = wl c_i + wr c_{i+1}, wr = h_{i-1} / (h_{i-1} + h_i), a_i = (c_{i+1} - c_i) / (h_{i-1} + h_i).
     Cell m: x'' = 2 (a_{m+1} - a_m) / h_m, centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
-
-    Attributes:
-        right_value: x at the right knot of the cell.
-        right_slope: Acceleration there.
-        centre_value: x at the centre.
-        centre_slope: Acceleration there.
-        curve: x''.
-        right_share: Weight wr of c_{i+1} in x_i, Shape (M + 1,).
     """
 
-    right_value: FloatArray
-    right_slope: FloatArray
-    centre_value: FloatArray
-    centre_slope: FloatArray
-    curve: FloatArray
-    right_share: FloatArray
+    right_value: FloatArray  # x at the right knot of the cell
+    right_slope: FloatArray  # acceleration there
+    centre_value: FloatArray  # x at the centre
+    centre_slope: FloatArray  # acceleration there
+    curve: FloatArray  # x''
+    right_share: FloatArray  # weight wr of c_{i+1} in x_i, Shape (M + 1,)
 
 
 def spline_of(steps: FloatArray) -> Spline:
@@ -368,17 +347,11 @@ def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, la
 
 
 class LimitRows(NamedTuple):
-    """Constraints on the coefficients c as stencils, Shape (3, rows, M); see `applied` for the products A c.
+    """Constraints on the coefficients c as stencils, Shape (3, rows, M); see `applied` for the products A c."""
 
-    Attributes:
-        linear: A c <= 1.
-        with_speed: A c v <= 1, v the speed at one place of the cell.
-        places: Stencils of v^2 there, for each of `with_speed`.
-    """
-
-    linear: FloatArray
-    with_speed: FloatArray
-    places: FloatArray
+    linear: FloatArray  # A c <= 1
+    with_speed: FloatArray  # A c v <= 1, v the speed at one place of the cell
+    places: FloatArray  # stencils of v^2 there, for each of `with_speed`
 
 
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
@@ -463,27 +436,16 @@ def _box_mean(values: FloatArray, half: int) -> FloatArray:
 
 
 class ReferenceStates(NamedTuple):
-    """States at the knots of the spline, and the arcs on both its sides.
+    """States at the knots of the spline, and the arcs on both its sides."""
 
-    Attributes:
-        s: Shape (M + 1,) [m].
-        v: Shape (M + 1,) [m/s].
-        a: Shape (M + 1,) [m/s^2].
-        curve: x'' of the cells, Shape (M,) [1/s^2].
-        grid: The knots.
-        launch: Arc before the spline, possibly without phases.
-        stop: Arc after it.
-        iterations: Iterations of the interior point method.
-    """
-
-    s: FloatArray
-    v: FloatArray
-    a: FloatArray
-    curve: FloatArray
-    grid: Grid
-    launch: Arc
-    stop: Arc
-    iterations: int
+    s: FloatArray  # Shape (M + 1,) [m]
+    v: FloatArray  # Shape (M + 1,) [m/s]
+    a: FloatArray  # Shape (M + 1,) [m/s^2]
+    curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
+    grid: Grid  # the knots
+    launch: Arc  # arc before the spline, possibly without phases
+    stop: Arc  # arc after it
+    iterations: int  # iterations of the interior point method
 
     @property
     def durations(self) -> FloatArray:

@@ -73,15 +73,10 @@ _REFUSAL = 0.02  # [s], for a refusal of an impossible request
 
 
 class Deadlines(NamedTuple):
-    """Deadlines of the stages of a call.
+    """Deadlines of the stages of a call."""
 
-    Args:
-        search: For methods that are followed by another one.
-        last: For the last method.
-    """
-
-    search: Deadline = ENDLESS
-    last: Deadline = ENDLESS
+    search: Deadline = ENDLESS  # for methods that are followed by another one
+    last: Deadline = ENDLESS  # for the last method
 
     @classmethod
     def of(cls, whole: Deadline, lookup: float) -> Deadlines:
@@ -180,7 +175,7 @@ def time_path(
 
     Raises:
         InvalidValue: If the start state or the wait is not finite, the wait is negative, or the deadline is NaN.
-        TimingCancelled: If the deadline was asked to stop.
+        TimingCancelled: If the call was cancelled.
     """
     whole = deadline or Deadline()
     if not all(math.isfinite(value) for value in start[:2]):

@@ -64,13 +64,27 @@ def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: 
         target.v + (0.5 * target.a * target.a / bounds.jerk if target.a < 0.0 else 0.0),
         start.v + (0.5 * start.a * start.a / bounds.jerk if start.a > 0.0 else 0.0),
     )
-    phases = _tool().position_move(start, target, bounds, max(bounds.speed, rise * _ABOVE), longest)
+    tool = _tool()
+    given = tool.input  # ruckig copies its inputs, so lists are assigned, never changed
+    given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
+    given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
+    given.max_velocity, given.max_jerk = [max(bounds.speed, rise * _ABOVE)], [bounds.jerk]
+    given.max_acceleration, given.min_acceleration = [bounds.acceleration], [-bounds.deceleration]
+    try:
+        tool.otg.calculate(given, tool.output)
+    except tool.error:
+        return None
+    if tool.output.duration > longest:
+        return None
+    profile = tool.output.profiles[0][0]
+    brake, times, jerks = profile.brake, profile.t, profile.j
+    if brake.duration > 0.0:
+        times, jerks = [*brake.t, *times], [*brake.j, *jerks]
+    phases = tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
     return phases if _drives_forward(start, phases) else None
 
 
-def _drives_forward(start: MotionState, phases: Phases | None) -> bool:
-    if phases is None:
-        return False
+def _drives_forward(start: MotionState, phases: Phases) -> bool:
     _s, v, a = start
     for duration, jerk in phases:
         end_a = a + duration * jerk
@@ -91,31 +105,6 @@ class _Tool:
         self.input: Any = ruckig.InputParameter(1)
         self.output: Any = ruckig.Trajectory(1)
         self.error: type[Exception] = ruckig.RuckigError
-
-    def position_move(
-        self, start: MotionState, target: MotionState, bounds: DriveBounds, speed: float, longest: float
-    ) -> Phases | None:
-        """Return the phases from state to state, brake phases first; None if ruckig finds none.
-
-        ruckig copies its inputs, so lists are assigned, never changed.
-        """
-        given = self.input
-        given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
-        given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
-        given.max_velocity, given.max_jerk = [speed], [bounds.jerk]
-        given.max_acceleration, given.min_acceleration = [bounds.acceleration], [-bounds.deceleration]
-        try:
-            self.otg.calculate(given, self.output)
-        except self.error:
-            return None
-        if self.output.duration > longest:
-            return None
-        profile = self.output.profiles[0][0]
-        brake = profile.brake
-        times, jerks = profile.t, profile.j
-        if brake.duration > 0.0:
-            times, jerks = [*brake.t, *times], [*brake.j, *jerks]
-        return tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
 
 
 def load_ruckig() -> None:
@@ -167,21 +156,13 @@ class _Nodes(NamedTuple):
 
 
 class Move(NamedTuple):
-    """One move along the reference.
+    """One move along the reference."""
 
-    Args:
-        left: Start [m].
-        right: End [m].
-        phases: The motion.
-        excess: Factor on time that keeps the checked limits; at most 1 if they are kept.
-        worst: Place that decides the excess [m].
-    """
-
-    left: float
-    right: float
-    phases: Phases
-    excess: float
-    worst: float
+    left: float  # start [m]
+    right: float  # end [m]
+    phases: Phases  # the motion
+    excess: float  # factor on time that keeps the checked limits; at most 1 if they are kept
+    worst: float  # place that decides the excess [m]
 
 
 def split_into_moves(

@@ -90,7 +90,7 @@ class StartVerdict(NamedTuple):
 
     Args:
         refusal: Why no motion keeps every limit; None where one may.
-        ways_on: Where a plan may continue, best first: the phases until then, and the state then; may be empty.
+        ways_on: Phases until a plan may continue, and the state then, best first.
     """
 
     refusal: SegmentPlan | None

@@ -27,17 +27,11 @@ _HUGE = 1e12  # replaces a larger bound, so that products with it do not overflo
 
 
 class TurningLimit(NamedTuple):
-    """A bound on d/dt (v^order k).
+    """A bound on d/dt (v^order k)."""
 
-    Attributes:
-        name: In `MotionLimits`.
-        order: Power of the speed, 1 or 2.
-        bound: Its value, > 0 and finite.
-    """
-
-    name: str
-    order: int
-    bound: float
+    name: str  # in `MotionLimits`
+    order: int  # power of the speed, 1 or 2
+    bound: float  # its value, > 0 and finite
 
     def ratio(self, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,) as all arguments."""

@@ -40,18 +40,18 @@ def test_it_moves_smoothly():
         before = estimate.delay
 
 
-def test_a_held_or_unmeasured_drive_says_nothing():
+def test_no_evidence_from_a_held_or_unmeasured_drive():
     estimate = DelayEstimate(0.07)
     for command in RAMP:
         estimate.update(command, 0.0, 0.02)
     assert estimate.delay == 0.07
 
 
-def test_a_steady_speed_says_nothing_new():
+def test_no_evidence_at_rest():
     assert identified(Actuation(), [0.0] * 50, known=0.12) == 0.12
 
 
-def test_what_is_known_gives_way_to_evidence():
+def test_evidence_replaces_the_known_delay():
     assert identified(Actuation(), known=0.2) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -69,7 +69,7 @@ def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
     assert estimate.delay == pytest.approx(0.16, abs=0.025)
 
 
-def test_a_period_that_changes_is_no_other_drive():
+def test_varying_periods():
     plant, estimate = (
         DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01),
         DelayEstimate(),

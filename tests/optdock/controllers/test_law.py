@@ -72,7 +72,7 @@ def lateral_profile(speed):
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, -0.1, -0.5])
-def test_the_lateral_error_decays_over_a_distance_whatever_the_speed(speed):
+def test_lateral_error_decays_over_a_distance_at_every_speed(speed):
     profile = lateral_profile(speed)
     distance = 0.01 * np.arange(profile.size) / GAINS.convergence_distance
     critically_damped = 0.05 * (1.0 + distance) * np.exp(-distance)
@@ -125,7 +125,7 @@ def swing(speed, delay, distance):
 
 
 @pytest.mark.parametrize("speed", [0.5, -1.0])
-def test_at_its_bound_a_late_drive_settles_and_well_below_it_never_does(speed):
+def test_late_drive_settles_at_the_bound_and_not_well_below(speed):
     delay = 0.2
     distance = delay_bounds(speed, delay, GAINS.damping).distance
     assert swing(speed, delay, distance) < 1e-6

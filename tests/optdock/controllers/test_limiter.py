@@ -76,7 +76,7 @@ def differences(commands, period):
     st.sampled_from([0.005, 0.02, 0.05, 0.1]),
     st.integers(1, 20),
 )
-def test_whatever_is_wanted_no_command_is_beyond_a_limit(targets, period, held):
+def test_commands_keep_the_limits(targets, period, held):
     wanted = [Twist2(*target) for target in targets for _ in range(held)]
     commands = followed(wanted, period)
     v, _, jerk = differences(commands, period)
@@ -112,7 +112,7 @@ SHARED = {
     st.lists(st.sampled_from([0.01, 0.02, 0.05, 0.1]), min_size=1, max_size=4),
     st.booleans(),
 )
-def test_limits_that_speed_and_turn_share_cost_neither_a_jump_of_the_turn_nor_of_the_speed(name, targets, rates, moves):
+def test_commands_keep_limits_shared_by_speed_and_turn(name, targets, rates, moves):
     limits, drive = SHARED[name], Drive.ACKERMANN if name == "car" else Drive.DIFFERENTIAL
     limiter, commands, periods = CommandLimiter(), [REST], []
     limiter.follow(REST, REST, 0.1, limits, drive, in_place=False)
@@ -159,7 +159,7 @@ def test_the_turn_changes_the_lateral_acceleration_no_faster_than_its_jerk_allow
     assert jerks.max() <= 0.1 * (1.0 + 1e-6)
 
 
-def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
+def test_braking_in_a_bend_does_not_increase_the_turn():
     limits = MotionLimits(max_curvature=4.0, max_lateral_jerk=0.02)
     commands = followed([Twist2(0.4, 0.4)] * 500 + [Twist2()] * 100, 0.02, limits)
     assert commands[499] == Twist2(0.4, 0.4)
@@ -168,7 +168,7 @@ def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
 
 
 @pytest.mark.parametrize("drive", Drive)
-def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
+def test_lateral_jerk_limit_bounds_a_step_of_the_turn(drive):
     def largest(limits):
         wanted = [Twist2(0.3, 0.0)] * 100 + [Twist2(0.3, 0.4)] * 60
         return lateral_jerks(followed(wanted, 0.02, limits, drive), 0.02).max()
@@ -184,7 +184,7 @@ def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
 
 @pytest.mark.parametrize("period", [0.005, 0.02, 0.1])
 @pytest.mark.parametrize("target", [0.3, -0.25, 1e-4])
-def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
+def test_step_response_is_fast_without_overshoot(period, target):
     commands = followed([Twist2(target)] * round(3.0 / period), period)
     v, _, _ = differences(commands, period)
     assert np.abs(v).max() <= abs(target) + 1e-9
@@ -213,7 +213,7 @@ def test_a_feed_forward_within_the_limits_passes_untouched(period):
     assert max(abs(a.angular - b.angular) for a, b in zip(found, wanted, strict=True)) < 1e-6
 
 
-def test_feedback_turns_no_tighter_than_the_robot_unless_it_stands_at_its_end():
+def test_smallest_radius_is_kept_except_in_place():
     wanted = [Twist2(0.2, 0.7)] * 100
     driven = followed(wanted, 0.02)
     assert all(abs(c.angular) <= 2.0 * abs(c.linear) + 1e-12 for c in driven)
@@ -230,7 +230,7 @@ def test_steered_wheels_turn_no_faster_than_they_can():
     assert angles.min() == pytest.approx(-0.6, abs=0.02)
 
 
-def test_a_robot_that_is_to_stop_is_commanded_nothing_in_the_end():
+def test_stopping_ends_with_exactly_zero_commands():
     """Not what rounding has left of its speed, at periods as stamps give them."""
     periods = np.diff(100.0 + 0.02 * np.arange(91)).tolist()
     for speed in np.linspace(0.01, 0.5, 15).tolist():

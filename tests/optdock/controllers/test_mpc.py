@@ -138,7 +138,7 @@ def test_steered_wheels_turn_no_further_and_no_faster_than_they_can(jumps):
     assert np.abs(np.diff(angle))[both].max() / PERIOD <= 0.6 + 1e-3
 
 
-def test_slow_wheels_are_known_over_the_whole_horizon():
+def test_steering_rate_bounds_the_whole_horizon():
     """Bounded from the next command alone, curvatures of later ones swing, and the robot ends 9 cm aside."""
     trajectory = s_curve_drive(START)
     slow = MotionLimits(max_reverse_speed=0.5, max_curvature=2.0, wheelbase=0.3, max_steering_rate=0.5)
@@ -149,7 +149,7 @@ def test_slow_wheels_are_known_over_the_whole_horizon():
     assert run.docked, run.reason
 
 
-def test_a_jump_before_the_end_is_made_good_where_the_way_left_allows():
+def test_a_jump_before_the_end_is_corrected():
     """3 cm aside with 0.6 m left: of that the tracker leaves a quarter."""
     trajectory = straight_drive(START)
     period = 2.0 * PERIOD
@@ -197,16 +197,16 @@ class TestTheTube:
             controller.compute_velocity_commands(pose, Twist2(0.4, 0.0), None, stamp=k * PERIOD)
         return controller.status
 
-    def test_inside_nothing_is_said(self):
+    def test_no_excess_inside(self):
         assert self.outside(0.02, Pose2(0.0, 0.005, 0.0)).outside_tube < 1e-6
 
-    def test_leaving_it_is_told_in_metres(self):
+    def test_excess_outside_in_metres(self):
         status = self.outside(0.02, Pose2(0.0, 0.05, 0.0))
         assert 0.01 < status.outside_tube < 0.035
         assert status.outcome is CycleOutcome.SOLVED
 
 
-def test_without_a_solution_the_commands_found_before_go_on_and_then_it_says_so(monkeypatch):
+def test_without_a_solution_previous_commands_continue_then_error(monkeypatch):
     trajectory = straight_drive(START)
     controller = ready(trajectory)
     drive(controller, trajectory, 60)
@@ -227,7 +227,7 @@ def test_without_a_solution_the_commands_found_before_go_on_and_then_it_says_so(
     assert followed[0] == pytest.approx(trajectory.at(61 * PERIOD).twist.linear, abs=0.02)
 
 
-def test_it_stops_before_what_stands_in_its_way():
+def test_it_stops_before_an_obstacle():
     trajectory = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.05)
     wall = ObstacleSet.from_polygons([np.array([[1.4, -1.0], [1.6, -1.0], [1.6, 1.0], [1.4, 1.0]])])
     controller = MpcController()
@@ -257,7 +257,7 @@ class TestFastAndLate:
         assert self.run().poses[:, 0].max() > 4.05
 
 
-def test_a_turn_that_the_finish_leaves_out_slows_nothing_down():
+def test_omitting_a_tiny_turn_does_not_slow_down():
     """The speed of such a command is the program's, as much as with the turn."""
     speeds = []
     for turn in (1e-6, 0.0):

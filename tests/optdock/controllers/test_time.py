@@ -109,7 +109,7 @@ def test_a_clock_that_goes_back_is_refused_until_it_has_caught_up(make):
     controller.compute_velocity_commands(START, Twist2(), None, stamp=1.0)
 
 
-def test_a_stamp_is_a_number_and_without_one_the_clock_of_the_context_is_asked():
+def test_stamp_is_checked_and_defaults_to_the_clock():
     controller, time = TrackingController(), [7.0]
     controller.configure(PluginContext(clock=lambda: time[0]))
     controller.set_path(straight_drive(START))
@@ -121,7 +121,7 @@ def test_a_stamp_is_a_number_and_without_one_the_clock_of_the_context_is_asked()
     assert controller.progress.time == pytest.approx(0.1)
 
 
-def test_after_a_long_silence_commands_begin_at_what_the_robot_does():
+def test_after_a_long_silence_commands_restart_at_the_measured_velocity():
     controller = configured()
     controller.set_path(straight_drive(START))
     stamp, pose, twist = driven(controller, [0.02] * 150)[-1]
@@ -130,7 +130,7 @@ def test_after_a_long_silence_commands_begin_at_what_the_robot_does():
     assert 0.0 <= stopped.linear <= 0.5 * 0.5 + 1e-9
 
 
-def test_the_usual_period_is_learnt_and_one_late_call_is_no_new_rate():
+def test_period_is_filtered():
     clock, context = ControlClock(), PluginContext()
     for k in range(50):
         clock.tick(0.02 * k, context)
@@ -161,7 +161,7 @@ def undisturbed(gear):
 
 @pytest.mark.parametrize("at", [0.1, 2.0, 5.6])
 @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
-def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
+def test_change_of_trajectory_in_motion_does_not_change_the_commands(at, gear):
     trajectory, plain = undisturbed(gear)
     newer, joined = rest_of(trajectory, at), configured()
     joined.set_path(trajectory)
@@ -176,7 +176,7 @@ def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
     assert joined.progress.time == pytest.approx(newer.duration)
 
 
-def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
+def test_change_of_trajectory_at_a_low_rate():
     trajectory = straight_drive(START)
     reference = TrajectoryReference(trajectory)
     reference.time, reference.rate = 2.0, 0.5
@@ -197,7 +197,7 @@ def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
     assert reference.rate == pytest.approx(1.0)
 
 
-def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_have():
+def test_later_trajectories_are_replaced_or_appended():
     first, second, third = (straight_drive(START) for _ in range(3))
     reference = TrajectoryReference(first)
     reference.joined_by(second, 1.0)
@@ -209,7 +209,7 @@ def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_
     assert reference.last is second
 
 
-def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_joined_in_time():
+def test_start_stamp_in_the_future_or_past():
     trajectory = straight_drive(START)
     early, late = configured(), configured()
     early.set_path(trajectory, start_stamp=100.5)
@@ -220,7 +220,7 @@ def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_
     assert late.progress == ReferenceProgress(pytest.approx(2.0), 1.0)
 
 
-def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusal():
+def test_commands_restart_from_rest_after_a_clock_error():
     controller = configured()
     controller.set_path(straight_drive(START))
     stamp, pose, twist = driven(controller, [0.02] * 100)[-1]
@@ -229,7 +229,7 @@ def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusa
     assert controller.compute_velocity_commands(pose, Twist2(), None, stamp=stamp).linear < 0.02
 
 
-def test_what_waits_for_its_beginning_is_cancelled_at_once():
+def test_cancel_before_the_start_stamp():
     controller = configured()
     controller.set_path(straight_drive(START), start_stamp=200.0)
     driven(controller, [0.02] * 5)
@@ -238,7 +238,7 @@ def test_what_waits_for_its_beginning_is_cancelled_at_once():
     assert controller.cancel()
 
 
-def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
+def test_replanning_does_not_reset_the_stall_detection():
     controller, trajectory, refusals = configured(), straight_drive(START), 0
     controller.set_path(trajectory)
     for k in range(300):
@@ -253,7 +253,7 @@ def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
     assert refusals >= 1
 
 
-def test_a_reference_at_its_end_stays_there_however_the_period_jitters():
+def test_reference_at_its_end_stays_with_varying_periods():
     """On a real machine no period is as long as the one before; whoever waits for the end must see it once for all."""
     reference = TrajectoryReference(straight_drive(START))
     reference.time = reference.trajectory.duration

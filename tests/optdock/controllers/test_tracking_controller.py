@@ -63,7 +63,7 @@ def accelerations(commands):
     return np.diff([c.linear for c in commands], prepend=0.0) / PERIOD
 
 
-def test_without_a_path_it_says_so():
+def test_error_without_a_path():
     with pytest.raises(ControllerInvalidPath, match="call set_path first"):
         TrackingController().compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
     controller = ready(straight_drive(START))
@@ -72,7 +72,7 @@ def test_without_a_path_it_says_so():
         controller.compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
 
 
-def test_it_advances_by_a_promised_period_per_call():
+def test_given_period():
     trajectory = straight_drive(START)
     for period in (0.02, 0.05):
         plant = DifferentialDrive(ROBOT, period=period)
@@ -175,7 +175,7 @@ class TestCancel:
             (cusp_drive, 150),
         ],
     )
-    def test_brakes_along_the_path_within_the_limits_and_says_when_it_stands(self, make, cycle):
+    def test_brakes_along_the_path_within_the_limits(self, make, cycle):
         trajectory, robot = make(START), Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5))
         controller = ready(trajectory, robot)
         stopped = []
@@ -201,7 +201,7 @@ class TestCancel:
         assert ready(straight_drive(START)).cancel()
 
 
-def test_the_reference_waits_for_a_blocked_robot_and_a_robot_that_does_not_follow_is_named():
+def test_reference_waits_for_a_blocked_robot_then_error():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
     for _ in range(150):
@@ -228,21 +228,21 @@ def refusal(controller, pose_at, cycles, checker=None):
     return caught.value
 
 
-def test_far_from_the_reference_it_refuses_and_says_where():
+def test_error_far_from_the_reference():
     controller = ready(straight_drive(START), max_error=0.3)
     with pytest.raises(NoValidControl, match=r"0\.400 m and 0\.000 rad from the reference") as caught:
         controller.compute_velocity_commands(START @ Pose2(0.0, 0.4, 0.0), Twist2(), None, stamp=next(STAMPS))
     assert caught.value.where["cross"] == pytest.approx(-0.4)
 
 
-def test_a_robot_that_faces_the_wrong_way_is_refused():
+def test_error_at_a_large_heading_error():
     with pytest.raises(NoValidControl, match=r"1\.500 rad from the reference"):
         ready(straight_drive(START)).compute_velocity_commands(
             START @ Pose2(0.0, 0.0, 1.5), Twist2(), None, stamp=next(STAMPS)
         )
 
 
-def test_a_robot_in_the_middle_joins_the_trajectory_there_and_starts_from_its_own_speed():
+def test_robot_in_the_middle_joins_the_trajectory_there():
     trajectory = s_curve_drive(START)
     middle = trajectory.at(3.0).pose
     controller = ready(trajectory)
@@ -266,7 +266,7 @@ class TestTheFinish:
         assert run.docked, run.reason
 
     @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
-    def test_an_error_across_that_stays_is_named_and_nothing_is_commanded_for_ever(self, gear):
+    def test_lateral_error_that_stays_is_an_error(self, gear):
         trajectory = straight_drive(START, gear)
         controller, checker = ready(trajectory), DockGoalChecker(cross_tolerance=0.01)
         aside = trajectory.path.end @ Pose2(0.0, 0.022, 0.0)
@@ -280,7 +280,7 @@ class TestTheFinish:
         assert "0.022 m across" in str(error)
         assert error.where["cross"] == pytest.approx(-0.022)
 
-    def test_what_is_left_at_the_end_decays_to_nothing(self):
+    def test_errors_at_the_end_decay_to_zero(self):
         trajectory = straight_drive(START)
         controller = ready(trajectory)
         late = DifferentialDrive(ROBOT).at_rest(trajectory.path.end @ Pose2(-0.04, 0.0, 0.1))
@@ -365,7 +365,7 @@ class TestCollisions:
         "world",
         ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"],
     )
-    def test_it_refuses_while_it_can_still_stop_before_it_touches_what_is_no_station(self, world):
+    def test_it_stops_before_contact(self, world):
         state, error = self.driven(self.worlds()[world])
         assert error is not None
         rest = state.pose.x + state.twist.linear**2 / (2.0 * LIMITS.max_deceleration)
@@ -390,13 +390,13 @@ class TestCollisions:
             poses.append(state.pose.as_array())
         return np.array(poses), refused
 
-    def test_its_own_error_across_is_no_noise_that_lets_it_into_a_wall(self):
+    def test_lateral_error_does_not_count_as_noise(self):
         poses, refused = self.tried(self.worlds()["polygon"], self.AHEAD, 0.2, 0.0)
         assert refused > 0
         wall = ObstacleSet.from_polygons([self.WALL])
         assert pose_clearances(poses, ROBOT.footprint, wall)[0].min() > -1e-4
 
-    def test_noise_alone_refuses_no_passage(self):
+    def test_noise_does_not_block_a_passage(self):
         sides = [np.array([[0.9, y], [1.2, y], [1.2, y + 0.1], [0.9, y + 0.1]]) for y in (0.252, -0.352)]
         target = DockingProblem(
             Pose2(0.0, 0.0, 0.0), Dock(self.AHEAD.path.end), ROBOT, ObstacleSet.from_polygons(sides)
@@ -405,12 +405,12 @@ class TestCollisions:
         assert refused == 0
         assert poses[-1, 0] == pytest.approx(1.05, abs=0.005)
 
-    def test_it_drives_on_only_when_told(self):
+    def test_collision_detection_can_be_switched_off(self):
         state, error = self.driven(self.worlds()["polygon"], use_collision_detection=False)
         assert error is None
         assert state.pose.x == pytest.approx(1.05, abs=0.002)
 
-    def test_a_drive_that_ends_in_contact_ends_there_whatever_the_noise(self):
+    def test_trajectory_ending_in_contact_with_noise(self):
         touching = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.0)
         surroundings = self.worlds()["polygon"]
         for seed in range(2):
@@ -429,7 +429,7 @@ class TestCollisions:
         assert error is None
         assert state.pose.x == pytest.approx(0.15, abs=0.002)
 
-    def test_after_a_refusal_it_goes_on_from_rest_once_the_way_is_free(self):
+    def test_it_continues_from_rest_once_the_way_is_free(self):
         worlds = self.worlds()
         live = worlds["costmap and outline"].costmap
         grid = Costmap.writable(live.data.shape, live.resolution, live.origin)
@@ -488,7 +488,7 @@ def test_the_reference_leaves_feedback_a_share_of_the_yaw_acceleration(reserve):
     assert at_least.progress.time == trajectory.duration
 
 
-def test_steered_wheels_follow_a_reference_that_leaves_them_a_hundredth():
+def test_reference_rate_of_steered_wheels():
     trajectory = s_curve_drive(START)
     for kind, rate in ((Drive.ACKERMANN, 0.99), (Drive.DIFFERENTIAL, 1.0)):
         robot = Robot(ROBOT.footprint, LIMITS, kind)
@@ -546,7 +546,7 @@ class TestBeforeTheEnd:
             world.advance(command, 0.04)
         return abs(world.error.y), abs(world.error.yaw)
 
-    def test_an_offset_that_cannot_be_taken_back_turns_the_robot_no_more(self, monkeypatch):
+    def test_late_offset_does_not_turn_the_robot(self, monkeypatch):
         across, turned = self.left(Pose2(0.0, 0.004, 0.0), 0.05)
         assert across < 0.0045
         assert turned < math.radians(0.3)
@@ -554,7 +554,7 @@ class TestBeforeTheEnd:
         monkeypatch.setattr(tracking_law.FeedbackGains, "update", lambda *_, **__: shortest)
         assert self.left(Pose2(0.0, 0.004, 0.0), 0.05)[1] > math.radians(0.8)
 
-    def test_a_turn_is_taken_back_as_fast_as_the_drive_allows(self, monkeypatch):
+    def test_late_turn_is_corrected_fast(self, monkeypatch):
         across, turned = self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)
         assert across < 0.005
         assert turned < math.radians(0.3)

@@ -98,7 +98,7 @@ def test_polylines_of_any_spacing(spacing, make, dense, all_limits):
 
 
 @pytest.mark.parametrize("amplitude", [0.003, 0.03])
-def test_noisy_curvature_costs_time_but_breaks_nothing(amplitude, make, dense, all_limits):
+def test_noisy_curvature_is_slower_and_within_limits(amplitude, make, dense, all_limits):
     s = np.linspace(0.0, 3.0, 600)
     noise = np.random.default_rng(4).normal(0.0, amplitude, 600)
     clean, noisy = (Path((make.spline(np.diff(s), np.sin(2.0 * s) + extra),)) for extra in (0.0, noise))
@@ -111,7 +111,7 @@ def test_noisy_curvature_costs_time_but_breaks_nothing(amplitude, make, dense, a
     assert durations[1] > durations[0]
 
 
-def test_slow_limits_are_as_good_as_fast_ones(make, dense):
+def test_slow_limits(make, dense):
     limits = MotionLimits(0.01, 0.01, 0.005, 0.005, 0.01, max_yaw_rate=0.005, max_yaw_acceleration=0.002)
     path = make.random_path(np.random.default_rng(0), length=0.5)
     result = NearOptimal().parameterize(path, limits, SpeedZone(0.002, 0.05))
@@ -140,7 +140,7 @@ NAMES = [
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "max_reverse_speed"])
 @pytest.mark.parametrize("value", [1e-12, 1e-5, 1e-2, 1e9])
-def test_an_extreme_limit_has_a_named_outcome(method, name, value):
+def test_extreme_limits_give_a_certified_motion_or_a_reason(method, name, value):
     limits = dataclasses.replace(TURNING, **{name: value})
     result = method().parameterize(PATH, limits, ZONE)
     if result.status is TimingStatus.OK:
@@ -150,14 +150,14 @@ def test_an_extreme_limit_has_a_named_outcome(method, name, value):
         assert result.reason
 
 
-def test_a_motion_of_hours_is_refused_with_its_duration():
+def test_motions_of_hours_are_refused():
     result = NearOptimal().parameterize(PATH, dataclasses.replace(TURNING, max_speed=1e-5), ZONE)
     assert result.status is TimingStatus.FAIL
     assert "about 3e+05 s; motions of more than 3600 s" in result.reason
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_expected_duration_is_about_the_true_one(seed):
+def test_duration_estimate_is_close_to_the_duration(seed):
     rng = np.random.default_rng(seed)
     knots = np.linspace(0.0, rng.uniform(0.5, 8.0), 7)
     curve = ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, np.append(rng.uniform(-1.5, 1.5, 6), 0.0))
@@ -180,7 +180,7 @@ CURVE = s_curve_drive(Pose2(0.0, 0.0, 0.0)).path
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("spacing", [0.005, 0.05, 0.2])
-def test_what_is_timed_is_certified(method, spacing):
+def test_sampled_paths_get_certified_motions(method, spacing):
     path = Path.from_poses(CURVE.sample(spacing).poses)
     result = method().parameterize(path, COARSE, SpeedZone())
     assert certify_trajectory(result.trajectory, COARSE, SpeedZone()).certified

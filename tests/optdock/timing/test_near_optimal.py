@@ -44,7 +44,7 @@ def test_the_certificate_proves_every_limit(seed, smooth, make, dense, all_limit
 
 
 @pytest.mark.parametrize("length", [0.3, 1.5, 6.0])
-def test_a_straight_line_takes_hardly_more_than_the_closed_form(length, make):
+def test_straight_line_is_close_to_the_closed_form(length, make):
     # Rest to rest with A = D; V reached or not.
     limits = MotionLimits(max_speed=0.5, max_acceleration=0.4, max_deceleration=0.4, max_jerk=2.0)
     v, a, j = 0.5, 0.4, 2.0
@@ -73,7 +73,7 @@ def _without_jerk(path, limits, zone):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_between_the_bound_without_jerk_and_the_windowed_method(seed, make, all_limits):
+def test_duration_is_between_the_bound_without_jerk_and_the_windowed_method(seed, make, all_limits):
     path = make.random_path(np.random.default_rng(100 + seed), length=4.0)
     if path.segments[0].direction < 0:
         all_limits = dataclasses.replace(all_limits, max_speed=all_limits.max_reverse_speed)
@@ -96,7 +96,7 @@ def test_between_the_bound_without_jerk_and_the_windowed_method(seed, make, all_
         ("lateral jerk", "max_lateral_jerk", 0.15),
     ],
 )
-def test_a_limit_is_broken_without_it_and_used_up_with_it(name, limit, value, make, dense):
+def test_each_limit_is_necessary_and_used_up(name, limit, value, make, dense):
     segment = make.random_path(np.random.default_rng(3), length=4.0).segments[0]
     path = Path((make.spline(np.diff(segment.knots), segment.spline.curvature),))
     free = MotionLimits(track_width=0.4)
@@ -105,7 +105,7 @@ def test_a_limit_is_broken_without_it_and_used_up_with_it(name, limit, value, ma
     assert 0.9 < dense.ratios(_timed(path, bound).trajectory, bound, NO_ZONE)[name] <= 1.0 + 1e-6
 
 
-def test_the_zone_is_kept_and_broken_without_it(make, dense, all_limits):
+def test_speed_zone_is_necessary_and_used_up(make, dense, all_limits):
     path = make.random_path(np.random.default_rng(5), length=3.0)
     assert dense.ratios(_timed(path, all_limits).trajectory, all_limits, ZONE)["zone"] > 1.5
     assert 0.98 < dense.ratios(_timed(path, all_limits, ZONE).trajectory, all_limits, ZONE)["zone"] <= 1.0 + 1e-6
@@ -149,7 +149,7 @@ def test_scaling_lengths_and_times_scales_the_result(make, all_limits):
 
 
 @pytest.mark.parametrize("start", [(0.3, 0.0), (0.25, 0.3), (0.2, -0.2), (0.0, 0.3), (0.002, 0.0), (0.01, -0.1)])
-def test_moving_starts_begin_where_they_are_told(start, make, all_limits):
+def test_moving_starts_are_certified(start, make, all_limits):
     path = Path((make.spline([0.5, 1.0, 0.7], [0.0, 1.0, -1.2, 0.0]),))
     result = _timed(path, all_limits, ZONE, start)
     assert result.status is TimingStatus.OK
@@ -180,7 +180,7 @@ def test_a_start_outside_the_limits_is_infeasible_and_brakes(start, ratio, make,
     assert max(found.values()) <= result.worst_ratio * (1.0 + 1e-6)
 
 
-def test_too_fast_for_the_bend_tells_by_how_much_and_where(make, all_limits):
+def test_start_too_fast_for_a_bend_reports_limit_and_place(make, all_limits):
     path = Path((make.spline([0.2, 0.3, 1.0], [0.0, 2.5, 2.5, 0.0]),))
     result = _timed(path, all_limits, NO_ZONE, (0.6, 0.0))
     assert result.status is TimingStatus.START_INFEASIBLE
@@ -189,7 +189,7 @@ def test_too_fast_for_the_bend_tells_by_how_much_and_where(make, all_limits):
     assert (result.limit, result.at_s) == ("max_yaw_acceleration", 0.0)
 
 
-def test_too_fast_to_stop_before_a_cusp_names_the_overshoot(make, all_limits):
+def test_start_too_fast_for_a_cusp_reports_the_overshoot(make, all_limits):
     path = Path((make.spline([0.1], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)))
     result = _timed(path, all_limits, NO_ZONE, (0.6, 0.0))
     assert result.status is TimingStatus.CANNOT_STOP
@@ -234,7 +234,7 @@ def test_the_smooth_mode_changes_its_jerk_in_smaller_steps(make, all_limits):
     assert steps[1] < 0.7 * steps[0]
 
 
-def test_found_as_a_plugin_that_refuses_what_it_does_not_know(make, all_limits):
+def test_plugin_refuses_unknown_parameters(make, all_limits):
     plugin = create_plugin(TimeParameterizer, "NearOptimal", {"step": 0.1})
     result = plugin.parameterize(Path((make.spline([1.5], [0.0, 0.5]),)), all_limits, NO_ZONE)
     assert result.status is TimingStatus.OK
@@ -254,7 +254,7 @@ def test_configuring_imports_what_the_first_call_needs():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_a_path_is_timed_by_name_with_parameters_or_by_a_plugin_itself(make, all_limits):
+def test_timed_by_name_parameters_or_plugin(make, all_limits):
     path = Path((make.spline([1.5], [0.0, 0.5]),))
     dock = Dock(Pose2(0.0, 0.0, 0.0), approach_speed=0.12, approach_distance=0.4)
     robot = Robot(Footprint.rectangle(0.2, 0.2, 0.4), all_limits)

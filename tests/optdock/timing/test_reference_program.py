@@ -38,7 +38,7 @@ def _solved(make, all_limits, seed, start=REST):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_grid_stands_on_the_zone_and_on_the_jumps_that_matter(make, all_limits, seed):
+def test_knots_are_on_the_zone_start_and_large_jumps(make, all_limits, seed):
     bounds, found = _solved(make, all_limits, seed)
     grid, launch, stop = found.grid, found.launch, found.stop
     assert grid.knots[grid.zone] == pytest.approx(bounds.limits.zone_start, abs=1e-12)
@@ -151,7 +151,7 @@ def test_jerk_step_bands_are_the_squared_steps_of_the_second_derivative():
     assert 0.5 * c @ matrix @ c == pytest.approx(wanted, rel=1e-12)
 
 
-def test_knots_stand_wider_where_the_robot_cruises(make, all_limits):
+def test_knots_are_wider_at_constant_speed(make, all_limits):
     along = limits_along(Path((make.spline([6.0], [0.0, 0.0]),)), all_limits, SpeedZone())[0]
     grid = solve_reference(ReferenceBounds(along), REST).grid
     duration = np.diff(grid.time)

@@ -108,13 +108,13 @@ def test_a_polyline_is_steered_as_its_poses_turn(seed, make, dense):
     "bends",
     [(0.0, 0.3, -0.3, 0.0), (0.3, -0.3, 0.3), (0.0, 0.3, 0.3, 0.0, 0.0), (-0.3, 0.3), (0.0, 0.1, 0.0, -0.1, 0.0)],
 )
-def test_the_steering_cap_costs_hardly_more_than_it_must(bends):
+def test_steering_cap_is_close_to_the_bound_without_jerk(bends):
     path = s_bend(*bends)
     ratio = timed(path, CAR).duration / without_jerk(path, CAR)
     assert 1.0 <= ratio <= 1.05
 
 
-def test_wheels_that_need_not_turn_do_not_wait():
+def test_no_wait_at_a_cusp_without_a_turn_of_the_wheels():
     """Wheels to the left, forward and then back: along the travel the curvature changes its sign."""
     for kept in ((0.3, -0.3), (0.0, 0.0), (-0.2, 0.2)):
         path = fold(*kept)
@@ -123,7 +123,7 @@ def test_wheels_that_need_not_turn_do_not_wait():
 
 
 @pytest.mark.parametrize("kept", [(0.3, 0.3), (0.3, 0.0), (-0.1, 0.2)])
-def test_at_a_cusp_the_robot_waits_as_long_as_its_wheels_turn(kept):
+def test_wait_at_a_cusp_is_the_time_of_the_turn(kept):
     path = fold(*kept)
     motion, free = timed(path, CAR), timed(path, dataclasses.replace(CAR, max_steering_rate=math.inf))
     wait = abs(math.atan(2.8 * kept[0]) + math.atan(2.8 * kept[1])) / 0.5
@@ -137,7 +137,7 @@ def test_at_a_cusp_the_robot_waits_as_long_as_its_wheels_turn(kept):
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("bend", [-0.3, 0.0, 0.2])
-def test_at_the_start_the_robot_waits_until_wheels_that_may_stand_anywhere_are_turned(method, bend):
+def test_wait_at_the_start_for_unknown_wheel_angle(method, bend):
     path = s_bend(bend, 0.1, 0.0)
     wait = (math.atan(2.8 / 3.0) + abs(math.atan(2.8 * bend))) / 0.5
     assert CAR.start_wait(path) == pytest.approx(wait)
@@ -159,7 +159,7 @@ def test_at_the_start_the_robot_waits_until_wheels_that_may_stand_anywhere_are_t
         assert found.ratios["steering_rate"] >= 1.0 / share - 1e-9 or certified
 
 
-def test_how_far_wheels_may_stand_off():
+def test_start_wait_uses_the_largest_wheel_angle():
     """As far as they turn; where nobody says how far that is, as the smallest turn asks for, or a quarter turn."""
     path, wheels = s_bend(-0.2, 0.0), {"wheelbase": 2.0, "max_steering_rate": 0.5}
     begins = math.atan(0.4)
@@ -173,7 +173,7 @@ def test_how_far_wheels_may_stand_off():
     assert MotionLimits(max_curvature=1.0).start_wait(path) == 0.0
 
 
-def test_a_rest_at_the_start_serves_no_cusp_beside_it():
+def test_waits_at_the_start_and_at_a_near_cusp_add_up():
     """A first gear of a micrometre: what the wheels need at its start and at its end is added up."""
     ahead = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1e-7], [0.3, 0.3])
     back = ClothoidSpline(ahead.end, [0.0, 2.0], [0.3, 0.3], -1)
@@ -192,7 +192,7 @@ def test_a_rest_at_the_start_serves_no_cusp_beside_it():
     assert not certify_trajectory(Trajectory(path, shorter), CAR, NO_ZONE, start_wait=wait).certified
 
 
-def test_a_car_in_motion_whose_wheels_nobody_knows_has_no_motion():
+def test_moving_start_with_a_wait_fails():
     path = s_bend(0.0, 0.1, 0.0)
     for method in (NearOptimal, Windowed):
         for start in ({"start_speed": 0.3}, {"start_acceleration": 0.2}):
@@ -211,7 +211,7 @@ def test_a_wait_is_a_number_of_seconds(wait):
 
 
 @pytest.mark.parametrize("start", [Pose2(-3.0, 0.4, 0.2), Pose2(-0.8, 0.7, 0.0)])
-def test_plans_of_a_car_that_stands_wait_for_its_wheels_unless_the_problem_says_how_they_stand(start):
+def test_plans_of_a_car_wait_unless_the_start_curvature_is_known(start):
     limits = MotionLimits(wheelbase=0.6, max_steering_angle=0.7, max_steering_rate=0.5)
     car = Robot(Footprint.rectangle(0.8, 0.2, 0.6), limits, Drive.ACKERMANN)
     problem = DockingProblem(start, Dock(Pose2(0.0, 0.0, 0.0), final_straight=0.2), car)
@@ -246,7 +246,7 @@ def test_a_rest_that_is_too_short_is_refused():
     assert [violation.kind for violation in certify_trajectory(elsewhere, CAR, NO_ZONE).violations] == ["rest"]
 
 
-def test_a_rest_at_one_cusp_does_not_serve_another():
+def test_waiting_at_the_wrong_cusp_is_refused():
     """Three gears between which the wheels turn fully; all the waiting is done at the first cusp."""
     bends = [0.3, 0.3, 0.3]
     pose, segments = Pose2(0.0, 0.0, 0.0), []
@@ -265,7 +265,7 @@ def test_a_rest_at_one_cusp_does_not_serve_another():
 
 
 @pytest.mark.parametrize("length", [1e-12, 1e-7, 1e-6, 1e-5])
-def test_gears_of_hardly_any_length_are_steered_too(length):
+def test_waits_of_cusps_at_one_place_add_up(length):
     """Wheels to the left, right, left within a micrometre: the waits of cusps at one place are added up."""
     bends, pose, segments = (0.3, 0.3, 0.3), Pose2(0.0, 0.0, 0.0), []
     for sign, bend, run in zip((1, -1, 1), bends, (2.0, length, 2.0), strict=True):
@@ -285,7 +285,7 @@ def test_gears_of_hardly_any_length_are_steered_too(length):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_bicycle_that_is_steered_so_drives_the_path(seed, make):
+def test_bicycle_model_with_these_wheel_angles_drives_the_path(seed, make):
     """Steering angle and speed alone, integrated: the angle has the sign it must have in each gear."""
     path = make.random_path(np.random.default_rng(seed), gears=3, length=1.5)
     limits = MotionLimits(wheelbase=0.7, max_steering_rate=0.6)

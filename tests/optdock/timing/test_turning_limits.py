@@ -20,7 +20,7 @@ def ratio(limit, v, a, k, r):
 
 @orders
 @given(sizes, sizes, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
-def test_the_ratio_is_that_of_a_derivative_and_falls_with_the_square_of_slower_time(order, bound, v, a, k, r):
+def test_ratio_is_a_derivative_and_scales_with_time(order, bound, v, a, k, r):
     limit, h = TurningLimit("", order, bound), 1e-6
 
     def value(t):
@@ -34,7 +34,7 @@ def test_the_ratio_is_that_of_a_derivative_and_falls_with_the_square_of_slower_t
 
 @orders
 @given(sizes, sizes, st.floats(0.1, 1.0))
-def test_at_constant_speed_every_method_says_the_same(order, bound, rate, share):
+def test_methods_agree_at_constant_speed(order, bound, rate, share):
     limit, rates = TurningLimit("", order, bound), np.array([rate])
     fastest = limit.fastest(rate)
     assert ratio(limit, fastest, 0.0, 1.0, rate) == pytest.approx(1.0)
@@ -72,7 +72,7 @@ def test_an_arc_of_constant_jerk_stays_within_its_share(order, bound, v, jerk, b
 
 @orders
 @given(sizes, st.floats(-3.0, 3.0), st.floats(0.1, 20.0), sizes, st.floats(0.05, 3.0))
-def test_what_is_inevitable_no_acceleration_keeps_and_no_faster_start_either(order, bound, k, r, relief, v):
+def test_inevitable_ratio_bounds_every_acceleration(order, bound, k, r, relief, v):
     limit = TurningLimit("", order, bound)
 
     def inevitable(v):
@@ -87,7 +87,7 @@ def test_what_is_inevitable_no_acceleration_keeps_and_no_faster_start_either(ord
         assert best < 1.0
 
 
-def test_only_finite_limits_count_and_the_largest_ratio_does():
+def test_turning_ratio_is_the_largest_of_finite_limits():
     columns = [np.array([value]) for value in (1.0, 2.0, 0.5, 0.3)]
     assert turning_limits(MotionLimits()) == ()
     assert turning_ratio((), *columns).tolist() == [0.0]

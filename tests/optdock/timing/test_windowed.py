@@ -47,7 +47,7 @@ def test_every_limit_holds_and_the_robot_rests_at_cusps(seed, make, dense, all_l
         ("lateral jerk", "max_lateral_jerk", 0.15),
     ],
 )
-def test_a_limit_is_broken_without_it_and_kept_with_it(name, limit, value, make, dense):
+def test_each_limit_is_necessary_and_kept(name, limit, value, make, dense):
     path = make.random_path(np.random.default_rng(3), length=4.0)
     free = MotionLimits(track_width=0.4)
     bound = dataclasses.replace(free, **{limit: value})
@@ -74,7 +74,7 @@ def test_too_fast_for_the_bend_brakes_then_goes_on(make, dense, all_limits):
     assert dense.rests(result.trajectory)
 
 
-def test_start_that_is_no_number_is_refused(make, all_limits):
+def test_nan_start_is_refused(make, all_limits):
     path = Path((make.spline([2.0], [0.0, 0.0]),))
     with pytest.raises(InvalidValue, match="start_speed"):
         Windowed().parameterize(path, all_limits, NO_ZONE, start_speed=math.nan)
