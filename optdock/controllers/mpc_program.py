@@ -25,14 +25,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.limits import MotionLimits
 
-__all__ = [
-    "Prediction",
-    "ReferenceArcs",
-    "arcs_between",
-    "predicted",
-    "riccati_back",
-    "step_matrices",
-]
+__all__ = ["Prediction", "ReferenceArcs", "arcs_between", "predicted", "riccati_back", "step_matrices"]
 
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized

@@ -170,12 +170,7 @@ class TrackingController(Controller):
         self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
-        self,
-        pose: Pose2,
-        velocity: Twist2,
-        goal_checker: GoalChecker | None,
-        *,
-        stamp: float | None = None,
+        self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
     ) -> Twist2:
         """Return the command for the coming period.
 

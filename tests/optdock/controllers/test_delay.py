@@ -1,4 +1,4 @@
-"""The delay of a drive is found from commands and speeds, and nothing is found where there is nothing to see."""
+"""Identification of the drive's delay from commands and speeds."""
 
 import numpy as np
 import pytest
@@ -70,10 +70,7 @@ def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
 
 
 def test_varying_periods():
-    plant, estimate = (
-        DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01),
-        DelayEstimate(),
-    )
+    plant, estimate = (DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01), DelayEstimate())
     state, k = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
     for steps in np.random.default_rng(2).choice([1, 2, 5, 10], 80).tolist():
         command = min(0.25, 0.4 * 0.01 * k)

@@ -1,4 +1,4 @@
-"""The tracking law: its Lyapunov function, its symmetries, and the line it drives."""
+"""The tracking law: Lyapunov function, symmetries, decay of errors, delay bounds."""
 
 import math
 
@@ -57,7 +57,7 @@ def test_without_an_error_the_command_is_the_feed_forward(reference):
 
 
 def lateral_profile(speed):
-    """Lateral error at every centimetre of a straight line driven at `speed`, from 5 cm beside it."""
+    """Lateral error at every centimetre of a straight line driven at `speed`, from an offset of 5 cm."""
     gains = GAINS._replace(turn=1e-6)
     step = 0.001 / abs(speed)
     y, yaw, found = 0.05, 0.0, []

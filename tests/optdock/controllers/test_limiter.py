@@ -1,4 +1,4 @@
-"""Limits on the commands: acceleration, jerk, curvature, steering; and no lag where they are kept anyway."""
+"""Limits on commands: acceleration, jerk, curvature, steering; no lag within the limits."""
 
 import dataclasses
 import math
@@ -138,8 +138,7 @@ def test_commands_keep_limits_shared_by_speed_and_turn(name, targets, rates, mov
 
 
 def lateral_jerks(commands, period, *, steered=False):
-    """Changes of speed times yaw rate over the period; only its gains where braking alone may take from it: where the
-    robot turns no less than before, or its wheels turn no further."""
+    """Changes of speed times yaw rate over the period; only increases while braking reduces it."""
     v, w = np.array([(command.linear, command.angular) for command in commands]).T
     brakes = (np.abs(v[1:]) < np.abs(v[:-1])) & (steered | (np.abs(w[1:]) >= np.abs(w[:-1]) * (1.0 - 1e-12)))
     return np.where(brakes, np.diff(np.abs(v * w)), np.abs(np.diff(v * w))) / period
@@ -231,7 +230,6 @@ def test_steered_wheels_turn_no_faster_than_they_can():
 
 
 def test_stopping_ends_with_exactly_zero_commands():
-    """Not what rounding has left of its speed, at periods as stamps give them."""
     periods = np.diff(100.0 + 0.02 * np.arange(91)).tolist()
     for speed in np.linspace(0.01, 0.5, 15).tolist():
         limiter = CommandLimiter()

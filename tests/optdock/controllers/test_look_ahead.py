@@ -1,4 +1,4 @@
-"""Looking ahead: what dense poses among all obstacles say, found with few poses and few obstacles."""
+"""Collision check of a motion, compared with dense poses among all obstacles."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""MpcController: feed-forward, symmetries, bounds under any error, what it says when it cannot."""
+"""MpcController: feed-forward, symmetries, limits under any error, and failures."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_on_the_reference_the_command_is_its_mean_motion(make, rate):
         state = plant.step(state, command)
         now, then = (trajectory.at(controller.progress.time + later) for later in (0.0, period))
         assert controller.status.outcome is CycleOutcome.SOLVED
-        if k > 40:  # of the first command nobody knows the period: a tenth of a millimetre is made good first
+        if k > 40:  # the first period is unknown, which causes an error of 0.1 mm
             assert command.angular == pytest.approx((then.pose.yaw - now.pose.yaw) / period, abs=3e-4)
             assert abs(command.linear) == pytest.approx((then.s - now.s) / period, abs=1e-4)
             assert state.pose.distance_to(then.pose) < 5e-5
@@ -77,7 +77,7 @@ def curve(sign, direction):
 
 
 def test_left_and_right_and_both_gears_are_mirror_images():
-    """Mirrored at the robot's axis the turns change sign; at the dock's front the speeds and the turns do."""
+    """Mirroring at the robot's axis changes the sign of the turns; at the dock's front that of speeds and turns."""
     error = Pose2(0.01, 0.02, 0.1)
     forward, reverse = Direction.FORWARD, Direction.REVERSE
     left, *_ = drive(ready(curve(1.0, forward)), curve(1.0, forward), 50, disturbance=lambda k: error)
@@ -91,7 +91,7 @@ def test_left_and_right_and_both_gears_are_mirror_images():
 
 
 def exceeded(commands, limits, period=PERIOD):
-    """By how much each limit is exceeded; the first command, whose period is another, left out."""
+    """Excess of each limit, without the first command, whose period is another."""
     v, w = commands[1:].T
     gained, a = np.diff(np.abs(v)) / period, np.diff(v) / period
     same = v[1:] * v[:-1] >= 0.0
@@ -139,7 +139,7 @@ def test_steered_wheels_turn_no_further_and_no_faster_than_they_can(jumps):
 
 
 def test_steering_rate_bounds_the_whole_horizon():
-    """Bounded from the next command alone, curvatures of later ones swing, and the robot ends 9 cm aside."""
+    """With a bound on the next command only, the robot ends with an offset of 9 cm."""
     trajectory = s_curve_drive(START)
     slow = MotionLimits(max_reverse_speed=0.5, max_curvature=2.0, wheelbase=0.3, max_steering_rate=0.5)
     robot, start = Robot(FOOTPRINT, slow, Drive.ACKERMANN), START @ Pose2(-0.02, 0.04, 0.05)
@@ -150,7 +150,7 @@ def test_steering_rate_bounds_the_whole_horizon():
 
 
 def test_a_jump_before_the_end_is_corrected():
-    """3 cm aside with 0.6 m left: of that the tracker leaves a quarter."""
+    """3 cm aside with 0.6 m left, of which the TrackingController leaves a quarter."""
     trajectory = straight_drive(START)
     period = 2.0 * PERIOD
     begin = 1.4 / 0.4 / period + 12
@@ -173,7 +173,7 @@ def test_a_jump_before_the_end_is_corrected():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_late_drive_is_predicted(known):
-    """With lag and latency the robot keeps to the path as without; identified, after the first ramp."""
+    """With lag and latency, known or identified, the robot stays on the path."""
     trajectory = s_curve_drive(START)
     late = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06)
     given_values = {"latency": 0.06, "lag": 0.1} if known else {}
@@ -258,7 +258,7 @@ class TestFastAndLate:
 
 
 def test_omitting_a_tiny_turn_does_not_slow_down():
-    """The speed of such a command is the program's, as much as with the turn."""
+    """The speed of such a command is the program's."""
     speeds = []
     for turn in (1e-6, 0.0):
         limiter = mpc._ProgramLimiter()

@@ -1,4 +1,4 @@
-"""Time as the stamps say: any rate, irregular, late, twice the same, going back; and a trajectory that takes over."""
+"""Time base of the controller: rates and stamps of the calls, and changes of trajectory."""
 
 import functools
 import math
@@ -41,7 +41,7 @@ def configured(**parameters):
 
 
 def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: B008 - frozen
-    """Poses of a perfect drive that is told a command at every stamp; each is held until the next."""
+    """Poses of a perfect drive with a command at every stamp, held until the next."""
     found = []
     for gap in gaps:
         twist = controller.compute_velocity_commands(pose, twist, None, stamp=stamp)
@@ -141,7 +141,7 @@ def test_period_is_filtered():
 
 
 def rest_of(trajectory, time):
-    """What is left of a straight drive from `time` on, as a trajectory of its own."""
+    """The rest of a straight drive from `time` on, as a trajectory."""
     law, now = trajectory.time_law, trajectory.at(time)
     _, v, a, _ = law.at(time)[0]
     phase = int(np.searchsorted(law.times, time, side="right")) - 1
@@ -153,7 +153,7 @@ def rest_of(trajectory, time):
 
 @functools.cache
 def undisturbed(gear):
-    """A straight drive, and all that its controller saw and said."""
+    """A straight drive, with stamps, poses and commands."""
     trajectory, controller = straight_drive(START, gear), configured()
     controller.set_path(trajectory)
     return trajectory, driven(controller, [0.02] * 330, stamp=50.0)
@@ -254,7 +254,6 @@ def test_replanning_does_not_reset_the_stall_detection():
 
 
 def test_reference_at_its_end_stays_with_varying_periods():
-    """On a real machine no period is as long as the one before; whoever waits for the end must see it once for all."""
     reference = TrajectoryReference(straight_drive(START))
     reference.time = reference.trajectory.duration
     for period in (0.020, 0.0201, 0.0199, 0.035, 0.02):

@@ -30,7 +30,7 @@ START = Pose2(0.0, 0.0, 0.3)
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=0.6)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), LIMITS)
 PERIOD = 0.02
-STAMPS = itertools.count(0.0, PERIOD)  # of every call in this file; what lies between two controllers does not matter
+STAMPS = itertools.count(0.0, PERIOD)  # of every call in this file
 
 
 def context(robot=ROBOT, goal=START):
@@ -216,7 +216,7 @@ def test_reference_waits_for_a_blocked_robot_then_error():
 
 
 def refusal(controller, pose_at, cycles, checker=None):
-    """What ends a run of a robot that is held where `pose_at` says."""
+    """The error that ends a run of a robot held at `pose_at`."""
 
     def hold():
         for _ in range(cycles):
@@ -325,7 +325,7 @@ def test_a_path_is_timed_before_it_is_followed():
 
 
 class TestCollisions:
-    """A wall 1 m ahead of the nose, and a drive that ends 5 cm inside of it."""
+    """A wall 1 m ahead of the robot, and a drive that ends 5 cm inside it."""
 
     WALL = np.array([[1.4, -1.0], [1.6, -1.0], [1.6, 1.0], [1.4, 1.0]])
     AHEAD = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.05)
@@ -347,7 +347,7 @@ class TestCollisions:
         }
 
     def driven(self, surroundings, trajectory=AHEAD, **parameters):
-        """Where the drive ends, and the refusal that ended it; None where there was none."""
+        """The final state, and the error that ended the drive; None without one."""
         controller = TrackingController(**parameters)
         controller.configure(surroundings)
         controller.set_path(trajectory)
@@ -362,8 +362,7 @@ class TestCollisions:
         return state, None
 
     @pytest.mark.parametrize(
-        "world",
-        ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"],
+        "world", ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"]
     )
     def test_it_stops_before_contact(self, world):
         state, error = self.driven(self.worlds()[world])
@@ -374,7 +373,7 @@ class TestCollisions:
         assert "collision ahead" in str(error)
 
     def tried(self, surroundings, trajectory, aside, noise):
-        """Poses of a robot that begins aside and tries again after every refusal, and how many of these there are."""
+        """Poses of a robot that begins aside and tries again after every error, and the number of errors."""
         controller = TrackingController()
         controller.configure(surroundings)
         controller.set_path(trajectory)
@@ -467,7 +466,6 @@ def test_a_new_path_in_motion_is_taken_up_without_a_stop():
 
 @pytest.mark.parametrize("reserve", [0.0, 0.2])
 def test_the_reference_leaves_feedback_a_share_of_the_yaw_acceleration(reserve):
-    """On a trajectory that uses all of it; slower by no more than that costs."""
     trajectory = s_curve_drive(START)
     times = np.linspace(0.0, trajectory.duration, 2000)
     peak = float(np.max(np.abs(trajectory.sample_at(times).yaw_acceleration)))
@@ -501,7 +499,7 @@ class TestLateDrive:
     """A lag of 0.15 s, a latency of 0.1 s, poses with 1 cm and 0.02 rad of noise, a robot that turns slowly."""
 
     def off_line(self, seed):
-        """How far it leaves a straight line of 5 m at 0.8 m/s [m]."""
+        """Largest deviation from a straight line of 5 m at 0.8 m/s [m]."""
         limits = MotionLimits(max_speed=1.0, max_yaw_acceleration=0.8)
         robot, origin = Robot(ROBOT.footprint, limits), Pose2(0.0, 0.0, 0.0)
         trajectory = rest_to_rest([clothoid(origin, [0.0, 5.0], [0.0, 0.0])], speed=0.8)
@@ -530,7 +528,7 @@ class TestBeforeTheEnd:
     LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 0.6], [0.0, 0.0])], speed=0.1)
 
     def left(self, push, at):
-        """Errors across [m] and of the heading [rad] when the reference ends, after a push so far before that."""
+        """Lateral [m] and heading error [rad] at the end of the reference, after a push `at` metres before it."""
         controller = TrackingController()
         dock = Dock(self.LINE.path.end, tolerances=DockTolerances(0.01, 0.01, math.radians(1.5)))
         controller.configure(PluginContext(problem=DockingProblem(Pose2(0.0, 0.0, 0.0), dock, ROBOT)))

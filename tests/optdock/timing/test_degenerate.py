@@ -1,4 +1,4 @@
-"""Physics never raises: whatever path and start, the outcome has a name, and OK means that every limit holds."""
+"""Any path and start gives a status, and OK means that every limit is kept."""
 
 from __future__ import annotations
 
@@ -85,18 +85,6 @@ def test_the_number_of_samples_does_not_matter(count, method, make, dense, all_l
     )
 
 
-@pytest.mark.parametrize("spacing", [0.002, 0.01, 0.05])
-def test_polylines_of_any_spacing(spacing, make, dense, all_limits):
-    spline = make.spline([0.6, 0.8, 0.6], [0.0, 1.2, -1.0, 0.0])
-    poses = spline.poses_at(np.linspace(0.0, 2.0, int(2.0 / spacing) + 1))
-    path, zone = Path.from_poses(poses), SpeedZone(0.1, 0.3)
-    result = NearOptimal().parameterize(path, all_limits, zone)
-    assert result.status is TimingStatus.OK
-    assert_honest(result, path, all_limits, zone, (0.0, 0.0), dense)
-    exact = NearOptimal().parameterize(Path((spline,)), all_limits, zone)
-    assert result.trajectory.duration == pytest.approx(exact.trajectory.duration, rel=0.05)
-
-
 @pytest.mark.parametrize("amplitude", [0.003, 0.03])
 def test_noisy_curvature_is_slower_and_within_limits(amplitude, make, dense, all_limits):
     s = np.linspace(0.0, 3.0, 600)
@@ -169,11 +157,7 @@ def test_duration_estimate_is_close_to_the_duration(seed):
 
 
 COARSE = MotionLimits(
-    max_yaw_rate=0.4,
-    max_yaw_acceleration=1.0,
-    max_lateral_acceleration=0.15,
-    max_wheel_speed=0.45,
-    track_width=0.4,
+    max_yaw_rate=0.4, max_yaw_acceleration=1.0, max_lateral_acceleration=0.15, max_wheel_speed=0.45, track_width=0.4
 )
 CURVE = s_curve_drive(Pose2(0.0, 0.0, 0.0)).path
 

@@ -56,30 +56,12 @@ def test_straight_line_is_close_to_the_closed_form(length, make):
     assert least * (1.0 - 1e-9) <= found <= least * 1.005
 
 
-def _without_jerk(path, limits, zone):
-    """A bound: acceleration limits and speed caps only, forward and backward passes on a fine grid."""
-    s = np.linspace(0.0, path.length, 4000)
-    k = np.abs(path.curvature_at(s)) + 1e-12
-    x = np.minimum(limits.max_speed, limits.max_yaw_rate / k) ** 2
-    x = np.minimum(x, limits.max_lateral_acceleration / k)
-    x = np.minimum(x, (limits.max_wheel_speed / (1.0 + 0.5 * limits.track_width * k)) ** 2)
-    x = np.where(s >= path.length - zone.distance, np.minimum(x, zone.speed**2), x)
-    x[0] = x[-1] = 0.0
-    x = np.minimum.accumulate(x - 2.0 * limits.max_acceleration * s) + 2.0 * limits.max_acceleration * s
-    fall = 2.0 * limits.max_deceleration * s
-    x = np.minimum.accumulate((x + fall)[::-1])[::-1] - fall
-    v = np.sqrt(np.maximum(x, 0.0))
-    return float(np.sum(2.0 * np.diff(s) / (v[:-1] + v[1:])))
-
-
 @pytest.mark.parametrize("seed", range(3))
-def test_duration_is_between_the_bound_without_jerk_and_the_windowed_method(seed, make, all_limits):
+def test_duration_is_between_the_bound_without_jerk_and_the_windowed_method(seed, make, dense, all_limits):
     path = make.random_path(np.random.default_rng(100 + seed), length=4.0)
-    if path.segments[0].direction < 0:
-        all_limits = dataclasses.replace(all_limits, max_speed=all_limits.max_reverse_speed)
     found = _timed(path, all_limits, ZONE).trajectory.duration
     windowed = Windowed().parameterize(path, all_limits, ZONE).trajectory.duration
-    assert _without_jerk(path, all_limits, ZONE) * 0.999 <= found <= windowed
+    assert dense.least_duration(path, all_limits, ZONE) * 0.999 <= found <= windowed
 
 
 @pytest.mark.parametrize(
@@ -101,8 +83,10 @@ def test_each_limit_is_necessary_and_used_up(name, limit, value, make, dense):
     path = Path((make.spline(np.diff(segment.knots), segment.spline.curvature),))
     free = MotionLimits(track_width=0.4)
     bound = dataclasses.replace(free, **{limit: value})
-    assert dense.ratios(_timed(path, free).trajectory, bound, NO_ZONE)[name] > 1.05
-    assert 0.9 < dense.ratios(_timed(path, bound).trajectory, bound, NO_ZONE)[name] <= 1.0 + 1e-6
+    for method, least in ((NearOptimal(), 0.9), (Windowed(), 0.0)):
+        without, kept = (method.parameterize(path, limits, NO_ZONE).trajectory for limits in (free, bound))
+        assert dense.ratios(without, bound, NO_ZONE)[name] > 1.05
+        assert least < dense.ratios(kept, bound, NO_ZONE)[name] <= 1.0 + 1e-6
 
 
 def test_speed_zone_is_necessary_and_used_up(make, dense, all_limits):
@@ -194,6 +178,8 @@ def test_start_too_fast_for_a_cusp_reports_the_overshoot(make, all_limits):
     result = _timed(path, all_limits, NO_ZONE, (0.6, 0.0))
     assert result.status is TimingStatus.CANNOT_STOP
     assert result.overshoot == pytest.approx(0.36 / 1.0 + 0.6 * 0.5 / 2.4 - 0.1, rel=1e-9)
+    assert (result.limit, result.at_s) == ("max_deceleration", pytest.approx(0.1))
+    assert "the stop at s = 0.1 m is 0.1 m away" in result.reason
     assert result.trajectory.path.segments == path.segments[:1]
     assert tuple(result.trajectory.time_law.states[-1, 1:]) == pytest.approx((0.0, 0.0), abs=1e-12)
 
@@ -202,6 +188,7 @@ def test_start_too_fast_for_a_cusp_reports_the_overshoot(make, all_limits):
 def test_rolling_backwards_is_a_bad_start(start, make, all_limits):
     result = _timed(Path((make.spline([2.0], [0.0, 0.0]),)), all_limits, NO_ZONE, start)
     assert (result.status, result.trajectory) == (TimingStatus.BAD_START, None)
+    assert (result.limit, result.at_s) == ("" if start[0] < 0.0 else "max_jerk", 0.0)
 
 
 def test_turn_in_place_fails_with_its_place_and_angle(all_limits):

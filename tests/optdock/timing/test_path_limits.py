@@ -101,12 +101,7 @@ def test_a_segment_cut_just_before_its_zone_is_in_the_zone(along):
 
 @pytest.mark.parametrize(
     ("limit", "value"),
-    [
-        ("max_speed", 0.1),
-        ("max_yaw_rate", 0.05),
-        ("max_lateral_acceleration", 0.001),
-        ("max_wheel_speed", 0.02),
-    ],
+    [("max_speed", 0.1), ("max_yaw_rate", 0.05), ("max_lateral_acceleration", 0.001), ("max_wheel_speed", 0.02)],
 )
 def test_cap_at_returns_the_lowest_cap(make, limit, value):
     limits = dataclasses.replace(MotionLimits(track_width=0.4), **{limit: value})

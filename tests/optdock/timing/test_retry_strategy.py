@@ -1,4 +1,4 @@
-"""What is called OK is proven; where the proof refuses a plan, the next method takes its place."""
+"""Order of the methods, proof of the plans, and deadlines."""
 
 from __future__ import annotations
 
@@ -159,14 +159,11 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
 
 
 ZONE = SpeedZone(0.12, 0.4)
-PLANNERS = {
-    "near-optimal": near_optimal_plans,
-    "windowed": windowed_plans,
-}
+PLANNERS = {"near-optimal": near_optimal_plans, "windowed": windowed_plans}
 
 
 class Ticking:
-    """A clock that moves on by a tick whenever it is looked at."""
+    """A clock that advances by a tick at every call."""
 
     def __init__(self, tick: float = 1e-3) -> None:
         self.tick, self.now = tick, 0.0

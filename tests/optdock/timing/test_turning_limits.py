@@ -1,4 +1,4 @@
-"""Turning limits of both orders: what the methods say of speeds and accelerations is what the quantity does."""
+"""Turning limits of both orders: consistency of the methods with the limited quantity."""
 
 import math
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -35,26 +34,6 @@ def test_every_limit_holds_and_the_robot_rests_at_cusps(seed, make, dense, all_l
     assert result.status is TimingStatus.OK
     assert max(dense.ratios(result.trajectory, all_limits, zone).values()) <= 1.0 + 1e-6
     assert dense.rests(result.trajectory)
-
-
-@pytest.mark.parametrize(
-    ("name", "limit", "value"),
-    [
-        ("yaw rate", "max_yaw_rate", 0.3),
-        ("lateral", "max_lateral_acceleration", 0.1),
-        ("wheel", "max_wheel_speed", 0.4),
-        ("yaw acceleration", "max_yaw_acceleration", 0.3),
-        ("lateral jerk", "max_lateral_jerk", 0.15),
-    ],
-)
-def test_each_limit_is_necessary_and_kept(name, limit, value, make, dense):
-    path = make.random_path(np.random.default_rng(3), length=4.0)
-    free = MotionLimits(track_width=0.4)
-    bound = dataclasses.replace(free, **{limit: value})
-    without = Windowed().parameterize(path, free, NO_ZONE).trajectory
-    assert dense.ratios(without, bound, NO_ZONE)[name] > 1.05
-    with_it = Windowed().parameterize(path, bound, NO_ZONE).trajectory
-    assert dense.ratios(with_it, bound, NO_ZONE)[name] <= 1.0 + 1e-6
 
 
 def test_reverse_uses_its_own_speed_limit(make, dense, all_limits):
