@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.controllers.tracking_law import Gains, delay_bounds, tracking_command
@@ -25,6 +25,7 @@ def error_rates(error, reference, command):
     )
 
 
+@settings(max_examples=50)
 @given(errors, references)
 def test_the_lyapunov_function_never_grows_in_either_gear(error, reference):
     command = tracking_command(error, reference, GAINS)
@@ -35,6 +36,7 @@ def test_the_lyapunov_function_never_grows_in_either_gear(error, reference):
     assert rate == pytest.approx(-lateral * GAINS.along * error.x**2 - heading * error.yaw**2, abs=1e-9)
 
 
+@settings(max_examples=50)
 @given(errors, references)
 def test_mirroring_the_error_mirrors_the_command(error, reference):
     there = tracking_command(error, reference, GAINS)
@@ -43,6 +45,7 @@ def test_mirroring_the_error_mirrors_the_command(error, reference):
     assert (back.linear, back.angular) == pytest.approx((there.linear, -there.angular))
 
 
+@settings(max_examples=50)
 @given(errors, references)
 def test_reverse_is_forward_seen_from_behind(error, reference):
     there = tracking_command(error, reference, GAINS)

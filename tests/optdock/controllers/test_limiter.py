@@ -28,6 +28,7 @@ def test_speeding_up_and_slowing_down_have_their_own_bounds(before, wanted, peri
     assert faster / 0.5 + slower / 1.0 <= period + 1e-12
 
 
+@settings(max_examples=20)
 @given(speeds, speeds)
 def test_enough_periods_reach_the_wanted_command(before, wanted):
     command = Twist2(before, before)

