@@ -49,7 +49,7 @@ __all__ = [
 
 NO_LENGTH = 1e-11  # [m]: a shorter segment has none
 _CLOTHOID_SPACING = 0.005  # [m], between nodes: a clothoid is exact between them
-_POLYLINE_SPACING = 0.002  # [m], likewise of a polyline, whose curvature is that between its poses
+_POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline, whose curvature is that between its poses
 _MOST_NODES = 6000  # of one segment
 _LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is evaluated
 
@@ -58,12 +58,12 @@ KNOT_STEP = 0.08  # [s], of the reference
 # without another reason, were tuned with `python -m experiments.benchmarks timing`, for the duration over the optimum,
 # the CPU time and the paths beyond a limit.
 SPEED_MARGIN = 0.003  # of the speed caps, in the reference: room for the corners that ruckig cuts
-_YAW_MARGIN = 0.02  # of the yaw acceleration; of other turning limits likewise, as powers of the speed
+_YAW_MARGIN = 0.02  # of the yaw acceleration; of other turning limits in powers of the speed
 _JERK_MARGIN = 0.015
 CHECK_MARGIN = 0.001  # of the speed caps, when moves are accepted; twice that of the yaw acceleration
 _RELIEVED_SPEED, _RELIEVED_YAW = 1e-4, 1e-3  # where full braking from a moving start leaves no room for the margins
 _JUMP = 0.004  # of the yaw acceleration: the margins cover smaller jumps of v^2 * rate
-_CAP_JUMP = 0.001  # of a speed cap: likewise, smaller jumps of the steering cap
+_CAP_JUMP = 0.001  # of a speed cap: the margins cover smaller jumps of the steering cap
 
 
 class LimitPoints(NamedTuple):

@@ -79,7 +79,7 @@ _DRIVE_MARGIN = 0.003  # of acceleration and deceleration: ruckig refuses a stat
 _JERK_STEP_PRICE = (
     0.002  # [s], of a full swing of the jerk between cells: saves a sixth of the moves for 0.01 % of time
 )
-_SMOOTH_JERK_STEP_PRICE = 0.1  # [s], likewise where the reference is the motion
+_SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
 # A reference slower than the bounds by this factor was not solved: where no spline keeps the limits the iterations end
 # anywhere, and samples of a motion of weeks fill any memory. Solved ones stay below 4.
 _HOPELESS = 10.0

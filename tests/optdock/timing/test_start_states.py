@@ -117,7 +117,7 @@ def test_start_violating_other_limits_reports_them(method, make):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_start_violating_the_lateral_jerk_reports_it(method, make):
-    """At the start itself 2 v a k is; where the curvature rises v^3 k' - 2 v D k is, whatever is done."""
+    """At the start 2 v a k; where the curvature rises v^3 k' - 2 v D k, which no motion keeps."""
     limits = MotionLimits(**{**LIMITS.__dict__, "max_lateral_jerk": 0.1})
     arc, bend = Path((make.spline([3.0], [1.0, 1.0]),)), Path((make.spline([0.05, 0.5, 2.0], [0.0, 0.0, 2.0, 2.0]),))
     result = method.parameterize(arc, limits, SpeedZone(), start_speed=0.3, start_acceleration=0.3)
