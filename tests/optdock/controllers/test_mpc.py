@@ -31,7 +31,7 @@ NARROW = MotionLimits(
     max_wheel_speed=0.52, track_width=0.3,
 )  # fmt: skip
 STEERED = MotionLimits(max_reverse_speed=0.5, max_curvature=2.0, wheelbase=0.3, max_steering_rate=0.6)
-PERIOD = 0.02
+PERIOD = 0.04
 
 
 def ready(trajectory, robot=ROBOT, controller=MpcController, **parameters):
@@ -80,13 +80,13 @@ def test_left_and_right_and_both_gears_are_mirror_images():
     """Mirroring at the robot's axis changes the sign of the turns; at the dock's front that of speeds and turns."""
     error = Pose2(0.01, 0.02, 0.1)
     forward, reverse = Direction.FORWARD, Direction.REVERSE
-    left, *_ = drive(ready(curve(1.0, forward)), curve(1.0, forward), 50, disturbance=lambda k: error)
+    left, *_ = drive(ready(curve(1.0, forward)), curve(1.0, forward), 25, disturbance=lambda k: error)
     mirrored = Pose2(error.x, -error.y, -error.yaw)
-    right, *_ = drive(ready(curve(-1.0, forward)), curve(-1.0, forward), 50, disturbance=lambda k: mirrored)
+    right, *_ = drive(ready(curve(-1.0, forward)), curve(-1.0, forward), 25, disturbance=lambda k: mirrored)
     assert np.abs(left - right * (1.0, -1.0)).max() < 1e-6
     back = Pose2(-error.x, error.y, -error.yaw)
     path = curve(-1.0, reverse)  # y over x mirrored at the y axis: headings too
-    backward, *_ = drive(ready(path), path, 50, disturbance=lambda k: back)
+    backward, *_ = drive(ready(path), path, 25, disturbance=lambda k: back)
     assert np.abs(left - backward * (-1.0, -1.0)).max() < 1e-6
 
 
@@ -116,7 +116,7 @@ def test_the_limits_hold_for_any_errors(jumps, reverse):
     trajectory = s_curve_drive(START, Direction.REVERSE if reverse else Direction.FORWARD)
     robot = Robot(FOOTPRINT, NARROW)
     commands, _, outcomes = drive(
-        ready(trajectory, robot), trajectory, 120, disturbance=lambda k: jumps[k // 30], robot=robot
+        ready(trajectory, robot), trajectory, 60, disturbance=lambda k: jumps[k // 15], robot=robot
     )
     over = exceeded(commands, NARROW)
     assert {name: value for name, value in over.items() if value > 2e-3} == {}, set(outcomes)
@@ -126,7 +126,7 @@ def test_the_limits_hold_for_any_errors(jumps, reverse):
 @given(jumps=st.lists(errors, min_size=4, max_size=4))
 def test_steered_wheels_turn_no_further_and_no_faster_than_they_can(jumps):
     trajectory, robot = cusp_drive(START), Robot(FOOTPRINT, STEERED, Drive.ACKERMANN)
-    commands, *_ = drive(ready(trajectory, robot), trajectory, 120, disturbance=lambda k: jumps[k // 30], robot=robot)
+    commands, *_ = drive(ready(trajectory, robot), trajectory, 60, disturbance=lambda k: jumps[k // 15], robot=robot)
     moving = commands[np.abs(commands[:, 0]) > 1e-5]
     curvature = moving[:, 1] / moving[:, 0]
     assert np.abs(curvature).max() <= 2.0 + 1e-6
@@ -152,7 +152,7 @@ def test_steering_rate_bounds_the_whole_horizon():
 def test_a_jump_before_the_end_is_corrected():
     """3 cm aside with 0.6 m left, of which the TrackingController leaves a quarter."""
     trajectory = straight_drive(START)
-    period = 2.0 * PERIOD
+    period = PERIOD
     begin = 1.4 / 0.4 / period + 12
     jumped = Pose2(0.0, -0.03, 0.0)
     left = {}
@@ -161,7 +161,7 @@ def test_a_jump_before_the_end_is_corrected():
         made.status = MpcController().status
         plant = DifferentialDrive(ROBOT, period=period)
         state = plant.at_rest(trajectory.path.start)
-        for k in range(210):
+        for k in range(165):
             if k == round(begin):
                 state = state._replace(pose=state.pose @ jumped)
             command = made.compute_velocity_commands(state.pose, state.twist, None, stamp=k * period)
@@ -191,8 +191,8 @@ class TestTheTube:
     def outside(self, width, error):
         trajectory = straight_drive(START)
         controller = ready(trajectory, Robot(FOOTPRINT, LIMITS, tracking=TrackingTube(width, 0.05)))
-        drive(controller, trajectory, 60)
-        for k in range(60, 64):
+        drive(controller, trajectory, 30)
+        for k in range(30, 34):
             pose = trajectory.at(k * PERIOD).pose @ error
             controller.compute_velocity_commands(pose, Twist2(0.4, 0.0), None, stamp=k * PERIOD)
         return controller.status
@@ -209,9 +209,9 @@ class TestTheTube:
 def test_without_a_solution_previous_commands_continue_then_error(monkeypatch):
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    drive(controller, trajectory, 60)
+    drive(controller, trajectory, 30)
     monkeypatch.setattr(controller._program, "solve", lambda cycle: None)
-    followed, k, refused = [], 60, None
+    followed, k, refused = [], 30, None
     while refused is None:
         pose = trajectory.at(k * PERIOD).pose
         try:
@@ -224,7 +224,7 @@ def test_without_a_solution_previous_commands_continue_then_error(monkeypatch):
     assert "no commands were found" in str(refused)
     horizon = 0.4 / 0.6 + 0.6 / 2.0  # [s]: braking from 0.4 m/s takes longer than the parameter
     assert horizon - 0.2 < len(followed) * PERIOD < horizon + 0.2
-    assert followed[0] == pytest.approx(trajectory.at(61 * PERIOD).twist.linear, abs=0.02)
+    assert followed[0] == pytest.approx(trajectory.at(31 * PERIOD).twist.linear, abs=0.02)
 
 
 def test_it_stops_before_an_obstacle():
@@ -235,7 +235,7 @@ def test_it_stops_before_an_obstacle():
     controller.configure(PluginContext(problem=problem))
     controller.set_path(trajectory)
     with pytest.raises(NoValidControl, match="collision ahead"):
-        drive(controller, trajectory, 250)
+        drive(controller, trajectory, 125)
 
 
 class TestFastAndLate:
@@ -263,7 +263,7 @@ def test_omitting_a_tiny_turn_does_not_slow_down():
     for turn in (1e-6, 0.0):
         limiter = mpc._ProgramLimiter()
         limiter.follow(Twist2(), Twist2(), PERIOD, LIMITS, Drive.DIFFERENTIAL, in_place=True)
-        for _ in range(50):
+        for _ in range(25):
             acceleration = min(limiter.acceleration + LIMITS.max_jerk * PERIOD, LIMITS.max_acceleration)
             limiter.allowed = Twist2(limiter.command.linear + acceleration * PERIOD, 1e-6)
             wanted = Twist2(limiter.allowed.linear, turn)

@@ -29,7 +29,7 @@ from optdock.verification import pose_clearances
 START = Pose2(0.0, 0.0, 0.3)
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=0.6)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), LIMITS)
-PERIOD = 0.02
+PERIOD = 0.04
 STAMPS = itertools.count(0.0, PERIOD)  # of every call in this file
 
 
@@ -86,7 +86,9 @@ def test_given_period():
 def test_commands_keep_the_acceleration_limits_from_a_bad_start_and_with_noise(direction):
     trajectory = s_curve_drive(START, direction)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.03)
-    world = SimulationSettings(position_noise=0.005, yaw_noise=0.01, start=START @ Pose2(0.04, -0.05, 0.2))
+    world = SimulationSettings(
+        period=PERIOD, position_noise=0.005, yaw_noise=0.01, start=START @ Pose2(0.04, -0.05, 0.2)
+    )
     controller = ready(trajectory)
     found = run_closed_loop(trajectory, ROBOT, trajectory.path.end, controller, checker, world)
     assert found.docked, found.reason
@@ -101,7 +103,7 @@ def test_an_ackermann_robot_gets_no_command_tighter_than_its_smallest_radius():
     robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=1.3), Drive.ACKERMANN)
     trajectory = s_curve_drive(START)
     commands, _ = drive(
-        ready(trajectory, robot), trajectory, 120, state=DifferentialDrive(robot).at_rest(START @ Pose2(0, 0.04, 0))
+        ready(trajectory, robot), trajectory, 60, state=DifferentialDrive(robot).at_rest(START @ Pose2(0, 0.04, 0))
     )
     assert all(abs(c.angular) <= 1.3 * abs(c.linear) + 1e-12 for c in commands)
 
@@ -110,7 +112,7 @@ def test_an_ackermann_robot_arrives_from_an_offset():
     robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=2.0), Drive.ACKERMANN)
     trajectory = s_curve_drive(START)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
-    world = SimulationSettings(start=START @ Pose2(-0.02, 0.04, 0.05))
+    world = SimulationSettings(period=PERIOD, start=START @ Pose2(-0.02, 0.04, 0.05))
     controller = ready(trajectory, robot)
     found = run_closed_loop(trajectory, robot, trajectory.path.end, controller, checker, world)
     assert found.docked, found.reason
@@ -131,7 +133,7 @@ class TestSpeedLimit:
         trajectory = s_curve_drive(START, Direction.REVERSE)
         controller = ready(trajectory, Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5)))
         controller.set_speed_limit(0.1, percentage=False)
-        commands, _ = drive(controller, trajectory, 200)
+        commands, _ = drive(controller, trajectory, 100)
         assert min(c.linear for c in commands) == pytest.approx(-0.1, abs=1e-3)
 
     def test_set_and_lifted_on_the_way_keeps_the_acceleration_limits_and_the_path(self):
@@ -139,13 +141,13 @@ class TestSpeedLimit:
         controller = ready(trajectory)
 
         def change(k):
-            if k == 120:
+            if k == 60:
                 controller.set_speed_limit(0.15, percentage=False)
-            if k == 260:
+            if k == 130:
                 controller.set_speed_limit(0.0, percentage=False)
 
-        commands, states = drive(controller, trajectory, 480, change)
-        assert commands[240].linear == pytest.approx(0.15, abs=2e-3)
+        commands, states = drive(controller, trajectory, 250, change)
+        assert commands[120].linear == pytest.approx(0.15, abs=2e-3)
         gained = accelerations(commands)
         assert gained.max() <= 0.5 + 1e-9
         assert gained.min() >= -0.6 - 1e-9
@@ -158,7 +160,7 @@ class TestSpeedLimit:
         trajectory = straight_drive(START)
         limited, free = ready(trajectory), ready(trajectory)
         limited.set_speed_limit(5.0, percentage=False)
-        assert drive(limited, trajectory, 60)[0] == drive(free, trajectory, 60)[0]
+        assert drive(limited, trajectory, 30)[0] == drive(free, trajectory, 30)[0]
 
     def test_negative_is_refused(self):
         with pytest.raises(InvalidValue, match="speed limit"):
@@ -169,10 +171,10 @@ class TestCancel:
     @pytest.mark.parametrize(
         ("make", "cycle"),
         [
-            (s_curve_drive, 10),
-            (s_curve_drive, 150),
-            (lambda p: s_curve_drive(p, Direction.REVERSE), 60),
-            (cusp_drive, 150),
+            (s_curve_drive, 5),
+            (s_curve_drive, 75),
+            (lambda p: s_curve_drive(p, Direction.REVERSE), 30),
+            (cusp_drive, 75),
         ],
     )
     def test_brakes_along_the_path_within_the_limits(self, make, cycle):
@@ -184,7 +186,7 @@ class TestCancel:
             if k >= cycle:
                 stopped.append(controller.cancel())
 
-        commands, states = drive(controller, trajectory, cycle + 80, cancelling, robot=robot)
+        commands, states = drive(controller, trajectory, cycle + 40, cancelling, robot=robot)
         assert not stopped[0]
         assert stopped[-1]
         first = stopped.index(True)
@@ -204,14 +206,14 @@ class TestCancel:
 def test_reference_waits_for_a_blocked_robot_then_error():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    for _ in range(150):
+    for _ in range(75):
         command = controller.compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
     assert 0.0 < command.linear <= 0.5
     assert controller.progress.rate < 0.1
-    error = refusal(controller, lambda now: START, 200)
+    error = refusal(controller, lambda now: START, 100)
     assert "does not follow: for 3 s the reference has waited" in str(error)
     assert 0.08 < error.where["along"] < 0.12
-    _, states = drive(controller, trajectory, 400)
+    _, states = drive(controller, trajectory, 200)
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
 
 
@@ -246,13 +248,15 @@ def test_robot_in_the_middle_joins_the_trajectory_there():
     trajectory = s_curve_drive(START)
     middle = trajectory.at(3.0).pose
     controller = ready(trajectory)
-    commands, states = drive(controller, trajectory, 300, state=DifferentialDrive(ROBOT).at_rest(middle))
+    commands, states = drive(controller, trajectory, 150, state=DifferentialDrive(ROBOT).at_rest(middle))
     assert accelerations(commands).max() <= 0.5 + 1e-9
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-3
 
 
 class TestTheFinish:
-    dead = SimulationSettings(actuation=Actuation(linear_dead_band=0.08, angular_dead_band=0.05), timeout=20.0)
+    dead = SimulationSettings(
+        period=PERIOD, actuation=Actuation(linear_dead_band=0.08, angular_dead_band=0.05), timeout=20.0
+    )
 
     def run(self, checker, settings, **parameters):
         trajectory = straight_drive(START)
@@ -284,7 +288,7 @@ class TestTheFinish:
         trajectory = straight_drive(START)
         controller = ready(trajectory)
         late = DifferentialDrive(ROBOT).at_rest(trajectory.path.end @ Pose2(-0.04, 0.0, 0.1))
-        _, states = drive(controller, trajectory, 500, state=late)
+        _, states = drive(controller, trajectory, 250, state=late)
         left = trajectory.path.end.in_frame_of(states[-1].pose)
         assert abs(left.x) < 1e-4
         assert abs(left.yaw) < 1e-4
@@ -302,7 +306,7 @@ class TestTheFinish:
 def finishing(controller, trajectory, pose, checker):
     """The command soon after the trajectory's end, with the robot held at `pose`."""
     controller.set_path(trajectory)
-    for _ in range(round(trajectory.duration / PERIOD) + 20):
+    for _ in range(round(trajectory.duration / PERIOD) + 10):
         command = controller.compute_velocity_commands(pose, Twist2(), checker, stamp=next(STAMPS))
     return command
 
@@ -313,9 +317,9 @@ def test_a_path_is_timed_before_it_is_followed():
     controller.configure(context(goal=path.end))
     controller.set_path(path)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
-    plant = DifferentialDrive(ROBOT)
+    plant = DifferentialDrive(ROBOT, period=PERIOD)
     state = plant.at_rest(START)
-    for _ in range(800):
+    for _ in range(400):
         if checker.is_goal_reached(state.pose, path.end, state.twist, [path.pose_at(path.length - 0.1), path.end]):
             break
         state = plant.step(
@@ -353,7 +357,7 @@ class TestCollisions:
         controller.set_path(trajectory)
         plant = DifferentialDrive(ROBOT, period=PERIOD)
         state = plant.at_rest(trajectory.path.start)
-        for _ in range(400):
+        for _ in range(200):
             try:
                 command = controller.compute_velocity_commands(state.pose, state.twist, None, stamp=next(STAMPS))
             except NoValidControl as error:
@@ -379,7 +383,7 @@ class TestCollisions:
         controller.set_path(trajectory)
         plant, rng, refused = DifferentialDrive(ROBOT, period=PERIOD), np.random.default_rng(1), 0
         state, poses = plant.at_rest(trajectory.path.start @ Pose2(0.0, aside, 0.0)), []
-        for _ in range(250):
+        for _ in range(125):
             seen = state.pose @ Pose2(*rng.normal(0.0, noise, 2).tolist(), 0.0)
             try:
                 command = controller.compute_velocity_commands(seen, state.twist, None, stamp=next(STAMPS))
@@ -438,7 +442,7 @@ class TestCollisions:
         controller.set_path(self.AHEAD)
         plant = DifferentialDrive(ROBOT, period=PERIOD)
         state, refusals = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
-        for _ in range(450):
+        for _ in range(225):
             try:
                 command = controller.compute_velocity_commands(state.pose, state.twist, None, stamp=next(STAMPS))
             except NoValidControl:
@@ -455,10 +459,10 @@ class TestCollisions:
 def test_a_new_path_in_motion_is_taken_up_without_a_stop():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    commands, states = drive(controller, trajectory, 80)
+    commands, states = drive(controller, trajectory, 40)
     ahead = Path.from_poses([states[-1].pose, trajectory.path.end @ Pose2(1.0, 0.0, 0.0)])
     controller.set_path(ahead)
-    more, _ = drive(controller, trajectory, 50, state=states[-1])
+    more, _ = drive(controller, trajectory, 25, state=states[-1])
     assert commands[-1].linear == pytest.approx(0.4, abs=1e-3)
     assert min(command.linear for command in more) > 0.39
     assert abs(np.diff([commands[-1].linear, *(c.linear for c in more)])).max() <= 0.5 * PERIOD + 1e-9
@@ -489,7 +493,7 @@ def test_reference_rate_of_steered_wheels():
     for kind, rate in ((Drive.ACKERMANN, 0.99), (Drive.DIFFERENTIAL, 1.0)):
         robot = Robot(ROBOT.footprint, LIMITS, kind)
         controller = ready(trajectory, robot)
-        drive(controller, trajectory, 60, robot=robot)
+        drive(controller, trajectory, 30, robot=robot)
         assert controller.progress.rate == pytest.approx(rate, abs=1e-3)
 
 
