@@ -77,7 +77,7 @@ class ReferenceState(NamedTuple):
 
 
 class _Joint(NamedTuple):
-    """`trajectory` takes over when the one before is at `time` [s], `faster` times as fast there as the new one."""
+    """Change to `trajectory` at `time` [s] of the one before, whose speed there is `faster` times the new one."""
 
     time: float
     trajectory: Trajectory

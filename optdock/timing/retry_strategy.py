@@ -80,7 +80,7 @@ class Deadlines(NamedTuple):
 
     @classmethod
     def of(cls, whole: Deadline, lookup: float) -> Deadlines:
-        """Return the shares of a whole call's deadline; `lookup` is the time that looking up its path took [s]."""
+        """Return the shares of a whole call's deadline; `lookup` is the duration of the path look-up [s]."""
         search = whole.shortened(_WINDOWS_AND_PROOF * lookup)
         return cls(search, whole.shortened(_PROOF * lookup))
 
