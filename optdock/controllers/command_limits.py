@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from optdock.model.limits import MotionLimits
 
-__all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
+__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
 _ROUNDING = 1e-15  # [m/s]: a difference to the wanted command that counts as none
@@ -369,18 +369,18 @@ def smooth_slope(
 def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
     """Return the largest slope of a period that can decrease to zero within `gap`, over `usual` periods after it."""
     if usual >= _EQUAL * period:
-        return _fastest_evenly(gap, jerk, period)
+        return fastest_slope(gap, jerk, period)
     low, high = 0.0, gap / period
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         next_slope = middle - 0.5 * jerk * (period + usual)
-        fits = next_slope <= _fastest_evenly(gap - middle * period, jerk, usual)
+        fits = next_slope <= fastest_slope(gap - middle * period, jerk, usual)
         low, high = (middle, high) if fits else (low, middle)
     return low
 
 
-def _fastest_evenly(gap: float, jerk: float, period: float) -> float:
-    """Return the slope of `_fastest` for equal periods, between whose middles it falls by at most `jerk` * `period`.
+def fastest_slope(gap: float, jerk: float, period: float) -> float:
+    """Return the largest slope that can decrease to zero within `gap`, by at most `jerk` * `period` per period.
 
     In these units slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """

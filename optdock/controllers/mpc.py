@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from optdock.controllers.command_limits import CommandLimiter, rate_limited
+from optdock.controllers.command_limits import CommandLimiter, fastest_slope, rate_limited
 from optdock.controllers.moving_reference import ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
@@ -320,8 +320,9 @@ class MpcController(TrackingController):
             reached = rate_limited(last, Twist2(most, most), limits, period)
             acceleration[row, 0] = (reached.linear - last.linear) / period
         speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
-        speed[0, 0] = last.linear - _landing(limits.max_reverse_speed + last.linear, limits.max_jerk, period)
-        speed[1, 0] = last.linear + _landing(limits.max_speed - last.linear, limits.max_jerk, period)
+        for row, sign, top in ((0, -1.0, limits.max_reverse_speed), (1, 1.0, limits.max_speed)):
+            room = top - sign * last.linear  # the next command must be able to level out within it
+            speed[row, 0] = last.linear + sign * min(room, period * fastest_slope(room, limits.max_jerk, period))
         curvature, gear = None, np.ones(n)
         if self._drive is Drive.ACKERMANN:
             gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
@@ -389,14 +390,3 @@ class _ProgramLimiter(CommandLimiter):
 
 def _both_ways(bound: float, count: int) -> FloatArray:
     return np.array([[-bound] * count, [bound] * count])
-
-
-def _landing(room: float, jerk: float, period: float) -> float:
-    """Return the largest change of the speed in one period after which it can still level out within `room` [m/s].
-
-    In units of jerk * period^2 a change of m, n <= m < n + 1, precedes m - 1, .. m - n: m (n + 1) - n (n + 1) / 2.
-    """
-    unit = jerk * period**2
-    units = max(room, 0.0) / unit
-    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
-    return min(room, unit * (units / (n + 1) + 0.5 * n))

@@ -415,7 +415,9 @@ def initial_guess(
     reachable = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
     half = 0.5 * (min(drive.max_acceleration, reachable) + min(drive.max_deceleration, reachable)) / drive.max_jerk
     samples = min(times.size, int(half * (times.size - 1) / total) + 1)
-    mean = _box_mean(np.interp(times, profile.time, profile.speed_squared), samples)
+    values = np.interp(times, profile.time, profile.speed_squared)
+    sums = np.cumsum(np.concatenate((np.zeros(samples + 1), values, np.zeros(samples))))
+    mean = (sums[2 * samples + 1 :] - sums[: -2 * samples - 1]) / (2 * samples + 1)  # box filter
     x = _GUESS_SHARE * np.interp(time, times, mean)
     since, until = time - time[0], time[-1] - time
     if first.v > 0.0:
@@ -426,13 +428,6 @@ def initial_guess(
     stop = last.v + until * (-last.a + 0.5 * jerk * until)
     below: FloatArray = np.minimum(x, np.minimum(launch, stop) ** 2)
     return below
-
-
-def _box_mean(values: FloatArray, half: int) -> FloatArray:
-    """Return the mean over 2 half + 1 samples, zero beyond the ends."""
-    total = np.cumsum(np.concatenate((np.zeros(half + 1), values, np.zeros(half))))
-    mean: FloatArray = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
-    return mean
 
 
 class ReferenceStates(NamedTuple):

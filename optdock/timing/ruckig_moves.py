@@ -116,17 +116,14 @@ def load_ruckig() -> None:
     _tool()
 
 
-class _Local(threading.local):
-    tool: _Tool | None = None
-
-
-_local = _Local()
+_local = threading.local()
 
 
 def _tool() -> _Tool:
-    if _local.tool is None:
+    if not hasattr(_local, "tool"):
         _local.tool = _Tool(_ruckig())
-    return _local.tool
+    tool: _Tool = _local.tool
+    return tool
 
 
 @cache
