@@ -1,17 +1,16 @@
-"""Commands within the limits: what the drive can follow from the command before, jerk included.
+"""Limits on commands: the command nearest to the wanted one that the drive can follow from the last, jerk included.
 
-The speed is a second-order limiter. Where the wanted command can be reached it is given as it is, so a feed-forward
-within the limits passes without any lag; else the acceleration rises and falls by no more than the jerk, and falls
-early enough that the speed ends on what is wanted without going beyond: in the frame of the feed-forward, over a
-difference d, at a relative acceleration of at most sqrt(2 jerk d).
+The speed is a second-order limiter. A reachable command passes unchanged, so a feed-forward within the limits has no
+lag; otherwise the acceleration changes by no more than the jerk, and decreases early enough that the speed reaches the
+wanted one without overshoot: relative to the feed-forward, over a difference d, at an acceleration of at most
+sqrt(2 jerk d).
 
-A limit that speed and turn share (wheels, lateral acceleration, yaw rate of steered wheels) is kept by looking ahead:
-a speed that rises goes on rising until its acceleration has come down at the largest jerk, and the turn needs time to
-give way. A command is given only where both together stay within the limit until then, so that the next one can do
-the same. The speed gives way first, then the turn. A motion within the limits is one such future itself: it passes.
+A limit that speed and turn share (wheels, lateral acceleration, yaw rate of steered wheels) is checked over the time in
+which a rising acceleration comes down at the largest jerk, while the turn decreases. A command is accepted only if both
+together stay within the limit until then, so that a next command exists. The speed gives way first, then the turn.
 
-The lateral jerk is kept by the turn alone, which changes no faster than it allows; the limits above come first, and so
-does braking in a bend, which no turn makes good without leaving the bend.
+The lateral jerk is bounded by the rate of the turn alone. The limits above have priority, and so does braking in a
+bend, whose lateral jerk no turn compensates without leaving the bend.
 """
 
 from __future__ import annotations
@@ -28,45 +27,47 @@ if TYPE_CHECKING:
 
     from optdock.model.limits import MotionLimits
 
-__all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
+__all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
 
-_NO_ARC = 1e-9  # [m/s]: a slower command has no curvature
-_ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot at rest is commanded nothing at all
-_CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
-_SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
-_EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
-_NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
-_HALVINGS = 40  # to a rounding error
+_NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
+_ROUNDING = 1e-15  # [m/s]: a difference to the wanted command that counts as none
+_CREEPING = 0.005  # [m/s]: the curvature of a slower command is too inaccurate for the angle of steered wheels
+_SAME_ARC = 1.5  # ratio of the speed to the wanted one beyond which the curvature of the wanted command is meaningless
+_EXACT = 1.0 + 1e-12  # rounding of a motion at its limits
+_NO_JERK = 1e-6  # of the limit: rounding of the jerk that the target leaves
+_HALVINGS = 40  # of a bisection, to rounding
 _EQUAL = 0.99  # of a period: jitter of a clock
-_SLOWER = 1.2  # times the usual period: one or two late calls do not change the rate
-_QUARTER = 1.57  # [rad]: wheels turn no further
+_SLOWER = 1.2  # times the usual period: bound on late calls
+_QUARTER = 1.57  # [rad]: largest steering angle
 
 
 class CommandLimiter:
-    """Remembers the last command, and gives the next one that it can become.
+    """Limits each command by the last one.
 
     Attributes:
-        command: The last one.
+        command: The last command.
+        acceleration: Change of its speed [m/s^2]; 0 after a restart.
+        curvature: Curvature of the last command in motion [1/m]; None if unknown.
     """
 
     def __init__(self) -> None:
         self.restart(Twist2())
 
     def restart(self, command: Twist2) -> None:
-        """Begin at what the robot does, at a steady speed."""
+        """Restart at the robot's velocity, at a steady speed."""
         self.command = command
-        self._acceleration = 0.0
-        self._period, self._usual = 0.0, math.inf  # the last one, and what those to come are taken to be
+        self.acceleration = 0.0
+        self._period, self._usual = 0.0, math.inf  # the last period, and the expected ones
         self._feed_forward: float | None = None
         self._feed_slope: float | None = None
         moving = abs(command.linear) >= _CREEPING
-        self._curvature = command.angular / command.linear if moving else None
+        self.curvature: float | None = command.angular / command.linear if moving else None
 
     def stop(self, period: float = 0.0) -> None:
-        """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit.
+        """Restart from rest, as after an emergency stop, which keeps no jerk limit.
 
         Args:
-            period: For how long the command has been rest [s]; 0: unknown.
+            period: Time for which the command has been zero [s]; 0: unknown.
         """
         usual = min(period, _SLOWER * self._usual)
         self.restart(Twist2())
@@ -74,12 +75,12 @@ class CommandLimiter:
             self._period, self._usual, self._feed_forward = period, usual, 0.0
 
     def round_to_rest(self) -> None:
-        """Take the last command for rest: what is left of it is rounding."""
+        """Replace the last command, which is zero up to rounding, by zero."""
         if self._period > 0.0:
-            self._acceleration -= self.command.linear / self._period
+            self.acceleration -= self.command.linear / self._period
         self.command = Twist2()
 
-    def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
+    def follow(  # noqa: PLR0913 - two commands, their time, and their bounds
         self,
         wanted: Twist2,
         feed_forward: Twist2,
@@ -90,22 +91,21 @@ class CommandLimiter:
         in_place: bool,
         room: float = math.inf,
     ) -> Twist2:
-        """The command nearest to `wanted` that the last one can become.
+        """Return the command nearest to `wanted` that the last one can become.
 
-        Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature, and how
-        fast steered wheels turn, are within the limits; lateral jerk too, but for what braking in a bend makes of it.
-        At rest a command of almost no speed tells steered wheels where to turn.
+        Speed, yaw rate, wheel speed, lateral acceleration, acceleration, jerk, yaw acceleration, curvature and steering
+        rate are within the limits; so is the lateral jerk, except while braking in a bend. At rest a command of almost
+        zero speed turns steered wheels.
 
         Args:
-            wanted: Feed-forward and feedback.
-            feed_forward: The part of it that moves; how fast it changes is what the command converges to.
-            period: Since the last command [s], > 0.
-            limits: Of the robot.
-            drive: How it steers.
-            in_place: Whether a differential drive may turn tighter than its smallest radius: where its reference turns
-                in place, or stands at its end.
-            room: How far the robot may go on in its direction until it rests [m]. A command is slower than wanted where
-                it could not stop within that.
+            wanted: Sum of feed-forward and feedback.
+            feed_forward: Feed-forward, whose rate of change the command converges to.
+            period: Time since the last command [s], > 0.
+            limits: Limits of the robot.
+            drive: Kind of drive.
+            in_place: Whether a differential drive may turn tighter than its smallest radius: where the reference turns
+                in place, or is at its end.
+            room: Distance in which the robot must be able to stop [m].
         """
         free = in_place and drive is Drive.DIFFERENTIAL
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
@@ -127,42 +127,39 @@ class CommandLimiter:
         turned = _turned_within(turn_at(linear), linear, slope, period, limits)
         command = Twist2(linear, turned * linear if steered else turned)
         if self._feed_forward is not None:
-            self._acceleration, self._period = (command.linear - before) / period, period
+            self.acceleration, self._period = (command.linear - before) / period, period
             self._usual = min(period, _SLOWER * self._usual)
         self._feed_forward, self.command = feed_forward.linear, command
         if steered:
-            self._curvature = turned
+            self.curvature = turned
         elif abs(linear) >= _CREEPING:
-            self._curvature = command.angular / linear
+            self.curvature = command.angular / linear
         return command
 
     def _between(self, period: float) -> float:
-        """Time between accelerations, which are those in the middle of their periods [s]."""
+        """Return the time between the middles of the last period and this one [s]."""
         return 0.5 * (period + (self._period or period))
 
     def _slope(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
-        """The acceleration towards the wanted speed, whatever the turn."""
+        """Return the acceleration towards the wanted speed, without regard to the turn."""
         before = self.command.linear
         if self._feed_forward is None:
-            return 0.0  # how long the command has been in force is unknown
+            return 0.0  # the age of the last command is unknown
         slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
         jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
         self._feed_slope = slope
         missing, periods = wanted - slope * period - before, (period, between, min(period, self._usual))
         lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
-        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods, (jerk, lasts))
+        slope = smooth_slope(missing, slope, self.acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
-        """The acceleration, no larger than lets the robot stop within `room`, as far as its jerk allows.
-
-        Braking comes down with the speed: a robot that is to rest does not set off backwards.
-        """
+        """Return the acceleration, reduced within the jerk so that the robot can stop in `room` without reversing."""
         forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
         speed = forward * self.command.linear
-        least = max(forward * self._acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
+        least = max(forward * self.acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
 
         def fits(rise: float) -> bool:
             after, end = speed + rise * period, rise - 0.5 * limits.max_jerk * period
@@ -170,21 +167,21 @@ class CommandLimiter:
 
         found = _largest(fits, min(least, forward * slope), forward * slope)
         if speed > 0.0:
-            step = limits.max_jerk * period  # that much more where the rest falls into a period
-            most = forward * self._acceleration + limits.max_jerk * self._between(period)
+            step = limits.max_jerk * period  # a rest within a period needs as much more
+            most = forward * self.acceleration + limits.max_jerk * self._between(period)
             usual = min(period, self._usual)
             found = max(found, min(-_fastest(speed, limits.max_jerk, period, usual) - step, most))
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
-        """The acceleration, no larger than what the limits leave beside the turn, and no jump down from the last."""
+        """Return the acceleration, reduced to the limits that it shares with the turn, as far as the jerk allows."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
-        speed = forward * self.command.linear  # negative: it falls towards rest
+        speed = forward * self.command.linear  # negative: it decreases towards rest
         top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
         most = min(rise, _rise_to(top - speed, limits.max_jerk, period))
         if turn.steered and turn.least != 0.0:
             most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
-        least = max(forward * self._acceleration - limits.max_jerk * self._between(period), 0.0)
+        least = max(forward * self.acceleration - limits.max_jerk * self._between(period), 0.0)
         return forward * _largest(
             lambda rise: _fits(
                 speed + rise * period, rise - 0.5 * limits.max_jerk * period, abs(turn.wanted), turn, limits
@@ -194,15 +191,15 @@ class CommandLimiter:
         )
 
     def _turned(self, wanted: float, linear: float, period: float, limits: MotionLimits) -> _Turn:
-        """The yaw rate."""
+        """Return the reachable yaw rate."""
         before, wanted = self.command.angular, _eased(wanted, self.command, linear, period, limits)
         most = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
         least = math.copysign(max(abs(before) - most, 0.0), before)
         return _Turn(_approach(before, wanted, most, most), least, limits.max_yaw_acceleration, steered=False)
 
     def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> _Turn:
-        """The curvature of steered wheels: first what they can turn to, then what the yaw acceleration allows."""
-        before, base = self._curvature, limits.wheelbase
+        """Return the reachable curvature of steered wheels, by the steering rate and the yaw acceleration."""
+        before, base = self.curvature, limits.wheelbase
         asked = wanted.angular / wanted.linear if abs(wanted.linear) > _NO_ARC else before or 0.0
         low, high = -limits.max_curvature, limits.max_curvature
         if before is not None and math.isfinite(limits.max_steering_rate):
@@ -212,7 +209,7 @@ class CommandLimiter:
         least = min(max(0.0, low), high)
         fade = math.inf
         if math.isfinite(limits.max_steering_rate):
-            # The tangent is convex: wheels that turn back keep the curvature below the straight line to nothing.
+            # The tangent is convex: wheels that turn back keep the curvature below a straight line to zero.
             angle = math.atan(base * abs(least))
             fade = limits.max_steering_rate * (abs(least) / angle if angle > 0.0 else 1.0 / base)
         top = max(limits.max_speed, limits.max_reverse_speed)
@@ -227,9 +224,9 @@ class CommandLimiter:
 
 
 class _Turn(NamedTuple):
-    """What a command turns by: the yaw rate, or the curvature of steered wheels.
+    """Yaw rate, or curvature of steered wheels: the nearest reachable to the wanted one, and the smallest reachable.
 
-    `wanted` is what can be reached; `least` the least that can; `fade` how fast the amount can become less later.
+    `fade`: rate at which its size can decrease later.
     """
 
     wanted: float
@@ -239,7 +236,7 @@ class _Turn(NamedTuple):
 
 
 def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limits: MotionLimits) -> float:
-    """The turn nearest to what is wanted that the speed leaves room for, now and while its acceleration comes down."""
+    """Return the largest turn up to the wanted one that the speed allows, now and while the acceleration decreases."""
     speed, rise = math.copysign(1.0, slope) * linear, abs(slope) - 0.5 * limits.max_jerk * period
     both = ((speed, rise),) if speed >= 0.0 else ((speed, rise), (-speed, 0.0))
     amount = _largest(
@@ -251,16 +248,10 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 
 
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
-    """Whether a command, and all that must come of it, is within the limits that speed and turn share.
+    """Whether a command is within the limits that speed and turn share, now and while both decrease fastest.
 
-    From now on the acceleration falls by the jerk, and the turn by its `fade`.
-
-    Args:
-        speed: In the direction in which it rises [m/s].
-        rise: The acceleration at the end of the period [m/s^2].
-        amount: Of the yaw rate, or of the curvature.
-        turn: What kind of a turn it is.
-        limits: Of the robot.
+    `speed` and `rise`, the acceleration at the end of the period, count in the direction of the rise; `amount` is the
+    size of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     shared: tuple[tuple[int, float, float, float], ...]
@@ -285,9 +276,9 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
 
 
 def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
-    """The largest value of v(t)^power (c - d t), t >= 0, with v(t) = v + u t - jerk t^2 / 2, while it rises.
+    """Return the maximum of v(t)^power (c - d t), t >= 0, with v(t) = v + u t - jerk t^2 / 2, while v rises.
 
-    Its logarithm is concave. Where it is largest, power v' (c - d t) = d v, a quadratic equation in t.
+    Its logarithm is concave. At the maximum power v' (c - d t) = d v, a quadratic equation in t.
     """
     (v, u, jerk), (c, d) = speed, turn
     now = max(v, 0.0) ** power * c
@@ -304,16 +295,16 @@ def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, floa
 
 
 def _rise_to(gap: float, jerk: float, period: float) -> float:
-    """The largest acceleration that comes down to nothing within `gap`, however the periods to come are.
+    """Return the largest acceleration a that can decrease to zero within the speed `gap`, for any later periods.
 
-    Under the jerk the speed v goes on by u^2 / (2 jerk), u = a - jerk * period / 2 at the end of the period.
+    The speed rises by another u^2 / (2 jerk) with u = a - jerk * period / 2, the acceleration at the end of the period.
     """
     gap = max(gap, 0.0)
     return min(max(math.sqrt(2.0 * jerk * gap) - 0.5 * jerk * period, 0.5 * jerk * period), gap / period)
 
 
 def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
-    """The largest value that fits; `low` where none does."""
+    """Return the largest value in [low, high] that fits, by bisection; `low` where none does."""
     if high <= low or fits(high):
         return max(low, high)
     for _ in range(_HALVINGS):
@@ -323,7 +314,7 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
-    """How far a robot goes on until it rests, at full braking from a speed and an acceleration along its travel [m]."""
+    """Return the distance of full braking from a speed and an acceleration along the travel [m]."""
     if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
         return 0.0
     state = 0.0, v, a
@@ -333,10 +324,9 @@ def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
 
 
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
-    """The largest deceleration of the coming period.
+    """Return the largest deceleration of the coming period, which beyond rest is an acceleration with its own limit a.
 
-    Through rest the deceleration becomes an acceleration. By then it must have come down to that one's limit: a
-    deceleration b needs (b^2 - a^2) / (2 jerk) of the speed to come down to a.
+    To decrease from b to a it takes (b^2 - a^2) / (2 jerk) of the speed.
     """
     most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
     until_rest = speed / most
@@ -354,18 +344,18 @@ def smooth_slope(
     periods: tuple[float, float, float],
     target_jerk: tuple[float, float] = (0.0, math.inf),
 ) -> float:
-    """The slope of the next period, of a value that is to reach a moving target and stay with it.
+    """Return the slope of the next period, of a value that is to reach a moving target and stay with it.
 
-    The slope that it gains on the target has to be given back at what the target's own jerk leaves of `jerk`; or it is
-    so little that the value arrives when that jerk ends at the latest.
+    The slope relative to the target must come down at the part of `jerk` that the target's own jerk leaves, or is so
+    small that the value arrives no later than that jerk ends.
 
     Args:
-        missing: By how much the value falls short of the target before the period.
-        target_slope: Of the target.
-        slope: Of the value in the period before.
-        jerk: By how much a slope may change in a unit of time.
-        periods: The period, the time between its middle and that of the one before, and those to come [s].
-        target_jerk: By how much the target's slope changes in a unit of time, and how long that may go on [s].
+        missing: Difference of target and value before the period.
+        target_slope: Slope of the target.
+        slope: Slope of the value in the period before.
+        jerk: Largest change of a slope per time.
+        periods: The period, the time between its middle and that of the one before, and the expected periods [s].
+        target_jerk: Change of the target's slope per time, and how long it may last [s].
     """
     period, between, usual = periods
     changes, lasts = target_jerk
@@ -377,25 +367,22 @@ def smooth_slope(
 
 
 def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
-    """The largest slope of a period that can still fall to nothing within `gap`, over `usual` periods after it.
-
-    Between the middles of two periods a slope falls by at most `jerk` times the time between.
-    """
+    """Return the largest slope of a period that can decrease to zero within `gap`, over `usual` periods after it."""
     if usual >= _EQUAL * period:
-        return _fastest_evenly(gap, jerk, period)
+        return fastest_slope(gap, jerk, period)
     low, high = 0.0, gap / period
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         next_slope = middle - 0.5 * jerk * (period + usual)
-        fits = next_slope <= _fastest_evenly(gap - middle * period, jerk, usual)
+        fits = next_slope <= fastest_slope(gap - middle * period, jerk, usual)
         low, high = (middle, high) if fits else (low, middle)
     return low
 
 
-def _fastest_evenly(gap: float, jerk: float, period: float) -> float:
-    """The same over equal periods.
+def fastest_slope(gap: float, jerk: float, period: float) -> float:
+    """Return the largest slope that can decrease to zero within `gap`, by at most `jerk` * `period` per period.
 
-    In units of jerk times period: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
+    In these units slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
     step = jerk * period
     units = max(gap, 0.0) / (step * period)
@@ -404,7 +391,7 @@ def _fastest_evenly(gap: float, jerk: float, period: float) -> float:
 
 
 def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
-    """The command nearest to `wanted` that `previous` can become within `period` [s], whatever the jerk.
+    """Return the command nearest to `wanted` that `previous` can become within `period` [s], without a jerk limit.
 
     Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
     """
@@ -417,10 +404,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """The yaw rate nearest to `angular` for which the lateral acceleration changes no faster than its jerk allows.
-
-    No more of a turn than both `angular` and the command before: it is braking then that changes it faster.
-    """
+    """Return the yaw rate nearest to `angular` that keeps the lateral jerk, no larger than it and the last one."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period
@@ -430,7 +414,7 @@ def _eased(angular: float, before: Twist2, linear: float, period: float, limits:
 
 
 def _approach(value: float, target: float, rise: float, fall: float) -> float:
-    """`value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
+    """Return `value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
     if value * target < 0.0:
         if abs(value) >= fall:
             return value - math.copysign(fall, value)
@@ -441,12 +425,12 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
 
 
 def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
-    """The yaw rate at the speed `linear` that keeps the arc of `wanted`, where the speeds are much the same."""
+    """Return the yaw rate at the speed `linear` that keeps the curvature of `wanted`, if the speeds are similar."""
     share = linear / wanted.linear if wanted.linear != 0.0 else 1.0
     return _bent(Twist2(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0)), curvature).angular
 
 
 def _bent(command: Twist2, curvature: float) -> Twist2:
-    """The command, turning no tighter than `curvature`."""
+    """Return the command with its curvature limited."""
     most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
     return Twist2(command.linear, min(max(command.angular, -most), most))

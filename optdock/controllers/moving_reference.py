@@ -1,7 +1,6 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-Another trajectory may take over in motion: the reference runs up to the instant where that one begins, and goes on
-along it. What it shows ahead lies on the one before that instant and on the other after it.
+Another trajectory may take over in motion: the reference changes from one to the other where the newer one begins.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import numpy as np
 from optdock.controllers.command_limits import smooth_slope
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.robot import Drive
 from optdock.model.trajectory import TrajectorySamples
 
 if TYPE_CHECKING:
@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from optdock.model.limits import MotionLimits
     from optdock.model.trajectory import Trajectory
 
-__all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks"]
+__all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks", "rate_for_turning", "waiting_rate"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
-_STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
-_JERK_SHARE = 1.0
+_STEADY = 1e-3  # [1/s]: a slower change of the rate counts as none
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
-_LOOK = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which a rate comes down
+_LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can come down
 _SAMPLES = 400  # for the nearest point
+_STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 
 
 class ReferenceProgress(NamedTuple):
-    """How far a controller is.
+    """Progress of a controller.
 
-    `time`: of the reference, on the clock of the trajectory that was given last [s]; negative until it takes over.
-    `rate`: how fast it runs [1].
+    `time`: of the reference, on the clock of the trajectory given last [s]; negative until that one takes over.
+    `rate`: rate of the reference [1].
     """
 
     time: float
@@ -45,11 +45,11 @@ class ReferenceProgress(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """The reference a little later, which is where the commands are.
+    """The reference after the preview, where the feed-forward is taken from.
 
-    `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory itself, along
-    its travel, at rate 1 [m/s, m/s^2]; where it turns in place those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0
-    where it turns in place. `left`: to the end [m]. `to_rest`: to where it rests next, at a cusp or the end [m].
+    `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory along its
+    travel, at rate 1 [m/s, m/s^2]; in a turn in place those of the yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0 in a turn
+    in place. `left`: distance to the end [m]. `to_rest`: distance to the next rest, a cusp or the end [m].
     """
 
     twist: Twist2
@@ -63,8 +63,7 @@ class Ahead(NamedTuple):
 class ReferenceState(NamedTuple):
     """The reference at one instant.
 
-    `gear`: 1 or -1, 0 where it turns in place; `turn`: 1 or -1 there, 0 elsewhere. `ahead`: what it will be after the
-    preview, where the feed-forward is taken from.
+    `gear`: 1 or -1, 0 in a turn in place; `turn`: 1 or -1 there, 0 elsewhere. `ahead`: the reference after the preview.
     """
 
     pose: Pose2
@@ -73,47 +72,40 @@ class ReferenceState(NamedTuple):
     ahead: Ahead
 
     def lag_of(self, error: Pose2) -> float:
-        """How far along the travel, or along the turn, the reference is ahead of a robot that sees it at `error`."""
+        """Return the lead of the reference along the travel or turn [m or rad]; `error` in the robot's frame."""
         return error.x * self.gear + error.yaw * self.turn
 
 
 class _Joint(NamedTuple):
-    """`trajectory` takes over when the one before it is at `time` [s], `faster` times as fast there as it begins."""
+    """Change to `trajectory` at `time` [s] of the one before, whose speed there is `faster` times the new one."""
 
     time: float
     trajectory: Trajectory
     faster: float
 
-    @classmethod
-    def of(cls, before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
-        """The joint of two trajectories."""
-        begins = abs(trajectory.time_law.start_speed)
-        speed = abs(float(before.sample_at(time).speed[0])) if 0.0 <= time < before.duration else 0.0
-        return cls(time, trajectory, speed / begins if begins > _AT_REST else math.inf)
-
     def rate_after(self, before: float) -> float:
-        """The rate at which the new one begins as fast as the old one is at the rate `before`."""
+        """Return the rate at which the new trajectory is as fast as the old one at the rate `before`."""
         return min(1.0, before * self.faster) if math.isfinite(self.faster) else 1.0
 
 
+def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
+    begins = abs(trajectory.time_law.start_speed)
+    speed = abs(float(before.sample_at(time).speed[0])) if 0.0 <= time < before.duration else 0.0
+    return _Joint(time, trajectory, speed / begins if begins > _AT_REST else math.inf)
+
+
 class TrajectoryReference:
-    """Where the robot should be now: `trajectory` at time `time`, which runs at `rate` seconds per second.
+    """The present set-point: `trajectory` at time `time`, which advances by `rate` seconds per second.
 
-    The commands are ahead of it by a preview, so that they arrive in time. They are what runs smoothly: where the
-    preview or the rate changes the reference gives way, since it is only looked at, but the commands are driven.
-
-    A rate below 1 scales the speed by the rate and every acceleration by its square, so a trajectory within its
-    limits stays within them. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
-    `rate^2 * acceleration + speed * d rate/dt` stays within the limits too, and it begins and ends smoothly.
-
-    Args:
-        trajectory: What is played back.
-        time: Where it begins [s]; negative: it waits so long.
+    The commands are ahead of the reference by a preview that compensates the delay of the drive. Where the preview or
+    the rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate
+    and every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
+    `rate^2 * acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
     """
 
-    def __init__(self, trajectory: Trajectory, time: float = 0.0) -> None:
+    def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory = trajectory
-        self.time = time
+        self.time = 0.0
         self.rate = 1.0
         self._preview = 0.0
         self._slope = 0.0  # of the rate [1/s]
@@ -121,17 +113,17 @@ class TrajectoryReference:
 
     @property
     def finished(self) -> bool:
-        """Whether the end is reached."""
+        """Whether the end of the last trajectory is reached."""
         return self.time >= self.trajectory.duration and not self._joints
 
     @property
     def last(self) -> Trajectory:
-        """The trajectory that was given last."""
+        """The trajectory given last."""
         return self._joints[-1].trajectory if self._joints else self.trajectory
 
     @property
     def progress(self) -> ReferenceProgress:
-        """On the clock of the trajectory that was given last."""
+        """Progress on the clock of the trajectory given last."""
         if not self._joints:
             return ReferenceProgress(self.time, self.rate)
         left = self._joints[0].time - self.time + sum(joint.time for joint in self._joints[1:])
@@ -139,36 +131,33 @@ class TrajectoryReference:
 
     @property
     def ends(self) -> FloatArray:
-        """The poses at which the present trajectory begins and those at which it and the last one end, Shape (3, 3)."""
+        """Start and end pose of the present trajectory and end pose of the last one, Shape (3, 3)."""
         poses = self.trajectory.path.start, self.trajectory.path.end, self.last.path.end
         return np.array([pose.as_array() for pose in poses])
 
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
-        """Let `trajectory` take over `lead` seconds from now; whatever was to take over later is forgotten.
+        """Let `trajectory` take over `lead` seconds from now, instead of those that were to take over later.
 
-        The instant lies on the running trajectory, where it will be then at the present rate: a rate that changes in
-        the meantime moves the instant, so that the reference does not jump. A standing reference waits.
+        The place of the change is fixed by the present rate: a later change of the rate moves the instant, so that the
+        reference does not jump. A standing reference waits.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()
-            self._take_over(_Joint.of(self.trajectory, self.time, trajectory), -lead)
+            self._take_over(_joint(self.trajectory, self.time, trajectory), -lead)
             return
         shown, at, _ = self._at(lead)
         kept = [joint.trajectory for joint in self._joints]
         self._joints = self._joints[: kept.index(shown) + 1 if shown in kept else 0]
-        self._joints.append(_Joint.of(shown, at, trajectory))
+        self._joints.append(_joint(shown, at, trajectory))
 
     def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
-        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs unless `at_once`.
-
-        At the end there is nothing ahead that could jump; a reference that has come there stays.
-        """
+        """Set the lead of the commands [s], by a shift of the reference before its end unless `at_once`."""
         if self.time + self._preview > 0.0 and not at_once and not self.finished:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
 
     def state(self) -> ReferenceState:
-        """The reference now and ahead, at the present rate."""
+        """Return the reference now and after the preview, at the present rate."""
         shown, ahead, rate = self._at(self._preview)
         if shown is self.trajectory:
             both = shown.sample_at((self.time, ahead))
@@ -194,7 +183,7 @@ class TrajectoryReference:
         )
 
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
-        """Poses so many seconds from now, Shape (n,) [s], at the present rate; yaw continuous. Shape (n, 3)."""
+        """Return the poses after `previews`, Shape (n,) [s], at the present rate; yaw continuous. Shape (n, 3)."""
         if not self._joints:
             poses = _poses(self.trajectory, self.time + (self.rate if self.time >= 0.0 else 1.0) * previews)
         else:
@@ -207,26 +196,26 @@ class TrajectoryReference:
         return poses
 
     def trajectory_ahead(self, preview: float) -> tuple[Trajectory, float]:
-        """The trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
+        """Return the trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
         trajectory, time, _ = self._at(preview)
         return trajectory, time
 
     def peak_yaw_acceleration(self) -> float:
-        """The largest yaw acceleration, at rate 1, of the commands now and in the next 0.3 s [rad/s^2]."""
+        """Return the largest yaw acceleration, at rate 1, of the commands now and in the next 0.3 s [rad/s^2]."""
         shown, time, _ = self._at(self._preview)
-        ahead = np.clip(time + _LOOK, 0.0, shown.duration)
+        ahead = np.clip(time + _LOOK_AHEAD, 0.0, shown.duration)
         return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
 
     def next_arc(self) -> Twist2:
-        """The direction that the commands take next: of an arc at 1 m/s; at a cusp that of the gear that follows."""
+        """Return direction and curvature of the path at the commands, at a cusp those of the next gear, as a twist."""
         shown, time, _ = self._at(self._preview)
         s = np.array([min(self._place(shown, time) + _BEYOND, shown.path.length)])
         return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
 
     def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
-        """Poses of a robot that drives `distance` further along the path; None where the path ends before [m].
+        """Return poses over the next `distance` [m] of the path, offset as `pose` is from `now`; None beyond the path.
 
-        It keeps the place beside the reference, which is at `now`, that it has at `pose`. Shape (n, 3).
+        Shape (n, 3).
         """
         count = 2 + math.ceil(distance / _WAY_STEP)
         ahead = self._place(self.trajectory, self.time) + np.linspace(0.0, distance, count)
@@ -247,15 +236,14 @@ class TrajectoryReference:
 
     @staticmethod
     def _place(trajectory: Trajectory, time: float) -> float:
-        """Distance along a trajectory at a time of its clock [m]."""
+        """Return the distance along a trajectory at a time of its clock [m]."""
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
-        """Begin at the trajectory's start, or at the nearest point of its first gear when the robot is not there.
+        """Begin at the trajectory's start, or at the nearest point of the first gear when the robot is not there.
 
-        Later gears may pass closer by; to begin there would leave the manoeuvre out. The rate begins such that the
-        reference is no faster than the robot at `linear` m/s; from rest it begins late, by the drive's `delay` [s], so
-        that no command is left out.
+        The first rate makes the reference no faster than the robot at `linear` m/s; from rest the reference begins late
+        by the drive's `delay` [s], so that no command is left out.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
@@ -271,11 +259,11 @@ class TrajectoryReference:
     def advance(
         self, now: ReferenceState, period: float, target_rate: float, limits: MotionLimits, settling: float
     ) -> None:
-        """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s].
+        """Advance by `period` [s] while the rate approaches `target_rate` with the time constant `settling` [s].
 
-        `now` is what `state` has said last.
+        `now` is the last result of `state`.
         """
-        if self.time < 0.0:  # it waits for its beginning, in seconds that no rate changes
+        if self.time < 0.0:  # before the beginning the rate does not matter
             if target_rate == 0.0:
                 self.rate = 0.0
                 return
@@ -295,7 +283,7 @@ class TrajectoryReference:
             )
             lowest, highest = _rate_bounds(ahead.speed, before**2 * ahead.acceleration, (rise, fall))
             missing = target_rate - before
-            wanted = smooth_slope(missing, 0.0, self._slope, _JERK_SHARE * jerk / ahead.speed, (period,) * 3)
+            wanted = smooth_slope(missing, 0.0, self._slope, jerk / ahead.speed, (period,) * 3)
             if settling > 0.0:
                 most = abs(missing) / settling
                 wanted = min(max(wanted, -most), most)
@@ -310,13 +298,13 @@ class TrajectoryReference:
             self.time = min(self.time, self.trajectory.duration)
 
     def _take_over(self, joint: _Joint, since: float) -> None:
-        """Go on along the next trajectory, which began `since` seconds ago, as fast as the reference is now."""
+        """Change to the next trajectory, which began `since` seconds ago, at the present speed."""
         self.rate = joint.rate_after(self.rate)
         self.trajectory = joint.trajectory
         self.time = self.rate * since if since > 0.0 else since
 
     def _at(self, preview: float) -> tuple[Trajectory, float, float]:
-        """The trajectory in force `preview` seconds from now, the time on its clock and its rate then."""
+        """Return the trajectory in force `preview` seconds from now, with the time on its clock and its rate then."""
         shown, rate = self.trajectory, self.rate
         time = self.time + (rate if self.time >= 0.0 else 1.0) * preview
         for joint in self._joints:
@@ -329,27 +317,27 @@ class TrajectoryReference:
 
 
 def _poses(trajectory: Trajectory, times: FloatArray) -> FloatArray:
-    """Poses at so many times on its own clock, clipped, Shape (n,) [s]; without speeds and rates. Shape (n, 3)."""
+    """Return the poses of a trajectory at `times`, Shape (n,) [s], clipped to the path. Shape (n, 3)."""
     s = trajectory.time_law.at(times)[:, 0]
     return trajectory.path.poses_at(np.minimum(np.maximum(s, 0.0), trajectory.path.length))
 
 
 def _next_rest(trajectory: Trajectory, s: float) -> float:
-    """Where it rests next beyond `s` [m]: at a cusp, or at the end."""
+    """Return the place of the next cusp beyond `s`, or of the end [m]."""
     return next((cusp for cusp in trajectory.path.cusps if cusp > s + _BEYOND), trajectory.path.length)
 
 
 def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:
-    """Gear and turn of a `ReferenceState`."""
+    """Return gear and turn of a `ReferenceState`."""
     path, speed = trajectory.path, float(row.speed[0])
     gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
     return gear, math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
 
 
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
-    """Largest speed and acceleration of the driven parts [m/s, m/s^2].
+    """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 
-    They lie at the borders of the phases, the speed's also where the acceleration vanishes within one.
+    They occur at the borders of the phases; the speed's also where the acceleration vanishes within a phase.
     """
     law = trajectory.time_law
     middle = law.phase_middles(0.5 * (law.times[:-1] + law.times[1:]))
@@ -369,6 +357,28 @@ def peaks(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:
-    """Bounds of d rate/dt [1/s] that keep the played-back acceleration and deceleration within their limits."""
+    """Return the bounds of d rate/dt [1/s] that keep the played-back acceleration and deceleration limits."""
     rise, fall = limits
     return min(0.0, -(fall + acceleration) / speed), max(0.0, (rise - acceleration) / speed)
+
+
+def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: MotionLimits, drive: Drive) -> float:
+    """Return the largest rate that leaves feedback a share of the yaw acceleration, which grows with its square [1].
+
+    Args:
+        reference: The moving reference.
+        reserve: Share of `max_yaw_acceleration` left to feedback [1].
+        limits: Limits of the robot.
+        drive: Kind of drive; steered wheels get a reserve in every limit.
+    """
+    most = _STEERED_RATE if drive is Drive.ACKERMANN else 1.0
+    kept = (1.0 - reserve) * limits.max_yaw_acceleration
+    if math.isinf(kept):
+        return most
+    planned = reference.peak_yaw_acceleration()
+    return min(most, math.sqrt(kept / planned)) if planned > 0.0 else most
+
+
+def waiting_rate(lag: float, slow_down_lag: float, stop_lag: float) -> float:
+    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 from `stop_lag` on [m], linear between."""
+    return min(1.0, max(0.0, (stop_lag - lag) / max(1e-9, stop_lag - slow_down_lag)))

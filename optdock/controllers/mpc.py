@@ -1,4 +1,4 @@
-"""MpcController: drives a trajectory by the best commands of a short horizon within the robot's limits."""
+"""MpcController: follows a trajectory by the best commands over a short horizon within the robot's limits."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from optdock.controllers.command_limits import CommandLimiter, rate_limited
-from optdock.controllers.finish import Accepted
+from optdock.controllers.command_limits import CommandLimiter, fastest_slope, rate_limited
 from optdock.controllers.moving_reference import ReferenceState, TrajectoryReference, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
@@ -23,14 +22,14 @@ from optdock.controllers.mpc_program import (
     riccati_back,
     step_matrices,
 )
-from optdock.controllers.tracking_controller import TrackingController
-from optdock.controllers.tracking_parameters import TrackingControllerParameters
+from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.robot import Drive, TrackingTube, admissible
 from optdock.model.trajectory import braking_time
 
 if TYPE_CHECKING:
+    from optdock.controllers.tracking_checks import AcceptedErrors
     from optdock.geometry.arrays import FloatArray
     from optdock.model.limits import MotionLimits
     from optdock.model.path import Path
@@ -39,25 +38,24 @@ if TYPE_CHECKING:
 
 __all__ = ["CycleOutcome", "MpcController", "MpcControllerParameters", "MpcStatus"]
 
-_RICCATI_STEP = 0.1  # [s]: the cost to go is smooth; finer steps change commands by less than a percent
-_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
+_RICCATI_STEP = 0.1  # [s]: finer steps of the cost to go change commands by less than a percent
 _JERK_TOLERANCE = 1e-3  # of the limit
 _AT_REST = 1e-6  # [m/s]
-_REMEMBERED = 0.5  # [s] of commands under way, the longest latency
-_MOST = 1e3  # [m/s], [rad/s]: faster than anything, for the reachable interval of a command
+_LONGEST_LATENCY = 0.5  # [s], for which commands are kept
+_MOST = 1e3  # [m/s], [rad/s]: above every limit, for the reachable interval of a command
 
 
 class MpcControllerParameters(TrackingControllerParameters):
-    """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used.
+    """Horizon, weights and drive of the MpcController; gains and preview of the TrackingController are not used.
 
-    The weights are those that `python -m experiments.benchmarks tracking --tune 120` finds, rounded; but `smoothness`
-    and `along_error` are larger and the yaw weighs more: of noise at 20 Hz half is then left along and in yaw.
+    The weights are those of `python -m experiments.benchmarks tracking --tune 120`, rounded, but with a larger
+    `smoothness`, `along_error` and weight of the yaw, which halves the effect of noise at 20 Hz.
     """
 
     horizon: float = Field(
-        default=0.7, gt=0.0, le=5.0, description="how far ahead it looks, at least as long as braking takes [s]"
+        default=0.7, gt=0.0, le=5.0, description="length of the horizon, at least as long as braking takes [s]"
     )
-    steps: int = Field(default=14, ge=3, le=60, description="of the horizon")
+    steps: int = Field(default=14, ge=3, le=60, description="steps of the horizon")
     latency: float | None = Field(
         default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
     )
@@ -65,35 +63,30 @@ class MpcControllerParameters(TrackingControllerParameters):
     along_error: float = Field(default=0.015, gt=0.0, description="error along that weighs 1 [m]")
     cross_error: float = Field(default=0.0125, gt=0.0, description="error across that weighs 1 [m]")
     yaw_error: float = Field(default=0.05, gt=0.0, description="heading error that weighs 1 [rad]")
-    speed_effort: float = Field(default=0.08, gt=0.0, description="speed beside the reference's that weighs 1 [m/s]")
-    yaw_rate_effort: float = Field(default=0.3, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
-    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these efforts may come and go [s]")
+    speed_effort: float = Field(default=0.08, gt=0.0, description="deviation of the speed that weighs 1 [m/s]")
+    yaw_rate_effort: float = Field(default=0.3, gt=0.0, description="deviation of the yaw rate that weighs 1 [rad/s]")
+    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these deviations may change [s]")
     final_weight: float = Field(default=20.0, ge=0.0, description="errors at the end weigh as over this time [s]")
-    hold_tube: bool = Field(default=True, description="hold the robot in its tube, Robot.tracking, where it has one")
+    hold_tube: bool = Field(default=True, description="keep the robot in its tube, Robot.tracking, if it has one")
 
 
 class CycleOutcome(str, Enum):
-    """Where the command of a cycle comes from."""
+    """Source of the command of a cycle."""
 
     SOLVED = "solved"
-    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as can be"
-    SHIFTED = "no commands found in time: those of the cycle before go on"
+    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as possible"
+    SHIFTED = "no commands found in time: those of the previous cycle continue"
 
 
 class MpcStatus(NamedTuple):
-    """How a cycle went.
+    """Result of a cycle."""
 
-    Attributes:
-        outcome: Where its command comes from.
-        outside_tube: How far the prediction leaves the tube [m]; 0 where it stays inside, or there is none.
-    """
-
-    outcome: CycleOutcome
-    outside_tube: float
+    outcome: CycleOutcome  # source of its command
+    outside_tube: float  # largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube
 
 
 class _Plan(NamedTuple):
-    """Commands that were found at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
+    """Commands of a solved cycle at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
 
     stamp: float
     times: FloatArray
@@ -103,32 +96,23 @@ class _Plan(NamedTuple):
 class MpcController(TrackingController):
     """Follows a trajectory by model predictive control: a TrackingController with another law.
 
-    **Law.** In every cycle the commands of the next `horizon` seconds, or as long as braking takes, are chosen that
-    cost least, in errors and effort, among those that the robot's limits allow: speeds, acceleration, deceleration,
-    jerk, yaw rate and acceleration, wheel speed, lateral acceleration, and for an Ackermann drive curvature and
-    steering rate; the first of them is given (`mpc_program`). What comes after the horizon counts by the cost to go
-    along the rest of the trajectory, with a weight on the errors at its end, so an error is made good before the dock
-    as far as the way left allows.
+    Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as braking
+    takes, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go weighs the
+    rest of the trajectory, so that an error is corrected before the dock as far as possible. Latency and lag, given or
+    identified, are part of the model. Errors across and in heading are kept within the robot's tube,
+    `Robot.tracking`, if it has one and the limits allow it.
 
-    **Drive.** Latency and lag, given or identified on the way, are part of the model: the pose is predicted to when the
-    command will take effect, from the commands that are under way.
-
-    **Tube.** Errors across and in heading are held within the robot's tube, `Robot.tracking`, where the limits allow
-    it and the robot has one.
-
-    **When it cannot.** `status` names it: a jerk limit that no commands keep (the reference jumped), a tube that is
-    left, a program without a solution; then the commands found before go on, and after them NoValidControl.
-
-    Time, finish, collisions and limits are those of the TrackingController.
+    `status` reports a jerk limit that no commands keep (the reference jumped), a tube that is left, and a program
+    without a solution; then the commands found before continue, and after them NoValidControl is raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
 
     Attributes:
-        status: How the last cycle went.
+        status: Result of the last cycle.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
 
     Parameters = MpcControllerParameters
@@ -144,20 +128,21 @@ class MpcController(TrackingController):
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
         self._plan: _Plan | None = None
-        self._nominal: FloatArray | None = None  # command of the last cycle that would have kept up with the reference
-        self._limiter: _Remembering = _Remembering()
+        self._nominal: FloatArray | None = None  # nominal command of the last cycle
+        self._limiter: _ProgramLimiter = _ProgramLimiter()
 
     def on_configure(self) -> None:
         """Build the program and load the solver, which takes longer than a cycle."""
-        self._build()
+        self._built_for = None
+        self._prepare()
 
     def reset(self) -> None:
-        """Forget the path and what was learnt about the drive; the speed limit stays."""
+        """Discard the path and the identified delay; the speed limit stays."""
         super().reset()
         self._to_go.clear()
         self._given.clear()
         self._plan = self._nominal = None
-        self._limiter = _Remembering()
+        self._limiter = _ProgramLimiter()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
@@ -165,14 +150,18 @@ class MpcController(TrackingController):
         self._prepare()
 
     def _prepare(self) -> None:
-        """Build the program and the costs to go, those that are missing, or all after a change of parameters."""
-        if self._built_for is not self.parameters:
-            self._build()
-        self._horizon = self.parameters.horizon
+        """Build the program after a change of parameters, and compute the missing costs to go."""
+        p = self.parameters
+        if self._built_for is not p:
+            ackermann = self._drive is Drive.ACKERMANN
+            self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=self._tube is not None)
+            self._built_for = p
+            self._to_go.clear()
+        self._horizon = p.horizon
         if self._reference is not None:
             live = self._reference.trajectory, self._reference.last
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
-            # The cost to go knows no limits: a horizon shorter than braking takes would see the end too late.
+            # The cost to go has no limits: a horizon shorter than braking takes would reach the end too late.
             fastest = max(peaks(each)[0] for each in live)
             self._horizon = max(
                 self._horizon, braking_time(fastest, self._limits.max_deceleration, self._limits.max_jerk)
@@ -181,24 +170,24 @@ class MpcController(TrackingController):
     def compute_velocity_commands(
         self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
     ) -> Twist2:
-        """The command for the coming period; see the class and `TrackingController.compute_velocity_commands`."""
+        """Return the command for the coming period; see `TrackingController.compute_velocity_commands`."""
         self._measured, before = (pose, velocity), self._clock.now
         try:
             command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
         except NoValidControl:
             self._plan = self._nominal = None
-            self._give(Twist2())
+            self._remember(Twist2())
             raise
         if self._clock.now != before:
-            self._give(command)
+            self._remember(command)
         return command
 
-    def _give(self, command: Twist2) -> None:
-        """Remember what is under way to the drive."""
+    def _remember(self, command: Twist2) -> None:
+        """Record a command under way to the drive."""
         if self._clock.now is None:
             return
         self._given.append((self._clock.now, command))
-        while len(self._given) > 2 and self._given[1][0] < self._clock.now - _REMEMBERED:
+        while len(self._given) > 2 and self._given[1][0] < self._clock.now - _LONGEST_LATENCY:
             self._given.popleft()
 
     @property
@@ -210,12 +199,11 @@ class MpcController(TrackingController):
 
     @property
     def _known_delay(self) -> float:
-        """As the reference has it at the beginning: it starts when the robot can, which then need not catch up."""
         return sum(self._delays)
 
     @property
     def _tube(self) -> tuple[float, float] | None:
-        """Half width [m] and heading error [rad] of the robot's tube; None where nothing is to be held."""
+        """Half width [m] and heading error [rad] of the robot's tube; None without one."""
         tube = self.context.problem.robot.tracking if self.context.problem else TrackingTube()
         held = self.parameters.hold_tube and tube.cross > 0.0 and tube.yaw > 0.0
         return (tube.cross, tube.yaw) if held else None
@@ -225,56 +213,54 @@ class MpcController(TrackingController):
         p = self.parameters
         errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
         effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
-        return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
-
-    def _build(self) -> None:
-        p = self.parameters
-        ackermann = self._drive is Drive.ACKERMANN
-        self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=self._tube is not None)
-        self._built_for = p
-        self._to_go.clear()
+        return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors)
 
     def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-        """Times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
+        """Return times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
         times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
         row, weights = trajectory.sample_at(times), self._weights
         arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
         return times, riccati_back(arcs, weights.errors, weights.effort, weights.final)
 
     def _wanted(
-        self,
-        reference: TrajectoryReference,
-        now: ReferenceState,
-        error: Pose2,
-        accepted: Accepted,
+        self, reference: TrajectoryReference, now: ReferenceState, error: Pose2, accepted: AcceptedErrors
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
-        if self._cancelled:
-            # It brakes as the tracker does: the horizon does not know that the reference will.
+        # The horizon has neither the braking of a cancel nor steered wheels that turn at rest.
+        turning = self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished
+        if self._cancelled or turning:
             self._nominal = self._limiter.allowed = None
             return super()._wanted(reference, now, error, accepted)
-        if self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished:
-            self._nominal = self._limiter.allowed = None  # steered wheels turn at rest as the tracker's do
-            return super()._wanted(reference, now, error, accepted)
-        n, period = self.parameters.steps, self._clock.period
-        latency, lag = self._delays
+        cycle = self._cycle(reference)
+        found, self._nominal = self._solved(cycle), cycle.nominal[1]
+        v, w = float(found[0]), float(found[1])
+        most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
+        w = min(max(w, -most), most)
+        if cycle.bounds.curvature is not None:
+            least, most = sorted((cycle.bounds.curvature[:, 0] * v).tolist())
+            w = min(max(w, least), most)
+        self._limiter.allowed = Twist2(v, w)
+        return self._limiter.allowed
+
+    def _cycle(self, reference: TrajectoryReference) -> MpcCycle:
+        """Return the data of this cycle's program, from the time when its command takes effect."""
+        n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
         h = np.full(n, max(period, (self._horizon - period) / (n - 1)))
         h[0] = period
         t = np.concatenate(([0.0], np.cumsum(h)))
-        # From when the command takes effect: where the reference is; and later by the lag, what it takes to keep up.
+        # The nominal commands lead the reference by the lag.
         poses = reference.poses_ahead(latency + np.concatenate((t, t + lag)))
-        arcs, keeping_up = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], t)
-        nominal = np.column_stack((keeping_up.v, keeping_up.w))
+        arcs, leading = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], t)
+        nominal = np.column_stack((leading.v, leading.w))
         last = np.array([self._limiter.command.linear, self._limiter.command.angular])
         trajectory, time = reference.trajectory_ahead(latency + float(t[-1]))
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
-        cycle = MpcCycle(
-            prediction=predicted(
-                np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular]), step_matrices(arcs, (lag, lag))
-            ),
+        state = np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular])
+        return MpcCycle(
+            prediction=predicted(state, step_matrices(arcs, (lag, lag))),
             nominal=np.vstack((last if self._nominal is None else self._nominal, nominal)),
             cost_to_go=costs[min(int(np.searchsorted(times, time)), times.size - 1)],
             h=h,
@@ -284,18 +270,9 @@ class MpcController(TrackingController):
             last_acceleration=self._limiter.acceleration,
             tube=self._tube,
         )
-        found, self._nominal = self._solved(cycle), nominal[0]
-        v, w = float(found[0]), float(found[1])
-        most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
-        wanted = Twist2(v, min(max(w, -most), most))
-        if cycle.bounds.curvature is not None:
-            least, most = sorted((cycle.bounds.curvature[:, 0] * wanted.linear).tolist())
-            wanted = Twist2(wanted.linear, min(max(wanted.angular, least), most))
-        self._limiter.allowed = wanted
-        return wanted
 
     def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
-        """Pose and velocity when the next command takes effect, by what has been given until now."""
+        """Predict pose and velocity at the time when the next command takes effect, from the commands under way."""
         pose, velocity = self._measured
         now = self._clock.now or 0.0
         for k, (stamp, command) in enumerate(self._given):
@@ -311,11 +288,11 @@ class MpcController(TrackingController):
         return pose, velocity
 
     def _solved(self, cycle: MpcCycle) -> FloatArray:
-        """The next command, Shape (2,); `status` says where it comes from."""
+        """Return the next command, Shape (2,), and set `status`."""
         now = self._clock.now or 0.0
         found = None if self._program is None else self._program.solve(cycle)
         if found is not None:
-            exceeded = found.over_jerk > _JERK_TOLERANCE * cycle.bounds.jerk
+            exceeded = found.over_jerk > _JERK_TOLERANCE * self._limits.max_jerk
             self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
             self._plan = _Plan(now, np.cumsum(cycle.h) - cycle.h, found.commands)
             command: FloatArray = found.commands[0]
@@ -331,84 +308,63 @@ class MpcController(TrackingController):
         return shifted
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """What the limits allow from the last command on."""
+        """Return the bounds of the commands after the last one."""
         n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
-        lowest = rate_limited(last, Twist2(-_MOST, -_MOST), limits, period)
-        highest = rate_limited(last, Twist2(_MOST, _MOST), limits, period)
-        v = nominal[:, 0]
+        v, rise, fall = nominal[:, 0], limits.max_acceleration, limits.max_deceleration
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
-        rise, fall = limits.max_acceleration, limits.max_deceleration
         either = min(rise, fall)
         up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
         down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
         acceleration = np.array([-down, up])
-        acceleration[:, 0] = (lowest.linear - last.linear) / period, (highest.linear - last.linear) / period
+        for row, most in enumerate((-_MOST, _MOST)):
+            reached = rate_limited(last, Twist2(most, most), limits, period)
+            acceleration[row, 0] = (reached.linear - last.linear) / period
         speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
-        up_to = _landing(limits.max_speed - last.linear, limits.max_jerk, period)
-        down_to = _landing(limits.max_reverse_speed + last.linear, limits.max_jerk, period)
-        speed[:, 0] = last.linear - down_to, last.linear + up_to
+        for row, sign, top in ((0, -1.0, limits.max_reverse_speed), (1, 1.0, limits.max_speed)):
+            room = top - sign * last.linear  # the next command must be able to level out within it
+            speed[row, 0] = last.linear + sign * min(room, period * fastest_slope(room, limits.max_jerk, period))
         curvature, gear = None, np.ones(n)
         if self._drive is Drive.ACKERMANN:
             gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
-            # While it changes gear its speed is of either sign, and it keeps straight as far as it can.
+            # During a change of gear the sign of the speed is unknown, and the wheels are kept straight.
             braking = braking_time(abs(last.linear), limits.max_deceleration, limits.max_jerk)
             gear[(np.cumsum(h) - h < braking) & (gear != going)] = 0.0
             speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
             curvature = self._reachable_curvature(np.cumsum(h))
-        # Speed times yaw rate, about the last command and the nominal ones; of what that leaves out the next command
-        # can make no more than the product of both changes.
+        # Speed times yaw rate is linearized about the last command and the nominal ones; the remainder of the next
+        # command is at most the product of both changes.
         about = np.concatenate((np.array([[last.linear, last.angular]]), nominal[1:]))
         lateral = _both_ways(limits.max_lateral_acceleration, n)
         if math.isfinite(limits.max_yaw_acceleration):
             rest = max(rise, fall) * limits.max_yaw_acceleration * period**2
             lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
-        return CommandBounds(
-            speed=speed,
-            yaw_rate=_both_ways(limits.max_yaw_rate, n),
-            acceleration=acceleration,
-            yaw_acceleration=_both_ways(limits.max_yaw_acceleration, n),
-            jerk=limits.max_jerk,
-            wheel_speed=limits.max_wheel_speed,
-            half_track=0.5 * limits.track_width,
-            lateral=lateral,
-            about=about,
-            curvature=curvature,
-            curvature_rate=limits.max_steering_rate / limits.wheelbase if limits.wheelbase > 0.0 else math.inf,
-            gear=gear,
-        )
+        return CommandBounds(limits, speed, acceleration, lateral, about, curvature, gear)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
-        """Least and largest curvature that the wheels can have turned to by then, Shape (2, n)."""
+        """Return the least and the largest curvature that the wheels can reach by `times`, Shape (2, n)."""
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
             return _both_ways(limits.max_curvature, times.size)
-        angle = math.atan(limits.wheelbase * self._limiter.curvature)
+        angle = math.atan(limits.wheelbase * (self._limiter.curvature or 0.0))
         turned = np.array([[-1.0], [1.0]]) * limits.max_steering_rate * times
         most = math.atan(limits.wheelbase * limits.max_curvature)
         reached: FloatArray = np.tan(np.clip(angle + turned, -most, most)) / limits.wheelbase
         return reached
 
 
-class _Remembering(CommandLimiter):
-    """Lets the program's own commands pass, which keep all limits already; what the finish makes of them it limits.
+class _ProgramLimiter(CommandLimiter):
+    """Passes the program's commands, which keep all limits, and limits those that the finish has changed.
 
     Attributes:
         allowed: The program's command of this cycle.
-        curvature: Of the wheels, as the last command in motion has left them [1/m].
     """
 
     def restart(self, command: Twist2) -> None:
-        """Begin at what the robot does, at a steady speed."""
+        """Restart at the robot's velocity, at a steady speed."""
         super().restart(command)
         self.allowed: Twist2 | None = None
-        self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
 
-    @property
-    def acceleration(self) -> float:
-        """Of the last command [m/s^2]; 0 at first: how long the command before has been in force is unknown."""
-        return self._acceleration
-
-    def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
+    def follow(  # noqa: PLR0913 - two commands, their time, and their bounds
         self,
         wanted: Twist2,
         feed_forward: Twist2,
@@ -419,35 +375,18 @@ class _Remembering(CommandLimiter):
         in_place: bool,
         room: float = math.inf,
     ) -> Twist2:
-        """The command nearest to `wanted` that the last one can become."""
-        before, is_first = self.command, self._feed_forward is None
+        """Return the command nearest to `wanted` that the last one can become; see `CommandLimiter.follow`."""
+        before, is_first, allowed = self.command, self._feed_forward is None, self.allowed
         command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
-        if self._is_allowed(wanted) and not is_first:
+        if is_first or allowed is None or wanted.linear != allowed.linear:
+            return command
+        if wanted.angular in (allowed.angular, 0.0):  # the finish leaves out a turn of almost nothing
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
-            self._acceleration = (command.linear - before.linear) / period
+            self.acceleration = (command.linear - before.linear) / period
             if abs(command.linear) > _AT_REST:
-                self._curvature = command.angular / command.linear
-        if self._curvature is not None:
-            self.curvature = self._curvature
+                self.curvature = command.angular / command.linear
         return command
-
-    def _is_allowed(self, wanted: Twist2) -> bool:
-        """Whether it is the program's own command, but for a turn of almost nothing that the finish leaves out."""
-        allowed = self.allowed
-        return allowed is not None and wanted.linear == allowed.linear and wanted.angular in (allowed.angular, 0.0)
 
 
 def _both_ways(bound: float, count: int) -> FloatArray:
     return np.array([[-bound] * count, [bound] * count])
-
-
-def _landing(room: float, jerk: float, period: float) -> float:
-    """Largest change of the speed in one period after which it can still level out within `room` [m/s].
-
-    Every later change is smaller by the unit jerk * period^2. A change of m units, n <= m < n + 1, is followed by
-    m - 1, m - 2, .. m - n: with it they add up to m (n + 1) - n (n + 1) / 2.
-    """
-    unit = jerk * period**2
-    units = max(room, 0.0) / unit
-    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
-    return min(room, unit * (units / (n + 1) + 0.5 * n))

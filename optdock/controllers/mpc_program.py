@@ -1,17 +1,16 @@
 """The tracking problem of a short horizon as a quadratic program, solved by DAQP.
 
-The robot is seen from its moving reference: z = (along, cross, yaw error, speed, yaw rate). Over one step of length h
-the reference moves along an arc of mean velocity (v, w); linearised there [DeLuca2001], with the drive a first-order
+The state is z = (along, cross, yaw error, speed, yaw rate) relative to the moving reference. Over one step of length h
+the reference moves along an arc of mean velocity (v, w); linearized there [DeLuca2001], with the drive a first-order
 lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the
-commands alone:
+commands:
 
     minimize    sum_k h_k |errors_k|^2_Q + |u_k - nominal_k|^2_R + |d(u - nominal)/dt|^2_S  + |errors_N|^2_P
                 + exact penalties of the two slacks
-    subject to  what the robot's limits allow: speeds, yaw rate, wheel speeds, lateral acceleration, curvature, and
-                the changes of the commands; jerk, with a slack; the tube around the reference, with a slack.
+    subject to  the robot's limits: speeds, yaw rate, wheel speeds, lateral acceleration, curvature, and changes of the
+                commands; jerk, with a slack; the tube around the reference, with a slack.
 
-Everything that limits commands depends on commands alone, never on the measured pose: an error of any size leaves the
-program feasible.
+The limits of the commands do not depend on the measured pose, so the program is feasible for any error.
 """
 
 from __future__ import annotations
@@ -24,26 +23,21 @@ from optdock.quadratic_program import UNBOUNDED, DenseProgram
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.limits import MotionLimits
 
-__all__ = [
-    "Prediction",
-    "ReferenceArcs",
-    "arcs_between",
-    "predicted",
-    "riccati_back",
-    "step_matrices",
-]
+__all__ = ["Prediction", "ReferenceArcs", "arcs_between", "predicted", "riccati_back", "step_matrices"]
 
-_IN_MOTION = 0.02  # [m/s]: slower commands have no curvature that is linear in them
-_SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle before
-_MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
+_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
+_IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
+_SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as none
+_MOST_ITERATIONS = 300  # of the active set, some 3 ms; a warm start takes 20
 
 
 class ReferenceArcs(NamedTuple):
     """Mean motion of the reference over each step.
 
-    `v`, `w`: mean velocity of the arc, Shape (n,) [m/s, rad/s]; `h`: its duration, Shape (n,) [s]; `residual`: what the
-    reference really moved beyond the arc, seen from its end, Shape (n, 2) [m].
+    `v`, `w`: mean velocity of the arc, Shape (n,) [m/s, rad/s]; `h`: duration, Shape (n,) [s]; `residual`: offset of
+    the reference from the end of the arc, in its frame, Shape (n, 2) [m].
     """
 
     v: FloatArray
@@ -53,12 +47,7 @@ class ReferenceArcs(NamedTuple):
 
 
 def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
-    """The arcs that lead from each pose to the next.
-
-    Args:
-        poses: Shape (n + 1, 3), yaw continuous.
-        times: Shape (n + 1,) [s], rising.
-    """
+    """Return the arcs from each pose, Shape (n + 1, 3), yaw continuous, to the next; times Shape (n + 1,) [s]."""
     h, turn = np.diff(times), np.diff(poses[:, 2])
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
@@ -68,18 +57,15 @@ def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
 
 
 def step_matrices(arcs: ReferenceArcs, lags: tuple[float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5), of every step.
-
-    Args:
-        arcs: How the reference moves.
-        lags: Time constants of speed and yaw rate [s].
-    """
+    """Return A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5); `lags` of speed and yaw rate [s]."""
     v, w, h, n = arcs.v, arcs.w, arcs.h, arcs.h.size
     turn = w * h
     c, s, chord = np.cos(0.5 * turn), np.sin(0.5 * turn), h * np.sinc(turn / (2.0 * np.pi))
-    by_yaw = np.column_stack((v * chord * s, v * chord * c))  # displacement per yaw error, seen from the arc's end
+    by_yaw = np.column_stack(
+        (v * chord * s, v * chord * c)
+    )  # displacement per yaw error, in the frame of the arc's end
     by_speed = np.column_stack((chord * c, -chord * s))
-    by_rate = 0.5 * h[:, None] * by_yaw  # a turn builds up over the step: half of it counts
+    by_rate = 0.5 * h[:, None] * by_yaw  # the mean effect of a yaw rate over the step
     a, b, const = np.zeros((n, 5, 5)), np.zeros((n, 5, 2)), np.zeros((n, 5))
     cw, sw = np.cos(turn), np.sin(turn)
     a[:, 0, 0] = a[:, 1, 1] = cw
@@ -108,12 +94,7 @@ class Prediction(NamedTuple):
 
 
 def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatArray]) -> Prediction:
-    """The states eliminated.
-
-    Args:
-        state: Where the robot is, Shape (5,).
-        matrices: Of `step_matrices`.
-    """
+    """Eliminate the states, from the present one, Shape (5,), and the result of `step_matrices`."""
     a, b, c = matrices
     n = len(a)
     errors, by = np.empty((n, 5)), np.zeros((n, 5, 2 * n))
@@ -121,14 +102,12 @@ def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatAr
     for k in range(n):
         now = errors[k] = a[k] @ now + c[k]
         effect = np.matmul(a[k], effect, out=by[k])
-        effect[:, 2 * k : 2 * k + 2] = b[k]  # nothing earlier depends on this command
+        effect[:, 2 * k : 2 * k + 2] = b[k]  # earlier states do not depend on this command
     return Prediction(errors, by)
 
 
 def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
-    """Cost to go of the unbounded problem, backwards from the end: the finite-horizon Riccati recursion.
-
-    Without the lag, so over the three errors only.
+    """Return the cost to go of the problem without limits and lag, by the finite-horizon Riccati recursion.
 
     Args:
         arcs: The whole reference in steps.
@@ -155,86 +134,42 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
 
 
 class MpcWeights(NamedTuple):
-    """What errors and efforts cost, each over one second; `final` and `tube` once.
+    """Weights of the cost, per second; `final` counts once."""
 
-    Attributes:
-        errors: Of along, cross [1/m^2] and yaw [1/rad^2], Shape (3,).
-        effort: Of commands beside the nominal ones, speed and yaw rate, Shape (2,).
-        change: Of the accelerations of these, Shape (2,).
-        final: As `errors`, at the end of the trajectory, Shape (3,).
-        tube: Of leaving the tube, an exact penalty [1/m].
-        jerk: Of exceeding the jerk, likewise [s^3/m].
-    """
-
-    errors: FloatArray
-    effort: FloatArray
-    change: FloatArray
-    final: FloatArray
-    tube: float
-    jerk: float
+    errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
+    effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
+    change: FloatArray  # rates of these deviations, Shape (2,)
+    final: FloatArray  # errors at the end of the trajectory, Shape (3,)
 
 
 class CommandBounds(NamedTuple):
-    """Lower and upper bounds of n commands, Shape (2, n) each; infinite where nothing limits them.
+    """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit."""
 
-    Attributes:
-        speed: [m/s].
-        yaw_rate: [rad/s].
-        acceleration: Between the speeds, the first from the last command [m/s^2].
-        yaw_acceleration: Between the yaw rates [rad/s^2].
-        jerk: Largest change of the accelerations, a number [m/s^3].
-        wheel_speed: Of the rims, a number [m/s].
-        half_track: Half the distance of the wheels, a number [m].
-        lateral: Of speed times yaw rate, linear about `about` [m/s^2].
-        about: Commands, Shape (n, 2).
-        curvature: Of a drive that cannot turn as it likes; None for one that can [1/m].
-        curvature_rate: How fast it may change between the commands, a number [1/(m s)].
-        gear: Sign of the speeds of such a drive, Shape (n,); 0 while it is unknown, and the drive is to keep straight.
-    """
-
-    speed: FloatArray
-    yaw_rate: FloatArray
-    acceleration: FloatArray
-    yaw_acceleration: FloatArray
-    jerk: float
-    wheel_speed: float
-    half_track: float
-    lateral: FloatArray
-    about: FloatArray
-    curvature: FloatArray | None
-    curvature_rate: float
-    gear: FloatArray
+    limits: MotionLimits  # limits of the robot, for those that are the same at all steps
+    speed: FloatArray  # [m/s]
+    acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
+    lateral: FloatArray  # of speed times yaw rate, linearized about `about` [m/s^2]
+    about: FloatArray  # commands, Shape (n, 2)
+    curvature: FloatArray | None  # of steered wheels [1/m]; None for a differential drive
+    gear: FloatArray  # sign of the speeds of steered wheels, Shape (n,); 0 while unknown: the robot keeps straight
 
 
 class MpcCycle(NamedTuple):
-    """What a cycle is about.
+    """Data of one cycle."""
 
-    Attributes:
-        prediction: Errors as a function of the commands.
-        nominal: Commands that keep the robot on the reference; the first row is the one of the last cycle.
-            Shape (n + 1, 2).
-        cost_to_go: After the last step, Shape (3, 3).
-        h: Length of each step, Shape (n,) [s].
-        elapsed: Time since the last command [s].
-        bounds: Of the commands.
-        last: Command of the last cycle, Shape (2,).
-        last_acceleration: How fast its speed was changing [m/s^2].
-        tube: Half width [m] and yaw error [rad] of the tube; None: nothing bounds the errors.
-    """
-
-    prediction: Prediction
-    nominal: FloatArray
-    cost_to_go: FloatArray
-    h: FloatArray
-    elapsed: float
-    bounds: CommandBounds
-    last: FloatArray
-    last_acceleration: float
-    tube: tuple[float, float] | None
+    prediction: Prediction  # errors as a function of the commands
+    nominal: FloatArray  # commands that keep to the reference, the first row of the last cycle, Shape (n + 1, 2)
+    cost_to_go: FloatArray  # after the last step, Shape (3, 3)
+    h: FloatArray  # length of each step, Shape (n,) [s]
+    elapsed: float  # time since the last command [s]
+    bounds: CommandBounds  # bounds of the commands
+    last: FloatArray  # command of the last cycle, Shape (2,)
+    last_acceleration: float  # change of its speed [m/s^2]
+    tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without one
 
 
 class Solution(NamedTuple):
-    """The commands, Shape (n, 2); how far the tube is left at most [m], how far the next jerk is too much [m/s^3]."""
+    """The commands, Shape (n, 2), the largest excess of the tube [m], and that of the next jerk [m/s^3]."""
 
     commands: FloatArray
     outside: float
@@ -246,9 +181,9 @@ class TrackingProgram:
 
     Args:
         steps: Number of steps n.
-        weights: Of the cost.
+        weights: Weights of the cost.
         ackermann: Whether the curvature of the commands is bounded.
-        in_tube: Whether the errors are.
+        in_tube: Whether the errors are bounded by a tube.
     """
 
     def __init__(self, steps: int, weights: MpcWeights, *, ackermann: bool, in_tube: bool) -> None:
@@ -261,22 +196,22 @@ class TrackingProgram:
         self._curvature, self._curvature_changes, self._tube = blocks[5:]
         self._program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
         self._program.lbx[-2:] = 0.0
-        self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP wants a curved cost
-        self._program.g[-2:] = weights.tube, weights.jerk
+        self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP requires a positive definite cost
+        self._program.g[-2:] = _EXACT
         self._h: FloatArray = np.zeros(steps)
         self._spans = self._jerk_spans = self._h
         self._changes = np.zeros((steps, steps))
         self._effort = np.zeros((2 * steps, 2 * steps))
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
-        """The best commands, or None where there are none, or they take too many iterations."""
+        """Return the optimal commands; None if there are none within the iterations."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
         self._fill_bounds(cycle)
         if cycle.tube is not None:
             self._fill_tube(cycle.prediction, cycle.tube)
-        # The next command is to keep the jerk limit; on a coarse grid those that come after it may need a little more.
+        # The next command must keep the jerk limit; later ones, on a coarse grid, may exceed it a little.
         next_command = [self._jerks.start, self._jerks.start + self._steps]
         self._program.a[next_command, -1] = 0.0
         found, exceeded = self._program.solve(), 0.0
@@ -289,11 +224,10 @@ class TrackingProgram:
         return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
 
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
-        """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
+        """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
-        A command is the mean over its step, so two of them lie half of both steps apart. The difference of two means is
-        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of
-        these, so whatever keeps the limit in continuous time keeps it here.
+        A command is the mean over its step, so two of them are half of both steps apart. Their difference is the mean
+        of the acceleration over a triangle around the border; the jerk counts between the centroids of these triangles.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
@@ -322,31 +256,31 @@ class TrackingProgram:
         program.h[:-2, :-2] = heavy.reshape(3 * n, 2 * n).T @ flat + end @ by[-1] + self._effort
         nominal = cycle.nominal[1:].ravel()
         gradient = heavy.reshape(3 * n, 2 * n).T @ errors.ravel() + end @ errors[-1] - self._effort @ nominal
-        # The first change is from the last command: of it only what lies beside its own nominal one counts.
-        beside = cycle.last - cycle.nominal[0]
-        gradient[:2] -= weights.change / self._spans[0] * beside
+        # The first change starts at the deviation of the last command from its nominal one.
+        gradient[:2] -= weights.change / self._spans[0] * (cycle.last - cycle.nominal[0])
         program.g[:-2] = gradient
 
     def _fill_bounds(self, cycle: MpcCycle) -> None:
-        program, bounds, last = self._program, cycle.bounds, cycle.last
+        program, bounds, last, limits = self._program, cycle.bounds, cycle.last, cycle.bounds.limits
         lower, upper, a = program.lba, program.uba, program.a
-        for box, speed, yaw_rate in zip((program.lbx, program.ubx), bounds.speed, bounds.yaw_rate, strict=True):
-            box[0:-2:2], box[1:-2:2] = speed, yaw_rate
-        changes = (self._speed_changes, bounds.acceleration), (self._yaw_rate_changes, bounds.yaw_acceleration)
-        for i, (rows, between) in enumerate(changes):
-            lower[rows], upper[rows] = between
+        program.lbx[0:-2:2], program.ubx[0:-2:2] = bounds.speed
+        program.lbx[1:-2:2], program.ubx[1:-2:2] = -limits.max_yaw_rate, limits.max_yaw_rate
+        lower[self._speed_changes], upper[self._speed_changes] = bounds.acceleration
+        most = limits.max_yaw_acceleration
+        lower[self._yaw_rate_changes], upper[self._yaw_rate_changes] = -most, most
+        for i, rows in enumerate((self._speed_changes, self._yaw_rate_changes)):
             lower[rows.start] += last[i] / self._spans[0]
             upper[rows.start] += last[i] / self._spans[0]
         # jerk = (second differences of u) with the last command and its acceleration before the first
         known = np.zeros(self._steps)
         known[0] = -(last[0] / self._spans[0] + cycle.last_acceleration) / self._jerk_spans[0]
         known[1] = last[0] / self._spans[0] / self._jerk_spans[1]
-        upper[self._jerks] = bounds.jerk - np.concatenate((known, -known))
+        upper[self._jerks] = limits.max_jerk - np.concatenate((known, -known))
         at = np.arange(self._steps)
         for half, sign in ((0, 1.0), (1, -1.0)):
             row = self._wheels.start + half * self._steps + at
-            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * bounds.half_track
-            lower[row], upper[row] = -bounds.wheel_speed, bounds.wheel_speed
+            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * 0.5 * limits.track_width
+            lower[row], upper[row] = -limits.max_wheel_speed, limits.max_wheel_speed
         row, (v, w) = self._lateral.start + at, bounds.about.T
         a[row, 2 * at], a[row, 2 * at + 1] = w, v
         lower[row], upper[row] = bounds.lateral + v * w
@@ -359,11 +293,11 @@ class TrackingProgram:
                 a[row, 2 * at + 1] = sign * np.where(steering, bounds.gear, 1.0)
                 upper[row] = np.where(steering, 0.0, slow)
             self._fill_curvature_changes(cycle.nominal[1:], bounds)
-        for values in (lower, upper, program.lbx, program.ubx):  # as np.clip, which takes several times as long
+        for values in (lower, upper, program.lbx, program.ubx):  # several times as fast as np.clip
             np.minimum(np.maximum(values, -UNBOUNDED, out=values), UNBOUNDED, out=values)
 
     def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
-        """Curvatures w / v, linear about the nominal commands, from each to the next where both are in motion."""
+        """Bound the change of the curvature w / v between commands in motion, linearized about the nominal ones."""
         program, (v, w) = self._program, nominal.T
         moving = np.abs(v) > _IN_MOTION
         speed = np.where(moving, v, 1.0)
@@ -377,17 +311,19 @@ class TrackingProgram:
         row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
         for k, sign in ((both + 1, 1.0), (both, -1.0)):
             program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
-        most = np.minimum(bounds.curvature_rate * self._spans[both + 1], UNBOUNDED)
+        base = bounds.limits.wheelbase
+        fastest = bounds.limits.max_steering_rate / base if base > 0.0 else np.inf  # change of the curvature [1/(m s)]
+        most = np.minimum(fastest * self._spans[both + 1], UNBOUNDED)
         program.lba[row], program.uba[row] = -most - change, most - change
 
     def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:
-        """Cross and yaw errors after every step, both ways, each with the slack."""
+        """Bound cross and yaw errors after every step in both directions, with the slack."""
         program, n = self._program, self._steps
         for i, width in enumerate(tube):
             by, errors = prediction.by_commands[:, 1 + i, :], prediction.errors[:, 1 + i]
             for half, sign in ((0, 1.0), (1, -1.0)):
                 first = self._tube.start + (2 * i + half) * n
                 program.a[first : first + n, :-2] = sign * by
-                # A yaw error of the tube's width counts as much as a cross error of its.
+                # The slack scales the widths of cross and yaw error alike.
                 program.a[first : first + n, -2] = -width / tube[0]
                 program.uba[first : first + n] = width - sign * errors

@@ -1,15 +1,15 @@
-"""The interior point: a banded primal-dual method for the reference program, on plain arrays.
+"""Interior point method: a banded primal-dual method for the reference program, on plain arrays.
 
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
     subject to A c <= 1,   B c <= f / sqrt(c_{m+1}),   two coefficients given at each end,
 
-with f = sqrt(c) over a speed in the cell, held fixed after some iterations: B holds what is limited times the speed, as
-the jerk is, |x''| v / 2.
+with f = sqrt(c) over a speed in the cell, held fixed after some iterations: B holds limits on a product with the speed,
+such as the jerk |x''| v / 2.
 
 Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
-steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the rows B is convex in c; linearized
-it is an inner approximation, as in the convex-concave procedure [Lipp2016]. Newton drops its curvature. The method is
-that of [Wright1997] with slacks, S + G = 0, S Z = mu, and separate steps for both.
+steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the rows B is convex in c; its
+linearization is an inner approximation, as in the convex-concave procedure [Lipp2016], without its curvature. The
+method is that of [Wright1997] with slacks, S + G = 0, S Z = mu, and separate primal and dual steps.
 """
 
 from __future__ import annotations
@@ -23,76 +23,74 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.timing.timing_settings import InteriorPoint
 
 __all__ = ["Program", "applied", "load_lapack", "solve"]
 
-_LEAST_SHARE = 1e-6  # of the cell's own coefficient: v^2 at a place counts as no less, f stays below a thousand
+_LEAST_SHARE = 1e-6  # of the cell's coefficient: lower bound of v^2 at a place, so that f stays below a thousand
+_MOST_ITERATIONS = 40  # then the last iterate is used; any iterate is a motion
+_GAP = 1e-2  # of duality, relative to the objective; the margins of the reference are larger
+_RESIDUAL = 6e-3  # of every bound, relative
+_FREEZE = 8  # iterations after which f stays fixed: updating f further converges only linearly
+_TO_BOUNDARY = 0.99  # of the way to the next bound that a step takes
+_LARGEST_DECREASE = 0.9  # of a coefficient in one step
+_SMALLEST_SLACK = 0.2  # at the start: rows violated by the first iterate must not start on their bound
+_FIRST_GAP = 0.2  # times the objective
+# The next target gap is a share of the present one, by the length of the step.
+_CENTERING, _SHORT_CENTERING = ((0.85, 0.08), (0.4, 0.25)), 0.6
 
 
 def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
-    """Stencils on three neighbouring coefficients, Shape (3, ..., M), times coefficients, Shape (M + 2,)."""
+    """Return stencils on three neighbouring coefficients, Shape (3, ..., M), times coefficients, Shape (M + 2,)."""
     total: FloatArray = stencil[0] * c[:-2] + stencil[1] * c[1:-1] + stencil[2] * c[2:]
     return total
 
 
 class Program(NamedTuple):
-    """The program: M cells, M + 2 coefficients of which two are given at each end.
+    """The program: M cells, M + 2 coefficients of which two are given at each end."""
 
-    Attributes:
-        steps: Lengths of the cells h, Shape (M,) [m].
-        rows: Linear constraints A c <= 1 as stencils, Shape (3, rows, M).
-        with_speed: Constraints B c v <= 1 as stencils, Shape (3, rows, M). In the first two v is the largest speed in
-            the cell.
-        places: v^2 of the others as stencils, Shape (3, rows - 2, M).
-        right_share: Weight of c_{i+1} in the value at knot i, Shape (M + 1,).
-        quadratic: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
-    """
-
-    steps: FloatArray
-    rows: FloatArray
-    with_speed: FloatArray
-    places: FloatArray
-    right_share: FloatArray
-    quadratic: FloatArray
+    steps: FloatArray  # lengths of the cells h, Shape (M,) [m]
+    rows: FloatArray  # linear constraints A c <= 1 as stencils, Shape (3, rows, M)
+    with_speed: FloatArray  # b c v <= 1 as stencils, Shape (3, rows, M); first two: v the largest speed in the cell
+    places: FloatArray  # v^2 of the others as stencils, Shape (3, rows - 2, M)
+    right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
+    quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2), LAPACK's storage
 
 
-def solve(program: Program, c: FloatArray, settings: InteriorPoint, look: Callable[[], None]) -> tuple[FloatArray, int]:
-    """Coefficients that nearly minimize the program, and the number of iterations.
+def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:
+    """Return coefficients that nearly minimize the program, and the number of iterations.
 
     Args:
-        program: What to minimize.
+        program: The program.
         c: First iterate, positive inside, exact in the two coefficients at each end, Shape (M + 2,).
-        settings: When to stop, and how to step.
         look: Called in every iteration; it may raise.
     """
     iterate = _Iterate(program, c)
-    slack = np.maximum(-iterate.value, settings.smallest_slack)
-    mu = settings.first_gap * iterate.objective / slack.size
+    slack = np.maximum(-iterate.value, _SMALLEST_SLACK)
+    mu = _FIRST_GAP * iterate.objective / slack.size
     dual = mu / slack
     iteration = 0
-    for iteration in range(1, settings.most_iterations + 1):
+    for iteration in range(1, _MOST_ITERATIONS + 1):
         look()
         primal = iterate.value + slack
         weight = dual / slack
         change = iterate.newton_change(weight, mu / slack + weight * primal)
         if not np.isfinite(change).all():
-            break  # no spline keeps the limits; the last one is still a motion
+            break  # no spline keeps the limits; the last iterate is still a motion
         slack_change = -primal - applied(iterate.stencil, change)
         dual_change = mu / slack - dual - weight * slack_change
         step = min(
-            _fraction_to_boundary(slack, slack_change, settings.to_boundary),
-            _fraction_to_boundary(c[1:-1], change[1:-1], settings.largest_decrease),
+            _fraction_to_boundary(slack, slack_change, _TO_BOUNDARY),
+            _fraction_to_boundary(c[1:-1], change[1:-1], _LARGEST_DECREASE),
         )
-        dual_step = _fraction_to_boundary(dual, dual_change, settings.to_boundary)
+        dual_step = _fraction_to_boundary(dual, dual_change, _TO_BOUNDARY)
         c, slack, dual = c + step * change, slack + step * slack_change, dual + dual_step * dual_change
-        iterate.move_to(c, frozen=iteration > settings.freeze)
+        iterate.move_to(c, frozen=iteration > _FREEZE)
         gap = float(np.vdot(slack, dual))
         residual = float(np.abs(iterate.value + slack).max())
-        if gap < settings.gap * iterate.objective and residual < settings.residual:
+        if gap < _GAP * iterate.objective and residual < _RESIDUAL:
             break
         shorter = min(step, dual_step)
-        share = next((share for longer, share in settings.centering if shorter > longer), settings.short_centering)
+        share = next((share for longer, share in _CENTERING if shorter > longer), _SHORT_CENTERING)
         mu = share * gap / slack.size
     return c, iteration
 
@@ -111,7 +109,7 @@ class _Iterate:
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
         """Evaluate everything at `c`; `frozen` keeps f as it is. Rows B are in units of 1 / sqrt(c)."""
         program, linear = self.program, self.linear
-        if not frozen:  # f: sqrt(c) over the speed that counts in each cell
+        if not frozen:  # f: sqrt(c) over the speed of each row in the cell
             knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
             largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
             self.share: FloatArray = np.sqrt(c[1:-1] / largest)
@@ -132,7 +130,7 @@ class _Iterate:
         return float(np.dot(self.program.steps, 1.0 / self.root))
 
     def newton_change(self, weight: FloatArray, target: FloatArray) -> FloatArray:
-        """Solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
+        """Return the solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
 
         Args:
             weight: The diagonal of W, Shape (all rows, M).
@@ -149,8 +147,9 @@ class _Iterate:
         band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
         band[1, 2:] += normal[5, 2:-2]
         force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-        force -= _lapack().product(3, 1.0, quadratic, self.c)[2:-2]
-        _factor, solution, info = _lapack().solve(band, force)
+        band_solve, band_product = _lapack()
+        force -= band_product(3, 1.0, quadratic, self.c)[2:-2]
+        _factor, solution, info = band_solve(band, force)
         change = np.zeros(self.program.steps.size + 2)
         if info == 0:
             change[2:-2] = solution
@@ -158,21 +157,14 @@ class _Iterate:
 
 
 def _products(stencil: FloatArray) -> FloatArray:
-    """Products of the stencil's columns 00, 11, 22, 01, 12, 02; Shape (6, rows, M)."""
+    """Return the products of the stencil's columns 00, 11, 22, 01, 12, 02; Shape (6, rows, M)."""
     return stencil[[0, 1, 2, 0, 1, 0]] * stencil[[0, 1, 2, 1, 2, 2]]
 
 
 def _fraction_to_boundary(values: FloatArray, change: FloatArray, share: float) -> float:
-    """The longest step, at most 1, along which no value loses more than `share` of itself."""
+    """Return the longest step, at most 1, along which no value decreases by more than `share` of itself."""
     worst = float((change / values).min())
     return min(1.0, -share / worst) if worst < 0.0 else 1.0
-
-
-class _Lapack(NamedTuple):
-    """Solver of a banded positive definite system, and product of a banded symmetric matrix with a vector."""
-
-    solve: Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
-    product: Callable[[int, float, FloatArray, FloatArray], FloatArray]
 
 
 def load_lapack() -> None:
@@ -181,8 +173,9 @@ def load_lapack() -> None:
 
 
 @cache
-def _lapack() -> _Lapack:
+def _lapack() -> tuple[Callable[..., tuple[object, FloatArray, int]], Callable[..., FloatArray]]:
+    """Return the solver of a banded positive definite system, and the product of a banded symmetric matrix."""
     from scipy.linalg.blas import dsbmv
     from scipy.linalg.lapack import dpbsv
 
-    return _Lapack(dpbsv, dsbmv)
+    return dpbsv, dsbmv

@@ -1,4 +1,4 @@
-"""Motions: phases of constant jerk, light enough for inner loops. `optdock.model.trajectory` has the formula."""
+"""Motions as phases of constant jerk, light enough for inner loops; the formulas are in `optdock.model.trajectory`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.model.trajectory import border_states, constant_jerk
-from optdock.timing.timing_settings import SAMPLING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -15,6 +14,8 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["DriveBounds", "Motion", "MotionState", "Phases", "braking_slack", "duration_of", "state_after", "stretched"]
+
+_MOST_SAMPLES = 40_000  # of one motion, 320 kB a column: longer motions are sampled more coarsely
 
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
@@ -38,17 +39,17 @@ class DriveBounds(NamedTuple):
 
 
 def state_after(state: MotionState, duration: float, jerk: float) -> MotionState:
-    """The state after one phase."""
+    """Return the state after one phase."""
     return MotionState(*constant_jerk(duration, *state, jerk))
 
 
 def duration_of(phases: Phases) -> float:
-    """Total time [s]."""
+    """Return the total time [s]."""
     return sum(duration for duration, _jerk in phases)
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
-    """The same motion from rest, slower in time by `factor`: every limit that held still holds.
+    """Return the same motion from rest, slower in time by `factor` >= 1, which keeps every limit that was kept.
 
     Speeds fall with the factor, accelerations with its square, jerk with its cube.
     """
@@ -56,28 +57,21 @@ def stretched(phases: Phases, factor: float) -> Phases:
 
 
 def braking_slack(state: MotionState, jerk: float) -> float:
-    """Speed left when the acceleration has been led back to 0 from below; < 0: it will roll backwards [m/s]."""
+    """Return the speed once a deceleration is reduced to 0 [m/s]; < 0: the robot cannot avoid rolling backwards."""
     return state.v - 0.5 * state.a * state.a / jerk if state.a < 0.0 else state.v
 
 
 class Motion(NamedTuple):
-    """A start state and phases, with the states at all phase borders.
+    """A start state and phases, with the states at all phase borders."""
 
-    Attributes:
-        durations: Shape (n,) [s].
-        jerks: Shape (n,) [m/s^3].
-        times: Borders, Shape (n + 1,) [s].
-        states: Distance, speed, acceleration at the borders, Shape (3, n + 1).
-    """
-
-    durations: FloatArray
-    jerks: FloatArray
-    times: FloatArray
-    states: FloatArray
+    durations: FloatArray  # Shape (n,) [s]
+    jerks: FloatArray  # Shape (n,) [m/s^3]
+    times: FloatArray  # borders, Shape (n + 1,) [s]
+    states: FloatArray  # distance, speed, acceleration at the borders, Shape (3, n + 1)
 
     @classmethod
     def of(cls, start: MotionState, phases: Iterable[tuple[float, float]]) -> Motion:
-        """From a start state and phases; phases of no duration are left out."""
+        """Return the motion from a start state; phases of no duration are left out."""
         table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
         durations, jerks = table[:, 0], table[:, 1]
         times = np.concatenate(([0.0], np.cumsum(durations)))
@@ -89,6 +83,11 @@ class Motion(NamedTuple):
         return MotionState(*(float(value) for value in self.states[:, 0]))
 
     @property
+    def end(self) -> MotionState:
+        """The state at the end."""
+        return MotionState(*(float(value) for value in self.states[:, -1]))
+
+    @property
     def phases(self) -> Phases:
         """Durations and jerks."""
         return tuple(zip(self.durations.tolist(), self.jerks.tolist(), strict=True))
@@ -98,26 +97,21 @@ class Motion(NamedTuple):
         """Total time [s]."""
         return float(self.times[-1])
 
-    @property
-    def end(self) -> MotionState:
-        """The state at the end."""
-        return MotionState(*(float(value) for value in self.states[:, -1]))
-
     def at(self, t: FloatArray) -> FloatArray:
-        """Distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
-        if not self.durations.size:  # an acceleration whose square is NaN, but not 0, is not a motion
+        """Return distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
+        if not self.durations.size:  # of an acceleration so small that its square is 0
             return np.repeat(self.states, t.size, axis=1)
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]
         return np.stack(constant_jerk(t - self.times[phase], s, v, a, self.jerks[phase]))
 
     def sample_times(self, period: float) -> FloatArray:
-        """All phase borders, and times at most `period` [s] apart; further where those were too many."""
-        count = int(min(self.duration / period, SAMPLING.most_samples)) + 1
+        """Return all phase borders, and times at most `period` [s] apart; further apart in very long motions."""
+        count = int(min(self.duration / period, _MOST_SAMPLES)) + 1
         return np.union1d(self.times, np.minimum(np.arange(count) * max(period, self.duration / count), self.duration))
 
     def crossing_times(self, s: FloatArray) -> FloatArray:
-        """When each distance `s`, Shape (n,) [m], is reached first; speeds must not be negative. Shape (n,) [s].
+        """Return the times at which the distances `s`, Shape (n,) [m], are reached; speeds >= 0. Shape (n,) [s].
 
         Linear interpolation on a 10 ms grid, then two Newton steps.
         """
@@ -130,7 +124,7 @@ class Motion(NamedTuple):
         return t
 
     def cut(self, t: float) -> tuple[Phases, MotionState]:
-        """The phases before time `t` [s], and the state then."""
+        """Return the phases before time `t` [s], and the state then."""
         kept: list[tuple[float, float]] = []
         state, left = self.start, t
         for duration, jerk in self.phases:

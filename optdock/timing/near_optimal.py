@@ -1,133 +1,135 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Its plans of one segment (`near_optimal_plans`), each made only when the one before was refused:
+Plans of one segment (`near_optimal_plans`), each made only when the one before was refused:
 
-1. One ruckig move over the whole segment, where that is all it takes; slower ones on a tiny segment.
-2. The reference and the moves along it, as they are.
-3. From rest, the same stretched in time by a little: exact, always possible.
-4. 2 and 3 again with the bad stretches tightened, at most twice.
-5. From rest, the best of them stretched as far as it takes; the windowed method, before that where it is quicker.
+1. One ruckig move over the whole segment, where that is enough; slower ones on a tiny segment.
+2. The reference and the moves along it.
+3. From rest, the same slightly stretched in time: exact, and always possible.
+4. 2 and 3 again with reduced speeds where limits were violated, at most twice.
+5. From rest, the best of them stretched until it keeps every limit; the windowed method, before that if it is faster.
 
-For a moving start whose plans are all refused `retry_strategy` stops and goes; the proof that decides is there, too.
+For a moving start whose plans are all refused `retry_strategy` stops and goes; the final proof is there, too.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import Field
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
-from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
+from optdock.plugins.interfaces import TimingStatus
 from optdock.plugins.parameters import PluginParameters
 from optdock.timing.interior_point import load_lapack
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, duration_of, stretched
-from optdock.timing.path_limits import KEPT, ReferenceBounds, Tightening, Worst, worst_ratio
-from optdock.timing.plan_checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
+from optdock.timing.path_limits import CHECK_MARGIN, KNOT_STEP, SPEED_MARGIN, ReferenceBounds, Tightening
+from optdock.timing.plan_checks import (
+    KEPT,
+    SegmentPlan,
+    Worst,
+    arrived_plan,
+    checked_plan,
+    judged_plan,
+    refined_times,
+    worst_ratio,
+)
 from optdock.timing.reference_program import solve_reference, spline_phases
-from optdock.timing.retry_strategy import TimingStart, time_path
-from optdock.timing.ruckig_moves import Move, load_ruckig, move, split_into_moves
+from optdock.timing.retry_strategy import SegmentTimeParameterizer
+from optdock.timing.ruckig_moves import Move, move, split_into_moves
 from optdock.timing.start_states import Braking
-from optdock.timing.timing_settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-    from optdock.model.limits import MotionLimits, SpeedZone
-    from optdock.model.path import Path
-    from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.retry_strategy import Deadlines
 
-__all__ = ["NearOptimal", "ReferenceMotion", "near_optimal_plans", "reference_motion"]
+__all__ = ["NearOptimal", "NearOptimalParameters", "ReferenceMotion", "near_optimal_plans", "reference_motion"]
+
+_SINGLE_MOVE_BELOW = 1.0  # [m]: longer segments are not tried with one move
+_TINY = 0.08  # [m]: segments too short for a reference, tried with slower single moves
+_SLOWER_MOVES = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))  # shares of the speed and of the drive
+_SINGLE_MOVE_SPARE = 1.0005  # additional stretch of these, as the check samples
+_LONGEST_REFERENCE = 150.0  # [s]: the knots grow with the duration, the gain over windows does not
+_MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
+_RELIEF = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
+_TIGHT_YAW = 0.95  # share of a turning limit: a start beyond it has no margins until it is below
+_STRETCH_AT_ONCE = 1.012  # up to this factor stretching time is better than another attempt
+_STRETCH_AT_LAST = 1.1  # beyond this factor the windowed method may be better
+_RETRIES = 2  # with reduced speeds
+_LONGEST_RETRIED = 60.0  # [s]: longer motions take 0.3 s and more for every attempt
+_AROUND, _MORE = 0.06, 0.006  # [m] around a violation, and beyond the excess: reduction of the speeds
+_LEAST_FACTOR = 0.3  # on the speeds
 
 
 class NearOptimalParameters(PluginParameters):
     """Parameters of `NearOptimal`."""
 
-    step: float = Field(default=NEAR_OPTIMAL.step, gt=0.01, le=0.5, description="knot spacing of the reference [s]")
-    smooth: bool = Field(
-        default=NEAR_OPTIMAL.smooth, description="jerk that hardly changes between knots, instead of +-max_jerk"
-    )
+    step: float = Field(default=KNOT_STEP, gt=0.01, le=0.5, description="knot spacing of the reference [s]")
+    smooth: bool = Field(default=False, description="jerk that hardly changes between knots, instead of +-max_jerk")
 
 
-class NearOptimal(TimeParameterizer):
+class NearOptimal(SegmentTimeParameterizer):
     """Time laws within about 1 % of the jerk-limited optimum, in a few milliseconds."""
 
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters
 
     def on_configure(self) -> None:
-        """Import what the first call would import.
+        """Import the libraries of the first call.
 
         Raises:
-            PluginError: The package ruckig is not installed.
+            PluginError: If the package ruckig is not installed.
         """
-        load_ruckig()
+        super().on_configure()
         load_lapack()
 
-    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
-        self,
-        path: Path,
-        limits: MotionLimits,
-        zone: SpeedZone,
-        *,
-        start_speed: float = 0.0,
-        start_acceleration: float = 0.0,
-        start_wait: float = 0.0,
-        max_time: float = math.inf,
-        cancel_checker: Callable[[], bool] = never_cancelled,
-    ) -> TimingResult:
-        """See `TimeParameterizer.parameterize`.
-
-        Raises:
-            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
-            PluginError: The package ruckig is not installed.
-            TimingCancelled: `cancel_checker` returned True.
-        """
-        deadline = Deadline(max_time, stop=cancel_checker)
-        start = TimingStart(start_speed, start_acceleration, start_wait)
-        return time_path(path, limits, zone, start, self._plans, deadline)
-
-    def _plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
-        chosen = self.parameters
-        settings = replace(NEAR_OPTIMAL, step=chosen.step, smooth=chosen.smooth)
-        return near_optimal_plans(limits, start, deadlines, settings)
+    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+        """Yield plans of one segment; see `near_optimal_plans`."""
+        return near_optimal_plans(limits, start, deadlines, self.parameters.step, smooth=self.parameters.smooth)
 
 
 def near_optimal_plans(
-    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: NearOptimalSettings = NEAR_OPTIMAL
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
 ) -> Iterator[SegmentPlan]:
-    """Plans of one segment from a state from which the speed caps can be kept: every method, in order.
+    """Yield plans of one segment from a state from which the speed caps can be kept, by every method in order.
 
-    A plan is made only when the one before was refused. The windowed method's may be FAIL.
+    A plan is made only when the one before was refused. The plan of the windowed method may be FAIL.
+
+    Args:
+        limits: Limits along the segment.
+        start: State at its start.
+        deadlines: Wall-clock time.
+        step: Knot spacing of the reference [s].
+        smooth: Whether the reference itself is the motion.
 
     Raises:
-        OutOfTime: Time is up and no method is left that would need none.
+        OutOfTime: If time is up and the remaining methods need time.
     """
     tried: list[_Tried] = []
-    longest = min(settings.strategy.longest_reference, settings.strategy.most_knots * settings.step)
+    longest = min(_LONGEST_REFERENCE, _MOST_KNOTS * step)
     if limits.duration_estimate <= longest:
         try:
-            if not settings.smooth:
-                yield from _single_moves(limits, start, settings)
-            yield from _references(limits, start, deadlines.search, settings, tried)
+            if not smooth:
+                yield from _single_moves(limits, start)
+            relief = 0.0
+            if start.v > 0.0 or start.a > 0.0:
+                relief = Braking(limits, start).tight_length(_RELIEF * SPEED_MARGIN, _TIGHT_YAW)
+            yield from _references(limits, start, deadlines.search, (step, smooth, relief), tried)
         except OutOfTime:
             pass
-    yield from _last_resort(limits, start, deadlines, settings, tried)
+    yield from _last_resort(limits, start, deadlines, tried)
 
 
 def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
     return (plan,) if plan.status is TimingStatus.OK else ()
 
 
-def _single_moves(limits: PathLimits, start: MotionState, settings: NearOptimalSettings) -> Iterator[SegmentPlan]:
-    """One move over a short segment; on a tiny one the shortest of some, stretched until it keeps every limit."""
-    strategy = settings.strategy
-    if limits.length >= strategy.single_move_below:
+def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPlan]:
+    """Yield one move over a short segment; on a tiny one the shortest of several, stretched to keep every limit."""
+    if limits.length >= _SINGLE_MOVE_BELOW:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
     end = MotionState(limits.length)
@@ -136,35 +138,30 @@ def _single_moves(limits: PathLimits, start: MotionState, settings: NearOptimalS
     if plan is not None and plan.status is TimingStatus.OK:
         yield plan
         return
-    if limits.length >= strategy.tiny or start != MotionState():
+    if limits.length >= _TINY or start != MotionState():
         return
     shares = (
         DriveBounds(speed * full.speed, drive * full.acceleration, drive * full.deceleration, full.jerk)
-        for speed, drive in strategy.slower_moves
+        for speed, drive in _SLOWER_MOVES
     )
     moves = [phases for share in shares if (phases := move(start, end, share))]
     worst = [worst_ratio(limits, Motion.of(start, phases)) for phases in moves]
     slowed = [
-        stretched(phases, max(one.path * strategy.single_move_spare, one.drive))
+        stretched(phases, max(one.path * _SINGLE_MOVE_SPARE, one.drive))
         for phases, one in zip(moves, worst, strict=True)
     ]
     yield from _if_ok(checked_plan(limits, start, min(slowed, key=duration_of, default=()), "one move, stretched"))
 
 
 class ReferenceMotion(NamedTuple):
-    """A motion over a segment along a reference.
+    """A motion over a segment along a reference."""
 
-    Args:
-        phases: The motion.
-        moves: It is made of; none where the reference itself is the motion.
-    """
-
-    phases: Phases
-    moves: tuple[Move, ...] = ()
+    phases: Phases  # the motion
+    moves: tuple[Move, ...] = ()  # its moves; empty if the reference itself is the motion
 
     @property
     def bad(self) -> tuple[Move, ...]:
-        """Moves that break a limit."""
+        """Moves that violate a limit."""
         return tuple(one for one in self.moves if one.excess > 1.0)
 
     @property
@@ -176,15 +173,15 @@ class ReferenceMotion(NamedTuple):
 def reference_motion(
     bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> ReferenceMotion | None:
-    """The motion under `bounds` from `start` along a reference; None where there is no reference.
+    """Return the motion under `bounds` from `start` along a reference; None without a reference.
 
     Raises:
-        OutOfTime: The deadline passed.
+        OutOfTime: If the deadline passed.
     """
     reference = solve_reference(bounds, start, deadline)
     if reference is None:
         return None
-    if bounds.settings.smooth:
+    if bounds.smooth:
         cells = spline_phases(reference.s, reference.v, reference.a)
         return ReferenceMotion(reference.launch.phases + cells + reference.stop.phases)
     moves = split_into_moves(reference, bounds, start, deadline)
@@ -192,24 +189,20 @@ def reference_motion(
 
 
 class _Tried(NamedTuple):
-    """A reference's motion that was refused, and what is wrong with it."""
+    """A refused motion along a reference, and its worst violation."""
 
     motion: ReferenceMotion
     worst: Worst
 
 
 def _references(
-    limits: PathLimits, start: MotionState, deadline: Deadline, settings: NearOptimalSettings, tried: list[_Tried]
+    limits: PathLimits, start: MotionState, deadline: Deadline, options: tuple[float, bool, float], tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """References, each tighter than the last, as they are or stretched a little; `tried` gets those refused."""
-    margins, strategy = settings.margins, settings.strategy
-    moving = start.v > 0.0 or start.a > 0.0
-    slack = strategy.relief * margins.speed
-    relief = Braking(limits, start).tight_length(slack, settings.tight_yaw) if moving else 0.0
+    """Yield references, each slower than the last, as they are or slightly stretched; `tried` gets the refused ones."""
     tightenings: tuple[Tightening, ...] = ()
-    for retry in range(strategy.retries + 1 if limits.duration_estimate <= strategy.longest_retried else 1):
+    for retry in range(_RETRIES + 1 if limits.duration_estimate <= _LONGEST_RETRIED else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"
-        found = reference_motion(ReferenceBounds(limits, settings, relief, tightenings), start, deadline)
+        found = reference_motion(ReferenceBounds(limits, *options, tightenings), start, deadline)
         if found is None:
             return
         motion = Motion.of(start, found.phases)
@@ -217,50 +210,47 @@ def _references(
             yield from _if_ok(arrived_plan(limits, motion, how))
         deadline.look()
         tried.append(_Tried(found, worst_ratio(limits, motion)))
-        yield from _repaired(limits, motion, tried[-1], settings, how)
-        tightenings += _tightened(tried[-1], settings)
+        yield from _repaired(limits, motion, tried[-1], how)
+        tightenings += _tightened(tried[-1])
 
 
-def _repaired(
-    limits: PathLimits, motion: Motion, tried: _Tried, settings: NearOptimalSettings, how: str
-) -> Iterator[SegmentPlan]:
-    """Plans where the dense check is passed, or passed once time is stretched a little."""
-    worst, check, rests = tried.worst, settings.margins.check, motion.start == MotionState()
+def _repaired(limits: PathLimits, motion: Motion, tried: _Tried, how: str) -> Iterator[SegmentPlan]:
+    """Yield plans that pass the dense check, as they are or slightly stretched in time."""
+    worst, rests = tried.worst, motion.start == MotionState()
     if not tried.motion.sound:
-        if worst.ratio <= KEPT and worst.path <= 1.0 - 0.5 * check:
+        if worst.ratio <= KEPT and worst.path <= 1.0 - 0.5 * CHECK_MARGIN:
             yield from _if_ok(judged_plan(limits, motion, worst, how))
         elif not rests:
-            worst = worst_ratio(limits, motion, refined_times(limits, motion, 1.0 - check))
+            worst = worst_ratio(limits, motion, refined_times(limits, motion, 1.0 - CHECK_MARGIN))
             yield from _if_ok(judged_plan(limits, motion, worst, how))
-    if rests and tried.worst.stretch <= settings.strategy.stretch_at_once:
-        yield from _if_ok(_stretched_plan(limits, tried, settings, how))
+    if rests and tried.worst.stretch <= _STRETCH_AT_ONCE:
+        yield from _if_ok(_stretched_plan(limits, tried, how))
 
 
-def _stretched_plan(limits: PathLimits, tried: _Tried, settings: NearOptimalSettings, how: str) -> SegmentPlan:
-    factor = max(tried.worst.path + 0.5 * settings.margins.check, tried.worst.drive)
+def _stretched_plan(limits: PathLimits, tried: _Tried, how: str) -> SegmentPlan:
+    factor = max(tried.worst.path + 0.5 * CHECK_MARGIN, tried.worst.drive)
     return checked_plan(limits, MotionState(), stretched(tried.motion.phases, factor), f"{how}, stretched")
 
 
-def _tightened(tried: _Tried, settings: NearOptimalSettings) -> tuple[Tightening, ...]:
-    """Where and by how much the next reference is to be slower."""
-    strategy, worst = settings.strategy, tried.worst
+def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
+    """Return where and by how much the next reference must be slower."""
+    worst = tried.worst
     bad = [(one.left, one.right, one.excess) for one in tried.motion.bad] or [(worst.s, worst.s, worst.stretch)]
-    around, more, least = strategy.tightened_around, strategy.tightened_more, strategy.least_tightening
     return tuple(
-        Tightening(left - around, right + around, max(least, 1.0 / max(excess, 1.0) - more))
+        Tightening(left - _AROUND, right + _AROUND, max(_LEAST_FACTOR, 1.0 / max(excess, 1.0) - _MORE))
         for left, right, excess in bad
     )
 
 
 def _last_resort(
-    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: NearOptimalSettings, tried: list[_Tried]
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """The best reference stretched in time, which only a start at rest allows, and windows; the quicker one first."""
+    """Yield the best reference stretched in time, which needs a start at rest, and windows; the faster one first."""
     best = min(tried, key=lambda one: one.worst.stretch, default=None) if start == MotionState() else None
-    slow = _stretched_plan(limits, best, settings, "reference") if best is not None else None
+    slow = _stretched_plan(limits, best, "reference") if best is not None else None
     if best is None or slow is None or slow.status is not TimingStatus.OK:
         yield from windowed_plans(limits, start, deadlines)
-    elif best.worst.stretch <= settings.strategy.stretch_at_last:
+    elif best.worst.stretch <= _STRETCH_AT_LAST:
         yield slow
         yield from windowed_plans(limits, start, deadlines)
     else:

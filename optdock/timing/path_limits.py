@@ -1,4 +1,4 @@
-"""Path limits: what curvature and drive allow along one segment of a path, and how much of it a motion uses.
+"""Path limits: the bounds that curvature and drive put on the motion along one segment of a path.
 
 Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
 
@@ -6,20 +6,18 @@ Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
     |d/dt (v^n k)| <= its bound                                                           the turning limits.
 
-Turning limits bound what `turning_limits` is about; the yaw acceleration, n = 1, is one. The steering angle atan(L k),
-L the wheelbase, turns at L k' v / (1 + (L k)^2). Its cap jumps where k' does.
+`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, turns at L k' v / (1 + (L k)^2); its
+cap jumps where k' does.
 
-The *maximum velocity curve* [Bobrow1985] [Shin1985] is the least of the caps and of the speeds beyond which no motion
-at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are kept as their
-reciprocals, `slowness`: the largest of them counts, and a limit that is infinite vanishes.
-
-In order: the speed caps, the limits along a segment, the dense check of a motion, and what the reference may use.
+The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds beyond which no motion
+at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their
+reciprocals, `slowness`: the largest counts, and an infinite limit is zero.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,8 +25,7 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 from optdock.model.limits import LIMITS
 from optdock.model.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, place_before_end
-from optdock.timing.jerk_phases import DriveBounds, Motion
-from optdock.timing.timing_settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
+from optdock.timing.jerk_phases import DriveBounds
 from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
 
 if TYPE_CHECKING:
@@ -37,28 +34,40 @@ if TYPE_CHECKING:
     from optdock.model.path import Path, Segment
 
 __all__ = [
-    "KEPT",
+    "CHECK_MARGIN",
+    "KNOT_STEP",
     "NO_LENGTH",
+    "SPEED_MARGIN",
     "LimitPoints",
     "PathLimits",
-    "Ratios",
     "ReferenceBounds",
     "SpeedCaps",
     "Tightening",
-    "Worst",
     "limits_along",
-    "motion_ratios",
     "segment_limits",
-    "worst_ratio",
 ]
 
-KEPT = 1.0 + 1e-9  # rounding of a quotient that is meant to be at most 1
-NO_LENGTH = 1e-11  # [m]: the knots of a shorter segment are one
-_LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is read
+NO_LENGTH = 1e-11  # [m]: a shorter segment has none
+_CLOTHOID_SPACING = 0.005  # [m], between nodes: a clothoid is exact between them
+_POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline, whose curvature is that between its poses
+_MOST_NODES = 6000  # of one segment
+_LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is evaluated
+
+KNOT_STEP = 0.08  # [s], of the reference
+# Shares of the limits that the near-optimal method leaves unused. These constants, and those of the other modules
+# without another reason, were tuned with `python -m experiments.benchmarks timing`, for the duration over the optimum,
+# the CPU time and the paths beyond a limit.
+SPEED_MARGIN = 0.003  # of the speed caps, in the reference: room for the corners that ruckig cuts
+_YAW_MARGIN = 0.02  # of the yaw acceleration; of other turning limits in powers of the speed
+_JERK_MARGIN = 0.015
+CHECK_MARGIN = 0.001  # of the speed caps, when moves are accepted; twice that of the yaw acceleration
+_RELIEVED_SPEED, _RELIEVED_YAW = 1e-4, 1e-3  # where full braking from a moving start leaves no room for the margins
+_JUMP = 0.004  # of the yaw acceleration: the margins cover smaller jumps of v^2 * rate
+_CAP_JUMP = 0.001  # of a speed cap: the margins cover smaller jumps of the steering cap
 
 
 class LimitPoints(NamedTuple):
-    """Shape (n,) each: curvature [1/m], curvature rate [1/m^2], slowness = 1 / speed cap [s/m]."""
+    """Curvature [1/m], curvature rate [1/m^2], slowness = 1 / speed cap [s/m], Shape (n,) each."""
 
     curvature: FloatArray
     rate: FloatArray
@@ -67,23 +76,18 @@ class LimitPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedCaps:
-    """1 / speed cap as a function of curvature: the largest of the reciprocal limits, so `inf` limits vanish.
-
-    Args:
-        drive: What the drive can do.
-        direction: Gear.
-    """
+    """Speed caps as a function of curvature, as their reciprocals; `direction` is the gear."""
 
     drive: MotionLimits
     direction: Direction
 
     @property
     def max_speed(self) -> float:
-        """The direction's own speed limit [m/s]."""
+        """The speed limit of the gear [m/s]."""
         return self.drive.max_speed if self.direction > 0 else self.drive.max_reverse_speed
 
     def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
-        """Speed, yaw rate, lateral acceleration and both wheels' speeds, at |curvature| + excess. Shape (n,) [s/m].
+        """Return 1 / the cap of speed, yaw rate, lateral acceleration and wheels, at |curvature| + excess. Shape (n,).
 
         Both wheels: |v +- (b/2) v k| <= v_wheel  <=>  v (1 + b |k| / 2) <= v_wheel.
         """
@@ -97,47 +101,29 @@ class SpeedCaps:
 
     @property
     def steering(self) -> bool:
-        """Whether the wheels take time to turn, so that the curvature rate caps the speed."""
+        """Whether the steering rate is limited, so that the curvature rate caps the speed."""
         return math.isfinite(self.drive.max_steering_rate)
 
     def steering_slowness(self, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-        """Of the steering rate, at curvatures and their rates. Shape (n,) [s/m]."""
+        """Return 1 / the cap of the steering rate, at curvatures and their rates. Shape (n,) [s/m]."""
         return self.drive.steering_per_metre(curvature, rate) / self.drive.max_steering_rate
 
-    def tightest(self, bend: float, rate: float) -> tuple[str, str]:
-        """The limit that decides: its name in `MotionLimits`, and that with its value.
-
-        Args:
-            bend: |curvature| [1/m].
-            rate: Curvature rate [1/m^2].
-        """
+    def tightest(self, bend: float, rate: float) -> str:
+        """Return the name of the lowest cap, at a |curvature| [1/m] and a curvature rate [1/m^2]."""
         drive = self.drive
-        speed = "max_speed" if self.direction > 0 else "max_reverse_speed"
         table = (
-            (1.0 / self.max_speed, speed),
+            (1.0 / self.max_speed, "max_speed" if self.direction > 0 else "max_reverse_speed"),
             (bend / drive.max_yaw_rate, "max_yaw_rate"),
             (math.sqrt(bend / drive.max_lateral_acceleration), "max_lateral_acceleration"),
             ((1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed, "max_wheel_speed"),
             (float(self.steering_slowness(np.array(bend), np.array(rate))), "max_steering_rate"),
         )
-        _slowness, name = max(table)
-        return name, f"{name} = {getattr(drive, name):.4g} {LIMITS[name].unit}"
+        return max(table)[1]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class PathLimits:
-    """Curvature over one segment: continuous and linear between nodes; its rate linear in a cell, jumping at nodes.
-
-    Args:
-        s: Nodes, Shape (n,) [m], n >= 2, first 0, strictly increasing, every knot and the zone start among them.
-        curvature: At the nodes, Shape (n,) [1/m].
-        rate_left: d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2].
-        rate_right: Just left of every cell's right node, Shape (n - 1,) [1/m^2].
-        caps: Speed caps by curvature.
-        zone_start: Where the speed zone begins: exactly a node; `length` without a zone [m].
-        zone_speed: Speed limit from there on [m/s].
-        excess: What the speed caps add to |curvature| at the nodes, Shape (n,) [1/m]; None: nothing.
-        begin: Where this begins on the whole path [m]; messages count from there.
+    """Limits along one segment: the curvature is linear between nodes; its rate linear in a cell, jumping at nodes.
 
     Attributes:
         slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
@@ -145,60 +131,52 @@ class PathLimits:
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: The drive's turning limits.
         length: [m].
-        duration_estimate: Along the maximum velocity curve, or from rest to rest under acceleration or jerk alone: the
-            longest. Never more than a fraction above the true duration [s].
+        duration_estimate: The longest of three lower bounds, up to a fraction: along the maximum velocity curve, and
+            from rest to rest under acceleration or jerk alone [s].
     """
 
-    s: FloatArray
-    curvature: FloatArray
-    rate_left: FloatArray
-    rate_right: FloatArray
+    s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start
+    curvature: FloatArray  # at the nodes, Shape (n,) [1/m]
+    rate_left: FloatArray  # d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2]
+    rate_right: FloatArray  # just left of every cell's right node, Shape (n - 1,) [1/m^2]
     caps: SpeedCaps
-    zone_start: float
-    zone_speed: float
-    excess: FloatArray | None = None
-    begin: float = 0.0
-    slowness_left: FloatArray = field(init=False, repr=False)
-    slowness_right: FloatArray = field(init=False, repr=False)
-    steepest: FloatArray = field(init=False, repr=False)
-    turning: tuple[TurningLimit, ...] = field(init=False, repr=False)
-    length: float = field(init=False)
-    duration_estimate: float = field(init=False)
+    zone_start: float  # start of the speed zone, exactly a node; `length` without a zone [m]
+    zone_speed: float  # speed limit from there on [m/s]
+    excess: FloatArray | None = None  # addition of the caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero
+    begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
     def __post_init__(self) -> None:
         slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
         left, right = slowness[:-1], slowness[1:]
         if self.caps.steering:
             first, last = self.curvature[:-1], self.curvature[1:]
-            crosses = first * last < 0.0  # in a cell that goes through straight on, the wheels turn fastest there
+            crosses = first * last < 0.0  # the steering rate of a cell is largest at zero curvature
             left = np.maximum(left, self.caps.steering_slowness(np.where(crosses, 0.0, first), self.rate_left))
             right = np.maximum(right, self.caps.steering_slowness(np.where(crosses, 0.0, last), self.rate_right))
-        object.__setattr__(self, "slowness_left", readonly(left))
-        object.__setattr__(self, "slowness_right", readonly(right))
-        steepest = np.maximum(np.abs(self.rate_left), np.abs(self.rate_right))
-        object.__setattr__(self, "steepest", readonly(steepest))
-        object.__setattr__(self, "turning", turning_limits(self.drive))
+        self.slowness_left, self.slowness_right = readonly(left), readonly(right)
+        self.steepest = readonly(np.maximum(np.abs(self.rate_left), np.abs(self.rate_right)))
+        self.turning = turning_limits(self.drive)
         length, drive = float(self.s[-1]), self.drive
-        object.__setattr__(self, "length", length)
+        self.length = length
         along_curve = float(np.sum(np.diff(self.s) * self.maximum_velocity_curve()))
         by_drive = math.sqrt(2.0 * length * (1.0 / drive.max_acceleration + 1.0 / drive.max_deceleration))
         by_jerk = math.exp(math.log(32.0 * length / drive.max_jerk) / 3.0)
-        object.__setattr__(self, "duration_estimate", max(along_curve, by_drive, by_jerk))
+        self.duration_estimate = max(along_curve, by_drive, by_jerk)
 
     @property
     def drive(self) -> MotionLimits:
-        """What the drive can do."""
+        """Limits of the drive."""
         return self.caps.drive
 
     @property
     def drive_bounds(self) -> DriveBounds:
-        """The drive's own bounds, whatever the path."""
+        """The drive's own bounds."""
         drive = self.drive
         return DriveBounds(self.caps.max_speed, drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
 
     @property
     def fastest(self) -> float:
-        """The largest of the speed caps [m/s]."""
+        """The largest speed cap [m/s]."""
         return 1.0 / min(float(self.slowness_left.min()), float(self.slowness_right.min()))
 
     @property
@@ -207,10 +185,9 @@ class PathLimits:
         return self.zone_start < self.length
 
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
-        """Slowness of the maximum velocity curve over every cell, the zone included. Shape (n - 1,) [s/m].
+        """Return the slowness of the maximum velocity curve of every cell, with the zone. Shape (n - 1,) [s/m].
 
-        Args:
-            turning_share: Of the turning limits that the curvature rate may use.
+        The curvature rate may use `turning_share` of the turning limits.
         """
         slowness = np.maximum(self.slowness_left, self.slowness_right)
         if self.has_zone:
@@ -221,13 +198,13 @@ class PathLimits:
         return slowness
 
     def cells_at(self, s: FloatArray) -> IntArray:
-        """Index of the cell that holds each point, Shape (n,)."""
+        """Return the index of the cell of each point, Shape (n,)."""
         found: IntArray = np.searchsorted(self.s, s, side="right") - 1
         cells: IntArray = np.minimum(np.maximum(found, 0), self.s.size - 2)
         return cells
 
     def points_at(self, s: FloatArray) -> LimitPoints:
-        """Everything at arc lengths `s`, Shape (n,) [m]; the right side at nodes. Slowness includes the zone."""
+        """Return the limits at arc lengths `s`, Shape (n,) [m], with the zone; at nodes those of the right side."""
         cell = self.cells_at(s)
         left = self.s[cell]
         share = (s - left) / (self.s[cell + 1] - left)
@@ -242,19 +219,20 @@ class PathLimits:
         return LimitPoints(curvature, rate, slowness)
 
     def cap_at(self, s: float) -> tuple[str, str]:
-        """The speed cap that decides at `s` [m]: the name of its limit, and that with its value."""
+        """Return the lowest speed cap at `s` [m]: the name of its limit, and the name with the value."""
         point = self.points_at(np.array([s]))
-        name, words = self.caps.tightest(abs(float(point.curvature[0])), float(point.rate[0]))
-        zone = self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed
-        return ("approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s") if zone else (name, words)
+        if self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed:
+            return "approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s"
+        name = self.caps.tightest(abs(float(point.curvature[0])), float(point.rate[0]))
+        return name, f"{name} = {getattr(self.drive, name):.4g} {LIMITS[name].unit}"
 
     def turning_limit_at(self, s: float, v: float, a: float) -> TurningLimit:
-        """The turning limit, of those that there are, of which a motion uses most at `s` [m]."""
+        """Return the turning limit with the largest ratio at `s` [m]."""
         point, (speed, gain) = self.points_at(np.array([s])), np.array([[v], [a]])
         return max(self.turning, key=lambda one: float(one.ratio(point.curvature, point.rate, speed, gain)[0]))
 
     def after(self, start: float) -> PathLimits:
-        """What is left from `start` [m] on, 0 <= start < length, renumbered from 0."""
+        """Return the limits from `start` [m] on, 0 <= start < length, with arc lengths from 0."""
         if start <= 0.0:
             return self
         cell = int(self.cells_at(np.array([start]))[0])
@@ -277,7 +255,7 @@ class PathLimits:
 
 
 def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
-    """The limits of every segment of a path; None for a segment of no length, and for a turn in place."""
+    """Return the limits of every segment of a path; None for a segment of no length, and for a turn in place."""
     zone_start = (
         place_before_end(path, zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
     )
@@ -294,20 +272,19 @@ def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathL
 def segment_limits(
     segment: Segment, caps: SpeedCaps, zone_start: float, zone_speed: float, begin: float = 0.0
 ) -> PathLimits:
-    """The limits along one segment.
+    """Return the limits along one segment.
 
     Args:
         segment: Clothoid spline or polyline.
         caps: Speed caps by curvature.
-        zone_start: Where the speed zone begins in this segment; at or beyond its length: not here [m].
+        zone_start: Start of the speed zone in this segment; at or beyond the length: none [m].
         zone_speed: Speed limit from there on [m/s].
-        begin: Where the segment begins on the whole path [m].
+        begin: Start of the segment on the whole path [m].
     """
-    exact = isinstance(segment, ClothoidSegment)
-    spacing = SAMPLING.clothoid_spacing if exact else SAMPLING.polyline_spacing
+    spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
     zone_start = min(max(zone_start, 0.0), segment.length)
-    s = _nodes(segment, max(spacing, segment.length / SAMPLING.most_nodes), zone_start)
-    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # of a knot and a zone within rounding one node is left
+    s = _nodes(segment, max(spacing, segment.length / _MOST_NODES), zone_start)
+    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # a knot within rounding of the zone start replaces it
     cells = np.diff(s)
     return PathLimits(
         s=readonly(s),
@@ -323,11 +300,7 @@ def segment_limits(
 
 
 def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
-    """Curvature rates at `s`, each in the cell around one of the `middles`, Shape (n,) [1/m^2].
-
-    A polyline's curvature may swing from step to step faster than its means at the poses tell; `certify_trajectory`
-    judges that as well.
-    """
+    """Return the curvature rates at `s`, of a polyline at least the swing of its steps, Shape (n,) [1/m^2]."""
     rates = segment.curvature_rate_at(s)
     if not isinstance(segment, PolylineSegment):
         return rates
@@ -339,10 +312,7 @@ def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
 
 
 def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
-    """By how much the curvature of the steps exceeds that between the poses, which is their mean. Shape (n,) [1/m].
-
-    A coarse polyline turns a whole step at the step's curvature; `certify_trajectory` judges it so.
-    """
+    """Return the excess of the steps' curvature, as in `certify_trajectory`, over the mean between the poses [1/m]."""
     steps = np.abs(segment.step_curvature)
     at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
     excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
@@ -350,7 +320,7 @@ def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
 
 
 def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
-    """The segment's knots and the zone start, with equal steps of at most `spacing` between them."""
+    """Return the segment's knots and the zone start, with equal steps of at most `spacing` between them."""
     knots = np.union1d(segment.knots, [zone_start])
     knots = knots[np.concatenate(([True], np.diff(knots) > 1e-12 * max(1.0, segment.length)))]
     knots[-1] = segment.length
@@ -361,106 +331,6 @@ def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
     return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
 
 
-class Worst(NamedTuple):
-    """The largest quotient of a quantity and its limit, where it occurs, and what it means for time.
-
-    Args:
-        ratio: Largest quotient.
-        s: Where [m].
-        path: Factor on time that keeps speeds and turning limits, which depend on the path.
-        drive: Factor on time that keeps acceleration and jerk.
-        limit: Name of the limit where the ratio is above 1; empty where it is not.
-    """
-
-    ratio: float
-    s: float
-    path: float
-    drive: float
-    limit: str = ""
-
-    @property
-    def stretch(self) -> float:
-        """Factor on time that keeps every limit: speeds fall with its first power, accelerations with its second."""
-        return max(self.path, self.drive)
-
-    def words(self, begin: float) -> str:
-        """What is broken, by how much and where on the path, where the segment begins at `begin` [m]."""
-        return f"{self.ratio:.6g} times {self.limit or 'a limit'} at s = {begin + self.s:.4f} m"
-
-
-class Ratios(NamedTuple):
-    """Quotients of quantities and limits at distances `s`, Shape (n,); lateral acceleration as its root.
-
-    `turning` is that of `turning_ratio`; `drive` is of the acceleration at the first of these distances only: it is
-    linear between them.
-    """
-
-    s: FloatArray
-    speed: FloatArray
-    turning: FloatArray
-    drive: FloatArray
-
-
-def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Ratios:
-    """All limits at time samples, at phase borders, and at every node with the rates on both its sides.
-
-    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima sit at the nodes up to the
-    time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
-    between time samples, wrong by at most period^2 * jerk / 8. Jerk is the caller's: it is the phases themselves.
-    """
-    t = motion.sample_times(SAMPLING.check_period) if times is None else times
-    s, v, a = motion.at(t)
-    s = np.minimum(np.maximum.accumulate(s), limits.length)
-    inner, drive = limits.s[1:-1], limits.drive
-    first, last = np.searchsorted(inner, (s[0], s[-1]))
-    nodes = inner[first:last]
-    node_v, node_a = np.interp(nodes, s, v), np.interp(nodes, s, a)
-    points = limits.points_at(s)
-    slowness = limits.slowness_left[1:][first:last]
-    if limits.caps.steering:
-        slowness = np.maximum(slowness, limits.slowness_right[:-1][first:last])
-    if limits.has_zone:
-        slowness = np.where(nodes >= limits.zone_start, np.maximum(slowness, 1.0 / limits.zone_speed), slowness)
-    curvature = limits.curvature[1:-1][first:last]
-    left = turning_ratio(limits.turning, curvature, limits.rate_right[:-1][first:last], node_v, node_a)
-    right = turning_ratio(limits.turning, curvature, limits.rate_left[1:][first:last], node_v, node_a)
-    turning = turning_ratio(limits.turning, points.curvature, points.rate, v, a)
-    return Ratios(
-        s=np.concatenate((s, nodes)),
-        speed=np.concatenate((v * points.slowness, node_v * slowness)),
-        turning=np.concatenate((turning, np.maximum(left, right))),
-        drive=np.maximum(a * (1.0 / drive.max_acceleration), a * (-1.0 / drive.max_deceleration)),
-    )
-
-
-def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
-    """The worst of all limits along a motion, jerk included; at `times`, Shape (n,) [s], instead of the usual ones."""
-    ratios = motion_ratios(limits, motion, times)
-    largest = np.maximum(ratios.speed, ratios.turning)
-    np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
-    worst = int(np.argmax(largest))
-    steepest = int(np.argmax(np.abs(motion.jerks)))
-    jerk = abs(float(motion.jerks[steepest])) / limits.drive.max_jerk
-    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.turning.max())))
-    drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
-    if jerk > largest[worst] * KEPT:
-        return Worst(jerk, float(motion.states[0, steepest]), path, drive, "max_jerk" if jerk > 1.0 else "")
-    limit = _limit_name(limits, motion, ratios, worst) if largest[worst] > 1.0 else ""
-    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive, limit)
-
-
-def _limit_name(limits: PathLimits, motion: Motion, ratios: Ratios, k: int) -> str:
-    """The limit of which the k-th quotients, the largest of all, use most."""
-    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.turning[k]):
-        rising = float(motion.states[2].max()) / limits.drive.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
-        return "max_acceleration" if rising else "max_deceleration"
-    s = float(ratios.s[k])
-    if ratios.turning[k] >= ratios.speed[k] and limits.turning:
-        _s, v, a = motion.at(motion.crossing_times(np.array([s])))
-        return limits.turning_limit_at(s, float(v[0]), float(a[0])).name
-    return limits.cap_at(s)[0]
-
-
 class Tightening(NamedTuple):
     """A stretch [m] in which speeds are to be smaller by `factor` than the limits allow."""
 
@@ -469,64 +339,48 @@ class Tightening(NamedTuple):
     factor: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ReferenceBounds:
-    """The limits of a segment less margins: what the reference may use per cell, and what moves are checked against.
-
-    Args:
-        limits: The segment's.
-        settings: Of the near-optimal method; its margins are what is left unused.
-        relief: Up to this distance no margin is taken: full braking from a moving start leaves none [m].
-        tightenings: Stretches to take slower.
+    """The limits of a segment less margins: bounds of the reference per cell, and of the moves along it.
 
     Attributes:
         speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
         turning: Bounds of the turning limits in each cell, for the reference, Shape (n - 1,) each.
-        cap_squared: v^2 at which a cell meets its speed caps, no margin, Shape (n - 1,) [m^2/s^2].
-        jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters, for the yaw
-            acceleration or for the cap of the steering rate.
+        cap_squared: v^2 of the speed caps of a cell, without margin, Shape (n - 1,) [m^2/s^2].
+        jumps: Indices of the inner nodes with a large jump of the curvature rate, for the yaw acceleration or the cap
+            of the steering rate.
     """
 
     limits: PathLimits
-    settings: NearOptimalSettings = NEAR_OPTIMAL
-    relief: float = 0.0
+    step: float = KNOT_STEP  # knot spacing of the reference [s]
+    smooth: bool = False  # whether the reference itself is the motion, with jerk that hardly changes between knots
+    relief: float = 0.0  # distance without margins, as full braking from a moving start leaves none [m]
     tightenings: tuple[Tightening, ...] = ()
-    speed_squared: FloatArray = field(init=False, repr=False)
-    turning: tuple[FloatArray, ...] = field(init=False, repr=False)
-    cap_squared: FloatArray = field(init=False, repr=False)
-    jumps: IntArray = field(init=False, repr=False)
-    _left: FloatArray = field(init=False, repr=False)
-    _slope: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        limits, margins = self.limits, self.settings.margins
+        limits = self.limits
         left, right = limits.slowness_left, limits.slowness_right
         if limits.has_zone:
             slow = np.where(limits.s[:-1] >= limits.zone_start, 1.0 / limits.zone_speed, 0.0)
             left, right = np.maximum(left, slow), np.maximum(right, slow)
-        table = np.stack((limits.curvature[:-1], limits.rate_left, left))
         ends = np.stack((limits.curvature[1:], limits.rate_right, right))
+        self._left = np.stack((limits.curvature[:-1], limits.rate_left, left))
+        self._slope = (ends - self._left) / np.diff(limits.s)
         relieved = limits.s[:-1] < self.relief
         factor = self._factors()
         cap = np.maximum(left, right) ** -2.0
-        speed = (factor * np.where(relieved, 1.0 - margins.relieved_speed, 1.0 - margins.speed)) ** 2
-        turning = factor**2 * np.where(relieved, 1.0 - margins.relieved_yaw, 1.0 - margins.yaw)
+        speed = (factor * np.where(relieved, 1.0 - _RELIEVED_SPEED, 1.0 - SPEED_MARGIN)) ** 2
+        turning = factor**2 * np.where(relieved, 1.0 - _RELIEVED_YAW, 1.0 - _YAW_MARGIN)
         jump, least = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]), np.minimum(cap[1:], cap[:-1])
         large = np.zeros(jump.size, dtype=np.bool_)
         for limit in limits.turning:
-            large |= limit.at_constant_speed(least, jump) > margins.jump * limit.bound
-        jumps = np.flatnonzero(large) + 1
+            large |= limit.at_constant_speed(least, jump) > _JUMP * limit.bound
+        self.jumps = np.flatnonzero(large) + 1
         if limits.caps.steering:
-            jumps = np.union1d(jumps, np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > margins.cap_jump) + 1)
-        object.__setattr__(self, "jumps", jumps)
-        object.__setattr__(self, "turning", tuple(readonly(limit.bounds(turning)) for limit in limits.turning))
-        for name, value in (
-            ("cap_squared", cap),
-            ("speed_squared", cap * speed),
-            ("_left", table),
-            ("_slope", (ends - table) / np.diff(limits.s)),
-        ):
-            object.__setattr__(self, name, readonly(value))
+            at_caps = np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > _CAP_JUMP) + 1
+            self.jumps = np.union1d(self.jumps, at_caps)
+        self.turning = tuple(readonly(limit.bounds(turning)) for limit in limits.turning)
+        self.cap_squared, self.speed_squared = readonly(cap), readonly(cap * speed)
 
     def _factors(self) -> FloatArray:
         s = self.limits.s
@@ -538,26 +392,23 @@ class ReferenceBounds:
 
     @property
     def jerk(self) -> float:
-        """Bound on the jerk in the reference [m/s^3]."""
-        return self.limits.drive.max_jerk * (1.0 - self.settings.margins.jerk)
+        """Bound on the jerk of the reference [m/s^3]."""
+        return self.limits.drive.max_jerk * (1.0 - _JERK_MARGIN)
 
     def curve_at(self, s: FloatArray) -> FloatArray:
-        """Curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""
+        """Return curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""
         cell = self.limits.cells_at(s)
         values: FloatArray = self._left[:, cell] + self._slope[:, cell] * (s - self.limits.s[cell])
         return values
 
     def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """By how much time would have to be stretched there for the checked limits to hold; > 1 is too fast.
-
-        Shape (n,). Speeds scale with 1 / c, accelerations with 1 / c^2.
-        """
+        """Return the factor on time that keeps the checked limits at `s`; > 1 is too fast. Shape (n,)."""
         curvature, rate, slowness = self.curve_at(s)
         turning = turning_ratio(self.limits.turning, curvature, rate, v, a)
         return self._checked(s, np.maximum(v * slowness, np.sqrt(turning)))
 
     def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """As `excess_at`, at `nodes`, of what the rates on both their sides limit. Shape (n,)."""
+        """Return `excess_at` of `nodes`, for the limits that depend on the rates on both sides. Shape (n,)."""
         limits, curvature = self.limits, self.limits.curvature[nodes]
         sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
         left, right = (turning_ratio(limits.turning, curvature, rate, v, a) for rate in sides)
@@ -567,5 +418,5 @@ class ReferenceBounds:
         return self._checked(limits.s[nodes], excess)
 
     def _checked(self, s: FloatArray, excess: FloatArray) -> FloatArray:
-        share = 1.0 / (1.0 - self.settings.margins.check)
+        share = 1.0 / (1.0 - CHECK_MARGIN)
         return excess * (np.where(s < self.relief, 1.0, share) if self.relief > 0.0 else share)

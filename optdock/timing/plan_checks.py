@@ -1,63 +1,155 @@
-"""Checks: the plan that is made of a motion over one segment, whatever proposed it.
+"""The dense check of a motion over one segment, and the segment plan made of it.
 
-The dense check of `path_limits` lets a method be wrong without being unsafe; what decides in the end is the proof of
-`optdock.verification`, which knows none of this.
+The check allows a method to be wrong without being unsafe; the final decision is the proof of `optdock.verification`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.jerk_phases import Motion, MotionState, Phases
-from optdock.timing.path_limits import KEPT, Worst, motion_ratios, worst_ratio
-from optdock.timing.timing_settings import SAMPLING
+from optdock.timing.turning_limits import turning_ratio
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.timing.path_limits import PathLimits
 
-__all__ = ["SegmentPlan", "arrived_plan", "checked_plan", "end_slack", "judged_plan", "refined_times"]
+__all__ = [
+    "KEPT",
+    "SegmentPlan",
+    "Worst",
+    "arrived_plan",
+    "checked_plan",
+    "end_slack",
+    "judged_plan",
+    "motion_ratios",
+    "refined_times",
+    "worst_ratio",
+]
 
+KEPT = 1.0 + 1e-9  # rounding of a ratio that should be at most 1
+_PERIOD = 0.008  # [s], of the check
+_REFINEMENT = 16  # times finer where a limit is nearly used up
 _REACHED = 1e-7  # [m, m/s, m/s^2]: rounding over kilometres and hours; `certify_trajectory` accepts 1e-6
 _REACHED_SHARE = 1e-3  # of a segment shorter than that
 
 
-class SegmentPlan(NamedTuple):
-    """What a method makes of one segment.
+class Worst(NamedTuple):
+    """The largest ratio of a quantity and its limit along a motion."""
 
-    Args:
-        status: How it ended.
-        phases: The motion; empty where there is none.
-        ratio: Largest quotient of a quantity and its limit along it; 0 where it was not computed.
-        overshoot: Distance that full braking needs beyond the end [m].
-        how: What led to the result, for the report.
-        reason: Why it is not OK.
-        limit: Which limit is in the way; empty where none is.
-        s: Where that is decided [m]; None where it is not one place.
-        arrives: Whether the motion ends at rest at the end of the segment.
+    ratio: float  # largest ratio
+    s: float  # its place [m]
+    path: float  # factor on time that keeps speeds and turning limits, which depend on the path
+    drive: float  # factor on time that keeps acceleration and jerk
+    limit: str = ""  # name of the limit if the ratio is above 1; else empty
+
+    @property
+    def stretch(self) -> float:
+        """Factor on time that keeps every limit."""
+        return max(self.path, self.drive)
+
+    def words(self, begin: float) -> str:
+        """Describe the violation, in a segment that begins at `begin` [m] of the path."""
+        return f"{self.ratio:.6g} times {self.limit or 'a limit'} at s = {begin + self.s:.4f} m"
+
+
+class _Ratios(NamedTuple):
+    """Ratios of speed (lateral acceleration as its root) and turning limits at distances `s`, Shape (n,).
+
+    `drive`, of the acceleration, exists only at the first of these, as the acceleration is linear between them.
     """
 
-    status: TimingStatus
-    phases: Phases = ()
-    ratio: float = 0.0
-    overshoot: float = 0.0
-    how: str = ""
-    reason: str = ""
-    limit: str = ""
-    s: float | None = None
-    arrives: bool = True
+    s: FloatArray
+    speed: FloatArray
+    turning: FloatArray
+    drive: FloatArray
+
+
+def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> _Ratios:
+    """Return the ratios of all limits but the jerk at time samples, phase borders, and both sides of every node.
+
+    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima are at the nodes up to the
+    time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
+    between time samples, with an error of at most period^2 * jerk / 8.
+    """
+    t = motion.sample_times(_PERIOD) if times is None else times
+    s, v, a = motion.at(t)
+    s = np.minimum(np.maximum.accumulate(s), limits.length)
+    inner, drive = limits.s[1:-1], limits.drive
+    first, last = np.searchsorted(inner, (s[0], s[-1]))
+    nodes = inner[first:last]
+    node_v, node_a = np.interp(nodes, s, v), np.interp(nodes, s, a)
+    points = limits.points_at(s)
+    slowness = limits.slowness_left[1:][first:last]
+    if limits.caps.steering:
+        slowness = np.maximum(slowness, limits.slowness_right[:-1][first:last])
+    if limits.has_zone:
+        slowness = np.where(nodes >= limits.zone_start, np.maximum(slowness, 1.0 / limits.zone_speed), slowness)
+    curvature = limits.curvature[1:-1][first:last]
+    left = turning_ratio(limits.turning, curvature, limits.rate_right[:-1][first:last], node_v, node_a)
+    right = turning_ratio(limits.turning, curvature, limits.rate_left[1:][first:last], node_v, node_a)
+    turning = turning_ratio(limits.turning, points.curvature, points.rate, v, a)
+    return _Ratios(
+        s=np.concatenate((s, nodes)),
+        speed=np.concatenate((v * points.slowness, node_v * slowness)),
+        turning=np.concatenate((turning, np.maximum(left, right))),
+        drive=np.maximum(a * (1.0 / drive.max_acceleration), a * (-1.0 / drive.max_deceleration)),
+    )
+
+
+def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
+    """Return the worst ratio of all limits along a motion, jerk included; at `times`, Shape (n,) [s], if given."""
+    ratios = motion_ratios(limits, motion, times)
+    largest = np.maximum(ratios.speed, ratios.turning)
+    np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
+    worst = int(np.argmax(largest))
+    steepest = int(np.argmax(np.abs(motion.jerks)))
+    jerk = abs(float(motion.jerks[steepest])) / limits.drive.max_jerk
+    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.turning.max())))
+    drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
+    if jerk > largest[worst] * KEPT:
+        return Worst(jerk, float(motion.states[0, steepest]), path, drive, "max_jerk" if jerk > 1.0 else "")
+    limit = _limit_name(limits, motion, ratios, worst) if largest[worst] > 1.0 else ""
+    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive, limit)
+
+
+def _limit_name(limits: PathLimits, motion: Motion, ratios: _Ratios, k: int) -> str:
+    """Return the limit of the k-th ratios, the largest of all."""
+    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.turning[k]):
+        rising = float(motion.states[2].max()) / limits.drive.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
+        return "max_acceleration" if rising else "max_deceleration"
+    s = float(ratios.s[k])
+    if ratios.turning[k] >= ratios.speed[k] and limits.turning:
+        _s, v, a = motion.at(motion.crossing_times(np.array([s])))
+        return limits.turning_limit_at(s, float(v[0]), float(a[0])).name
+    return limits.cap_at(s)[0]
+
+
+class SegmentPlan(NamedTuple):
+    """Result of a method for one segment."""
+
+    status: TimingStatus  # status of the timing
+    phases: Phases = ()  # the motion; empty without one
+    ratio: float = 0.0  # largest ratio of a quantity and its limit along the motion; 0 where it was not computed
+    overshoot: float = 0.0  # distance that full braking needs beyond the end [m]
+    how: str = ""  # the method, for the report
+    reason: str = ""  # why the status is not OK
+    limit: str = ""  # the violated limit; else empty
+    s: float | None = None  # place of the violation [m]; None without one
+    arrives: bool = True  # whether the motion ends at rest at the end of the segment
 
 
 def end_slack(limits: PathLimits) -> float:
-    """How far from the end of the segment a motion may end [m]."""
+    """Return the largest distance from the end of the segment at which a motion may end [m]."""
     return min(_REACHED, _REACHED_SHARE * limits.length)
 
 
 def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
-    """A motion as a plan, OK where it ends at rest at the end of the segment; its limits are unproven."""
+    """Return the plan of a motion, OK if it ends at rest at the end of the segment; the limits are not checked."""
     off = abs(motion.end.s - limits.length)
     if off <= end_slack(limits) and max(abs(motion.end.v), abs(motion.end.a)) <= _REACHED:
         return SegmentPlan(TimingStatus.OK, motion.phases, how=how)
@@ -66,7 +158,7 @@ def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
 
 
 def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> SegmentPlan:
-    """A motion as a plan: OK only if it arrives and the dense check, which found `worst`, finds every limit kept."""
+    """Return the plan of a motion, OK if it arrives and `worst`, the result of the dense check, keeps every limit."""
     plan = arrived_plan(limits, motion, how)._replace(ratio=worst.ratio)
     if plan.status is not TimingStatus.OK or worst.ratio <= KEPT:
         return plan
@@ -75,17 +167,17 @@ def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> S
 
 
 def checked_plan(limits: PathLimits, start: MotionState, phases: Phases, how: str) -> SegmentPlan:
-    """As `judged_plan`, after the dense check."""
+    """Return `judged_plan` after the dense check."""
     motion = Motion.of(start, phases)
     return judged_plan(limits, motion, worst_ratio(limits, motion) if phases else Worst(0.0, 0.0, 0.0, 0.0), how)
 
 
 def refined_times(limits: PathLimits, motion: Motion, close: float) -> FloatArray:
-    """The usual times, and half a millisecond apart wherever a limit of the path is used up to `close` or more."""
-    t = motion.sample_times(SAMPLING.check_period)
+    """Return the times of the check, half a millisecond apart where a ratio of the path is above `close`."""
+    t = motion.sample_times(_PERIOD)
     ratios = motion_ratios(limits, motion, t)
     near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.turning)) > close]
     first = np.clip(np.searchsorted(motion.at(t)[0], near) - 1, 0, t.size - 2)
     spans = np.unique(np.concatenate((first, np.minimum(first + 1, t.size - 2), np.maximum(first - 1, 0))))
-    steps = np.arange(1, SAMPLING.check_refinement) / SAMPLING.check_refinement
+    steps = np.arange(1, _REFINEMENT) / _REFINEMENT
     return np.union1d(t, (t[spans, None] + (t[spans + 1] - t[spans])[:, None] * steps).ravel())

@@ -1,19 +1,19 @@
 """The reference program: a C1 quadratic spline of x = v^2 over arc length, convex but for jerk.
 
 With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
-integral of 1 / sqrt(x) is convex [Verscheure2009]. Jerk is x'' sqrt(x) / 2, the extension that is not, and a turning
-limit of order 2 is another of that form: linear in x and x', times the speed. Every quadratic spline of x is a real
-motion, so a jerk-limited move between the states at any two of its knots exists.
+integral of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not, and a turning limit of order 2 has
+the same form: linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move
+between the states at any two of its knots exists.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
-At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and no spline with zero slope and
-zero value ever moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope and zero
+value never moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
 
-In order: the arcs, the knots with the limits on them, the spline's linear maps, the rows, the initial guess, the
-solution, its own motion.
+In order: the forward-backward pass, the arcs, the knots and their limits, the spline's linear maps, the constraints,
+the initial guess, the solution, its own motion.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import ENDLESS
-from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
 from optdock.timing.jerk_phases import MotionState, Phases, state_after
 
@@ -39,8 +38,10 @@ __all__ = [
     "Grid",
     "LimitRows",
     "ReferenceStates",
+    "SpeedProfile",
     "Spline",
     "coefficients_of",
+    "forward_backward_pass",
     "grid_of",
     "initial_guess",
     "jerk_step_bands",
@@ -52,6 +53,63 @@ __all__ = [
     "stop_arc",
 ]
 
+_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, as the profile rests at its ends
+
+_ARC_DRIVE = 0.7  # share of the acceleration and of the yaw acceleration for an arc
+_ARC_SPEED = 0.6  # share of the local cap that an arc and its mirror image reach
+_ARC_LENGTH = 0.1  # share of the segment for an arc
+_SLOW = 0.25  # share of the local cap below which a moving start is launched too
+_HOLD = 0.1  # [s], for which a start with v = 0, a > 0 first holds its acceleration
+_LEAST_REST = 0.1  # share of the segment that both arcs must leave to the reference
+
+_KNOT_JUMP = 0.02  # share of the yaw acceleration: smaller jumps of v^2 * rate, or of a speed cap, need no knot
+_CROWDED = 0.5  # jumps per shortest step beyond which no knot is put on any of them
+_LEAST_STEP = 0.4  # share of the step: jumps closer together share a cell
+_LEAST_CELLS = 8
+_CRUISE_DENSITY = 0.5  # of the knots where the profile is level
+_CRUISE_LEVEL = 0.96  # least over largest v^2 of a level stretch
+_CRUISE_YAW = 0.6  # share of the yaw acceleration above which a stretch is not level
+_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s], spacing of the samples, and their number to either side
+
+_GUESS_SAMPLE = 0.02  # [s], of the filter
+_GUESS_SHARE = 0.9  # of the filtered v^2: inside the limits
+_GUESS_BLEND = 0.6  # [s], from the speed of a moving start
+
+_DRIVE_MARGIN = 0.003  # of acceleration and deceleration: ruckig refuses a state beyond them
+_JERK_STEP_PRICE = (
+    0.002  # [s], of a full swing of the jerk between cells: saves a sixth of the moves for 0.01 % of time
+)
+_SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
+# A reference slower than the bounds by this factor was not solved: where no spline keeps the limits the iterations end
+# anywhere, and samples of a motion of weeks fill any memory. Solved ones stay below 4.
+_HOPELESS = 10.0
+
+
+class SpeedProfile(NamedTuple):
+    """Acceleration-limited speeds at the nodes of the limits: v^2 [m^2/s^2] and pseudo time [s], Shape (n,)."""
+
+    speed_squared: FloatArray
+    time: FloatArray
+
+
+def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
+    """Return the fastest v^2 under caps, acceleration and deceleration alone, with turning limits as caps at a = 0.
+
+    The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
+    2 A: one sweep forward, one backward [Bobrow1985].
+    """
+    limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
+    for limit, most in zip(limits.turning, bounds.turning, strict=True):
+        cell = np.minimum(cell, limit.most_squared(most, np.maximum(limits.steepest, 1e-9)))
+    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
+    rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
+    x = np.minimum.accumulate(x - rise) + rise
+    x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
+    x = np.maximum(x, 0.0)
+    v = np.sqrt(x)
+    gain = 2.0 * np.diff(limits.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
+    return SpeedProfile(x, np.concatenate(([0.0], np.cumsum(gain))))
+
 
 class Arc(NamedTuple):
     """Phases at one end of the reference, and the state where it meets the reference."""
@@ -61,7 +119,7 @@ class Arc(NamedTuple):
 
 
 def stop_arc(bounds: ReferenceBounds) -> Arc:
-    """Constant +J into rest at the end: length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
+    """Return the arc of constant +J into rest at the end: length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_deceleration, 0.0, 0.0, at_end=True)
     time = a / jerk
@@ -69,83 +127,63 @@ def stop_arc(bounds: ReferenceBounds) -> Arc:
 
 
 def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
-    """Constant +J from rest or from a crawl; nothing where the start is fast enough already."""
-    jerk, settings = bounds.jerk, bounds.settings.arcs
+    """Return the arc of constant +J from rest or a low speed; without phases for a faster start."""
+    jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
-    if start.v * start.v >= settings.slow_share**2 * float(bounds.cap_squared[0]):
+    if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
         return Arc((), start)
     if start.a < a:
         phase = ((a - start.a) / jerk, jerk)
-    elif start.v < 0.5 * start.a * settings.hold:
-        phase = (settings.hold, 0.0)
+    elif start.v < 0.5 * start.a * _HOLD:
+        phase = (_HOLD, 0.0)
     else:
         return Arc((), start)
     return Arc((phase,), state_after(start, *phase))
 
 
 def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float, *, at_end: bool) -> float:
-    """The acceleration that an arc of jerk J from (or, mirrored, to) speed `v`, acceleration `a` may reach.
-
-    Led back to zero at once it peaks at v + (2 a_end^2 - a^2) / (2 J), which stays well below the local cap.
-    """
-    limits, jerk, settings = bounds.limits, bounds.jerk, bounds.settings.arcs
-    top = max(settings.drive_share * drive, a)
+    """Return the end acceleration of an arc of jerk J that keeps its mirror image below the caps."""
+    limits, jerk = bounds.limits, bounds.jerk
+    top = max(_ARC_DRIVE * drive, a)
     reach = max(state_after(MotionState(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
-    cells = _cells_within(limits, reach, at_end=at_end)
+    if at_end:
+        cells = slice(max(0, int(limits.s.searchsorted(limits.length - reach)) - 1), None)
+    else:
+        cells = slice(0, int(limits.s.searchsorted(reach)) + 1)
     bend, rate = float(np.abs(limits.curvature[cells]).max()), float(limits.steepest[cells].max())
     caps = math.sqrt(float(bounds.speed_squared[cells].min())), *(limit.fastest(rate) for limit in limits.turning)
     return min(
-        math.sqrt(max(0.0, jerk * (settings.speed_share * min(caps) - v) + 0.5 * a * a)),
+        math.sqrt(max(0.0, jerk * (_ARC_SPEED * min(caps) - v) + 0.5 * a * a)),
         top,
-        *(limit.arc_acceleration(v, jerk, bend, settings.drive_share) for limit in limits.turning),
-        math.pow(6.0 * settings.length_share * limits.length * jerk * jerk, 1.0 / 3.0),
+        *(limit.arc_acceleration(v, jerk, bend, _ARC_DRIVE) for limit in limits.turning),
+        math.pow(6.0 * _ARC_LENGTH * limits.length * jerk * jerk, 1.0 / 3.0),
     )
 
 
-def _cells_within(limits: PathLimits, reach: float, *, at_end: bool) -> slice:
-    """The cells within `reach` [m] of an end."""
-    if at_end:
-        return slice(max(0, int(limits.s.searchsorted(limits.length - reach)) - 1), None)
-    return slice(0, int(limits.s.searchsorted(reach)) + 1)
-
-
 class Grid(NamedTuple):
-    """Knots of the reference and the limits there.
+    """Knots of the reference and their limits."""
 
-    Attributes:
-        knots: Shape (M + 1,) [m].
-        steps: Shape (M,) [m].
-        bound: Largest v^2 at the knots, the least of both half cells around, Shape (M + 1,) [m^2/s^2].
-        curvature: At the knots, Shape (M + 1,) [1/m].
-        rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
-        turning: Bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each.
-        centre_curvature: At the cell centres, Shape (M,) [1/m].
-        centre_rate: As `rate`, at the cell centres, Shape (2, M) [1/m^2].
-        zone: Index of the knot at the zone start; 0 without one inside.
-        time: Pseudo time of the knots, Shape (M + 1,) [s].
-    """
-
-    knots: FloatArray
-    steps: FloatArray
-    bound: FloatArray
-    curvature: FloatArray
-    rate: FloatArray
-    turning: tuple[FloatArray, ...]
-    centre_curvature: FloatArray
-    centre_rate: FloatArray
-    zone: int
-    time: FloatArray
+    knots: FloatArray  # Shape (M + 1,) [m]
+    steps: FloatArray  # Shape (M,) [m]
+    bound: FloatArray  # largest v^2 at the knots, the minimum over both half cells around, Shape (M + 1,) [m^2/s^2]
+    curvature: FloatArray  # at the knots, Shape (M + 1,) [1/m]
+    rate: FloatArray  # largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2]
+    turning: tuple[FloatArray, ...]  # bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each
+    centre_curvature: FloatArray  # at the cell centres, Shape (M,) [1/m]
+    centre_rate: FloatArray  # as `rate`, at the cell centres, Shape (2, M) [1/m^2]
+    zone: int  # index of the knot at the zone start; 0 without one inside
+    time: FloatArray  # pseudo time of the knots, Shape (M + 1,) [s]
 
 
 def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
-    """Knots from `first` to `last`, a step of pseudo time apart, wider where the robot cruises, on every large jump."""
-    limits, step, settings = bounds.limits, bounds.settings.step, bounds.settings.knots
+    """Return knots from `first` to `last`, one step of pseudo time apart, two at constant speed, and on large jumps."""
+    limits, step = bounds.limits, bounds.step
     clock = _cruise_clock(bounds, profile)
-    jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > settings.jump]
+    jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
     breaks = _breaks(bounds, profile, (first, last), jumps)
     times = np.interp(breaks, limits.s, clock)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
-    parts[np.argmax(np.diff(times))] += max(0, settings.least_cells - int(parts.sum()))
+    parts[np.argmax(np.diff(times))] += max(0, _LEAST_CELLS - int(parts.sum()))
     owner = np.repeat(np.arange(parts.size), parts)
     rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], clock, limits.s)
@@ -154,19 +192,18 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
 
 
 def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Pseudo time at the nodes, running slower where the profile stays level: few knots are needed there."""
-    limits, settings = bounds.limits, bounds.settings.knots
+    """Return the pseudo time at the nodes, slower where the profile is level and needs few knots."""
+    limits = bounds.limits
     total = float(profile.time[-1])
-    times = np.linspace(0.0, total, max(2, int(total / settings.cruise_sample)) + 1)
+    times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
     x = np.interp(times, profile.time, profile.speed_squared)
     for limit in limits.turning:
         at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
         turning = np.interp(times, profile.time[1:], at_nodes)
-        x = np.where(turning > settings.cruise_yaw * limit.bound, 0.0, x)
-    reach = settings.cruise_reach
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(x, reach), 2 * reach + 1)
-    level = around.min(axis=1) > settings.cruise_level * around.max(axis=1)
-    density = np.where(level, settings.cruise_density, 1.0)
+        x = np.where(turning > _CRUISE_YAW * limit.bound, 0.0, x)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(x, _CRUISE_REACH), 2 * _CRUISE_REACH + 1)
+    level = around.min(axis=1) > _CRUISE_LEVEL * around.max(axis=1)
+    density = np.where(level, _CRUISE_DENSITY, 1.0)
     clock = np.concatenate(([0.0], np.cumsum(0.5 * (density[:-1] + density[1:]) * np.diff(times))))
     spread: FloatArray = np.interp(profile.time, times, clock)
     return spread
@@ -175,14 +212,14 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
 def _breaks(
     bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[MotionState, MotionState], jumps: IntArray
 ) -> FloatArray:
-    """Where a knot must be: both ends, the zone start; the largest jumps of the rate that are far enough apart."""
-    limits, settings, (first, last) = bounds.limits, bounds.settings.knots, ends
-    gap = settings.least_step * bounds.settings.step
+    """Return the required knots: both ends, the zone start, the largest jumps of the rate that are far enough apart."""
+    limits, (first, last) = bounds.limits, ends
+    gap = _LEAST_STEP * bounds.step
     fixed = [first.s, last.s]
     if limits.has_zone and first.s + 1e-9 < limits.zone_start < last.s - 1e-9:
         fixed.append(limits.zone_start)
     found = jumps[(limits.s[jumps] > first.s) & (limits.s[jumps] < last.s)]
-    if found.size * gap > settings.crowded * (profile.time[-1] - profile.time[0]):
+    if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
     taken = np.sort(np.interp(fixed, limits.s, profile.time)).tolist()
     size = _jump_sizes(bounds, profile, found)
@@ -200,7 +237,7 @@ def _breaks(
 
 
 def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """What jumps of the curvature rate make of the turning limits; v times the jump of 1 / speed cap."""
+    """Return the jumps of the curvature rate as ratios of the turning limits; v times the jump of 1 / speed cap."""
     limits, x = bounds.limits, profile.speed_squared[nodes]
     jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
     sizes: FloatArray = np.zeros(nodes.size)
@@ -240,7 +277,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Whether each cell of the grid holds a jump that no knot stands on, Shape (M,)."""
+    """Whether each cell of the grid holds a jump without a knot on it, Shape (M,)."""
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -251,7 +288,7 @@ def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
 def _extremes(
     limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rates at knots and centres, each over the half cell around it where cells hide jumps."""
+    """Return the extreme rates at knots and centres, over the half cell around each where cells hide jumps."""
     quarter = 0.25 * np.diff(knots)
     borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
     cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
@@ -263,7 +300,7 @@ def _extremes(
 
 
 def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """Minimum of `values[first[i] : last[i] + 1]` for every i."""
+    """Return the minimum of `values[first[i] : last[i] + 1]` for every i."""
     pairs = np.stack((first, last + 1), axis=1).ravel()
     least: FloatArray = np.minimum.reduceat(np.append(values, np.inf), pairs)[::2]
     return least
@@ -274,26 +311,18 @@ class Spline(NamedTuple):
 
     Knot i: x_i = wl c_i + wr c_{i+1}, wr = h_{i-1} / (h_{i-1} + h_i), a_i = (c_{i+1} - c_i) / (h_{i-1} + h_i).
     Cell m: x'' = 2 (a_{m+1} - a_m) / h_m, centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
-
-    Attributes:
-        right_value: x at the right knot of the cell.
-        right_slope: Acceleration there.
-        centre_value: x at the centre.
-        centre_slope: Acceleration there.
-        curve: x''.
-        right_share: Weight wr of c_{i+1} in x_i, Shape (M + 1,).
     """
 
-    right_value: FloatArray
-    right_slope: FloatArray
-    centre_value: FloatArray
-    centre_slope: FloatArray
-    curve: FloatArray
-    right_share: FloatArray
+    right_value: FloatArray  # x at the right knot of the cell
+    right_slope: FloatArray  # acceleration there
+    centre_value: FloatArray  # x at the centre
+    centre_slope: FloatArray  # acceleration there
+    curve: FloatArray  # x''
+    right_share: FloatArray  # weight wr of c_{i+1} in x_i, Shape (M + 1,)
 
 
 def spline_of(steps: FloatArray) -> Spline:
-    """The maps of a spline with cells of lengths `steps`, Shape (M,) [m]."""
+    """Return the maps of a spline with cells of lengths `steps`, Shape (M,) [m]."""
     padded = np.concatenate((steps[:1], steps, steps[-1:]))
     both = padded[:-1] + padded[1:]
     right_share = padded[:-1] / both
@@ -308,7 +337,7 @@ def spline_of(steps: FloatArray) -> Spline:
 
 
 def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
-    """Coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
+    """Return coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
     x0, x1 = first.v * first.v, last.v * last.v
@@ -318,27 +347,21 @@ def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, la
 
 
 class LimitRows(NamedTuple):
-    """Constraints on the coefficients c as stencils, Shape (3, rows, M); `applied` makes of them the products A c.
+    """Constraints on the coefficients c as stencils, Shape (3, rows, M); see `applied` for the products A c."""
 
-    Attributes:
-        linear: A c <= 1.
-        with_speed: A c v <= 1, v the speed at some place of the cell.
-        places: v^2 there, for each of `with_speed`.
-    """
-
-    linear: FloatArray
-    with_speed: FloatArray
-    places: FloatArray
+    linear: FloatArray  # A c <= 1
+    with_speed: FloatArray  # A c v <= 1, v the speed at one place of the cell
+    places: FloatArray  # stencils of v^2 there, for each of `with_speed`
 
 
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
-    """Constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
+    """Return the constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
 
-    At a knot the turning rows take the largest and the least of the rates on its two sides: x is never negative. The
-    rows of the last knot, which is given, are zero.
+    At a knot the turning rows use the largest and the least of the rates on both sides, as x >= 0. The rows of the last
+    knot, whose state is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
-    drive, share = bounds.limits.drive, 1.0 - bounds.settings.margins.drive
+    drive, share = bounds.limits.drive, 1.0 - _DRIVE_MARGIN
     rows = [value / grid.bound[1:], slope / (share * drive.max_acceleration), -slope / (share * drive.max_deceleration)]
     centres: list[FloatArray] = []
     with_speed: tuple[list[FloatArray], list[FloatArray]] = [], []
@@ -359,19 +382,14 @@ def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows
 
 
 def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: FloatArray) -> list[FloatArray]:
-    """Both signs of what a turning limit bounds, less powers of the speed, over its bounds."""
+    """Return both signs of the quantity of a turning limit, without powers of the speed, over its bounds."""
     return [(turn + rate[0] * value) / most, -(turn + rate[1] * value) / most]
 
 
 def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
-    """Upper bands of the matrix Q with c' Q c / 2 = sum of (weight * step of x'' between neighbouring cells)^2.
+    """Return the bands of Q, c' Q c / 2 = sum of (weight * step of x'' between cells)^2; weight Shape (M - 1,).
 
-    Args:
-        spline: The maps.
-        weight: Per pair of neighbouring cells, Shape (M - 1,).
-
-    Returns:
-        Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
+    Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
     """
     left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
     row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
@@ -385,24 +403,25 @@ def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
 def initial_guess(
     grid: Grid, bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState
 ) -> FloatArray:
-    """Where the interior point starts: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
+    """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
-    The acceleration-limited profile, averaged over the time that jerk needs to swing from one drive limit to the other,
-    and below the launch from the first state and the stop to the last. Its quality decides the number of iterations: 10
-    instead of 20.
+    It is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration from one
+    limit to the other, below the launch and the stop. It halves the iterations, to about 10.
     """
-    drive, settings, time = bounds.limits.drive, bounds.settings.guess, grid.time
+    drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
-    times = np.linspace(0.0, total, max(3, int(total / settings.sample) + 1))
-    # Speed grows to its peak before the acceleration exceeds sqrt(peak * jerk): no higher drive limit is ever felt.
-    felt = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
-    half = 0.5 * (min(drive.max_acceleration, felt) + min(drive.max_deceleration, felt)) / drive.max_jerk
+    times = np.linspace(0.0, total, max(3, int(total / _GUESS_SAMPLE) + 1))
+    # The acceleration cannot exceed sqrt(peak * jerk) before the speed is at its peak.
+    reachable = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
+    half = 0.5 * (min(drive.max_acceleration, reachable) + min(drive.max_deceleration, reachable)) / drive.max_jerk
     samples = min(times.size, int(half * (times.size - 1) / total) + 1)
-    mean = _box_mean(np.interp(times, profile.time, profile.speed_squared), samples)
-    x = settings.share * np.interp(time, times, mean)
+    values = np.interp(times, profile.time, profile.speed_squared)
+    sums = np.cumsum(np.concatenate((np.zeros(samples + 1), values, np.zeros(samples))))
+    mean = (sums[2 * samples + 1 :] - sums[: -2 * samples - 1]) / (2 * samples + 1)  # box filter
+    x = _GUESS_SHARE * np.interp(time, times, mean)
     since, until = time - time[0], time[-1] - time
     if first.v > 0.0:
-        share = np.minimum(1.0, since / settings.blend)
+        share = np.minimum(1.0, since / _GUESS_BLEND)
         x = (1.0 - share) * first.v**2 + share * x
     jerk = bounds.jerk
     launch = np.maximum(first.v + since * (first.a + 0.5 * jerk * since), 0.1 * first.v + 1e-4)
@@ -411,39 +430,21 @@ def initial_guess(
     return below
 
 
-def _box_mean(values: FloatArray, half: int) -> FloatArray:
-    """Mean over 2 half + 1 samples, zero beyond the ends."""
-    total = np.cumsum(np.concatenate((np.zeros(half + 1), values, np.zeros(half))))
-    mean: FloatArray = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
-    return mean
-
-
 class ReferenceStates(NamedTuple):
-    """States at the knots of the spline, and the arcs on both its sides.
+    """States at the knots of the spline, and the arcs on both its sides."""
 
-    Attributes:
-        s: Shape (M + 1,) [m].
-        v: Shape (M + 1,) [m/s].
-        a: Shape (M + 1,) [m/s^2].
-        curve: x'' of the cells, Shape (M,) [1/s^2].
-        grid: Its knots.
-        launch: Before it, perhaps without phases.
-        stop: Behind it.
-        iterations: Of the interior point.
-    """
-
-    s: FloatArray
-    v: FloatArray
-    a: FloatArray
-    curve: FloatArray
-    grid: Grid
-    launch: Arc
-    stop: Arc
-    iterations: int
+    s: FloatArray  # Shape (M + 1,) [m]
+    v: FloatArray  # Shape (M + 1,) [m/s]
+    a: FloatArray  # Shape (M + 1,) [m/s^2]
+    curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
+    grid: Grid  # the knots
+    launch: Arc  # arc before the spline, possibly without phases
+    stop: Arc  # arc after it
+    iterations: int  # iterations of the interior point method
 
     @property
     def durations(self) -> FloatArray:
-        """Of the cells, Shape (M,) [s]: the acceleration is linear in s there."""
+        """Durations of the cells, in which the acceleration is linear in s, Shape (M,) [s]."""
         durations: FloatArray = 2.0 * np.diff(self.s) / (self.v[:-1] + self.v[1:])
         return durations
 
@@ -451,52 +452,45 @@ class ReferenceStates(NamedTuple):
 def solve_reference(
     bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> ReferenceStates | None:
-    """The fastest spline under `bounds` from a start state to rest, with its arcs.
+    """Return the fastest spline under `bounds` from a start state to rest, with its arcs.
 
-    None where launch and stop leave no room for it, and where no spline keeps the limits.
+    None if launch and stop leave no room for it, or no spline keeps the limits.
 
     Raises:
-        OutOfTime: The deadline passed.
+        OutOfTime: If the deadline passed.
     """
     deadline.look()
-    limits, settings = bounds.limits, bounds.settings
+    limits = bounds.limits
     profile = forward_backward_pass(bounds, start)
     launch, stop = launch_arc(bounds, start), stop_arc(bounds)
     first, last = launch.state, stop.state
-    if last.s - first.s < settings.arcs.least_rest * limits.length:
+    if last.s - first.s < _LEAST_REST * limits.length:
         return None
     grid = grid_of(bounds, profile, first, last)
     guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
     # A swing from -J to J is a step of x'' by 4 J / v.
-    price = settings.smooth_jerk_step_price if settings.smooth else settings.jerk_step_price
+    price = _SMOOTH_JERK_STEP_PRICE if bounds.smooth else _JERK_STEP_PRICE
     bands = jerk_step_bands(spline, np.sqrt(0.5 * price * guess[1:-1]) / (4.0 * bounds.jerk))
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
     program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, if no spline keeps the limits
         c = coefficients_of(grid.steps, guess, first, last)
-        c, iterations = solve(program, c, settings.interior_point, deadline.look)
+        c, iterations = solve(program, c, deadline.look)
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
     v = np.sqrt(np.maximum(x, 1e-12))
     np.clip(a, -limits.drive.max_deceleration, limits.drive.max_acceleration, out=a)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
     found = ReferenceStates(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
-    longest = settings.strategy.hopeless * max(limits.duration_estimate, float(profile.time[-1]))
+    longest = _HOPELESS * max(limits.duration_estimate, float(profile.time[-1]))
     return found if float(np.sum(found.durations)) <= longest else None
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:
-    """The reference itself as a motion: two phases of equal duration for every cell, exact at the knots.
+    """Return the reference as a motion: two phases of equal duration h for every cell, exact at the knots.
 
-    Within a cell acceleration is linear in s, so jerk x''/2 * v changes only with the speed. From the gains of speed
-    and acceleration over a cell of duration 2 h,
-    j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h, Q = (dv - 2 a h) / h^2.
-    The distance is then (2 v + dv) h - da h^2 / 3, which gives h.
-
-    Args:
-        s: Distances of states that a spline of v^2 can join, Shape (n,) [m].
-        v: Their speeds [m/s].
-        a: Their accelerations [m/s^2].
+    From the gains of speed and acceleration over a cell, j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h,
+    Q = (dv - 2 a h) / h^2. The distance is then (2 v + dv) h - da h^2 / 3, which gives h. Shapes (n,).
     """
     ds, dv, da = np.diff(s), np.diff(v), np.diff(a)
     both = v[:-1] + v[1:]

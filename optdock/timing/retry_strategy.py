@@ -1,20 +1,19 @@
-"""The strategy: from a path to a proven time law. Every retry is in this list.
+"""The strategy: from a path to a proven time law, with all retries.
 
-At a cusp and at the end the robot rests, so segments do not touch each other; each is planned alone. Where the wheels
-must be turned, between two of them or at the start, the robot waits at rest for as long as that takes. A turn in place
-is one move
-(`turn_plans`). From its start state the first line that fits counts (`segment_plans`, `judge_start`):
+At a cusp and at the end the robot rests, so each segment is planned alone. Where the wheels must be turned, between two
+segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments the
+first line that applies to the start state decides (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
-2. It rolls backwards whatever is done: BAD_START.
+2. The robot cannot avoid rolling backwards: BAD_START.
 3. Full braking needs more room than there is: CANNOT_STOP, with the braking.
-4. Full braking breaks a limit, and so does every motion: START_INFEASIBLE, braking until past the last broken limit and
+4. Full braking violates a limit, and so does every motion: START_INFEASIBLE, braking until past the last violation and
    then a plan, or the whole braking and then a plan from rest.
 5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
 
 The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
-make a motion (`time_path`), which `certify_trajectory` proves or refuses; where it refuses, that segment gets its next
-plan. Searching ends when the deadline leaves just enough for windows and their proof; later no motion is begun.
+make a motion (`time_path`), which `certify_trajectory` proves or refuses; a refused segment gets its next plan. The
+search ends when the deadline leaves just enough for windows and their proof; later no motion is begun.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from abc import abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
@@ -33,67 +33,126 @@ from optdock.model.limits import LIMITS
 from optdock.model.path import Path, PolylineSegment, TurnSegment, joint_curvatures
 from optdock.model.segments import TURN_RADIUS
 from optdock.model.trajectory import TimeLaw, Trajectory
-from optdock.plugins.interfaces import TimingReport, TimingResult, TimingStatus
+from optdock.plugins.interfaces import TimeParameterizer, TimingReport, TimingResult, TimingStatus, never_cancelled
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases
-from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_ratio
-from optdock.timing.plan_checks import SegmentPlan, end_slack
-from optdock.timing.ruckig_moves import move
+from optdock.timing.path_limits import NO_LENGTH, limits_along
+from optdock.timing.plan_checks import KEPT, SegmentPlan, end_slack, worst_ratio
+from optdock.timing.ruckig_moves import load_ruckig, move
 from optdock.timing.start_states import NO_DISTANCE, judge_start
-from optdock.timing.timing_settings import CLOCK, SAMPLING
 from optdock.verification import TOLERANCE, certify_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.model.limits import MotionLimits, SpeedZone
-    from optdock.model.path import Segment
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.start_states import StartVerdict
     from optdock.verification import Violation
 
-__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "TimingStart", "best_of", "segment_plans", "time_path"]
+__all__ = [
+    "LONGEST_MOTION",
+    "NO_DEADLINES",
+    "Deadlines",
+    "SegmentPlanner",
+    "SegmentTimeParameterizer",
+    "TimingStart",
+    "best_of",
+    "segment_plans",
+    "time_path",
+    "turn_plans",
+]
+
+LONGEST_MOTION = 3600.0  # [s]: longer motions are refused, as memory and time grow with them
+_NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are left out
+# Reserves of a deadline, as multiples of the time for looking up the curvature of the path, which depends on path and
+# machine: over the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the quickest
+# proof 4. Tuned with `experiments/benchmarks/timing_proofs.py`.
+_WINDOWS_AND_PROOF = 10.0  # with less left the search for a faster motion ends
+_PROOF = 4.0  # with less left no motion is begun
+_REFUSAL = 0.02  # [s], for a refusal of an impossible request
 
 
 class Deadlines(NamedTuple):
-    """What the stages of a call may use of its deadline.
+    """Deadlines of the stages of a call."""
 
-    Args:
-        search: For methods after which another one is left.
-        last: For the last method.
-    """
-
-    search: Deadline = ENDLESS
-    last: Deadline = ENDLESS
+    search: Deadline = ENDLESS  # for methods that are followed by another one
+    last: Deadline = ENDLESS  # for the last method
 
     @classmethod
     def of(cls, whole: Deadline, lookup: float) -> Deadlines:
-        """Shares of a whole call's deadline; `lookup` is how long its path took to look up [s]."""
-        search = whole.shortened(CLOCK.windows_and_proof * lookup)
-        return cls(search, whole.shortened(CLOCK.proof * lookup))
+        """Return the shares of a whole call's deadline; `lookup` is the duration of the path look-up [s]."""
+        search = whole.shortened(_WINDOWS_AND_PROOF * lookup)
+        return cls(search, whole.shortened(_PROOF * lookup))
 
     @property
     def refused(self) -> Deadlines:
-        """For what is left to do after an impossible start."""
-        return self._replace(search=self.search.shortened(at_most=CLOCK.refusal))
+        """Deadlines after an impossible start."""
+        return self._replace(search=self.search.shortened(at_most=_REFUSAL))
 
 
 NO_DEADLINES = Deadlines()
-_NO_WAIT = 0.5 * TOLERANCE  # [s]: wheels that need no more than that do not wait
 
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
 """A method: plans one segment from a state whose full braking keeps the speed caps.
 
 Yields plans of status OK, best first, the next one made only when the one before was refused; at last perhaps one of
-status FAIL, which says why there is none.
+status FAIL with the reason.
 """
 
 
 class TimingStart(NamedTuple):
-    """How a motion begins: speed [m/s], acceleration [m/s^2]; how long it rests first while wheels turn [s]."""
+    """Start of a motion: speed [m/s], acceleration [m/s^2], and the wait at rest before it while wheels turn [s]."""
 
     speed: float
     acceleration: float
     wait: float = 0.0
+
+
+class SegmentTimeParameterizer(TimeParameterizer):
+    """A time parameterizer that plans segment by segment with one method."""
+
+    def on_configure(self) -> None:
+        """Import the libraries of the first call.
+
+        Raises:
+            PluginError: If the package ruckig is not installed.
+        """
+        load_ruckig()
+
+    def parameterize(  # noqa: PLR0913 - as TimeParameterizer.parameterize
+        self,
+        path: Path,
+        limits: MotionLimits,
+        zone: SpeedZone,
+        *,
+        start_speed: float = 0.0,
+        start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
+        max_time: float = math.inf,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+    ) -> TimingResult:
+        """Return the time law of a path; see `TimeParameterizer.parameterize`.
+
+        Raises:
+            InvalidValue: If the start state or `start_wait` is not finite, the wait is negative, or `max_time` is NaN.
+            PluginError: If the package ruckig is not installed.
+            TimingCancelled: If `cancel_checker` returned True.
+        """
+        deadline = Deadline(max_time, stop=cancel_checker)
+        start = TimingStart(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self.segment_plans, deadline)
+
+    @abstractmethod
+    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+        """Yield plans of one segment; a `SegmentPlanner`."""
+
+
+class _Request(NamedTuple):
+    """Limits and start of the motion; see `time_path`."""
+
+    drive: MotionLimits
+    zone: SpeedZone
+    start: TimingStart
 
 
 def time_path(
@@ -104,38 +163,35 @@ def time_path(
     method: SegmentPlanner,
     deadline: Deadline | None = None,
 ) -> TimingResult:
-    """The time law of a path, segment by segment. What it calls OK is proven: `certify_trajectory` decides.
+    """Return the time law of a path; status OK is proven by `certify_trajectory`.
 
     Args:
-        path: Where to drive.
-        drive: What the drive can do.
+        path: Path to drive.
+        drive: Limits of the drive.
         zone: Slow stretch at the end of the path.
-        start: How it begins.
-        method: Plans one segment.
-        deadline: For all of it, and whether to stop; None: no deadline.
+        start: Start of the motion.
+        method: Planner of one segment.
+        deadline: Deadline of the whole call; None: no deadline.
 
     Raises:
-        InvalidValue: The start state or the wait is not finite, the wait negative, or the deadline is NaN.
-        TimingCancelled: The deadline was asked to stop.
+        InvalidValue: If the start state or the wait is not finite, the wait is negative, or the deadline is NaN.
+        TimingCancelled: If the call was cancelled.
     """
     whole = deadline or Deadline()
-    result = _timed(path, _Asked(drive, zone, start), method, whole)
+    if not all(math.isfinite(value) for value in start[:2]):
+        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
+    if not (math.isfinite(start.wait) and start.wait >= 0.0):
+        raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {start.wait}")
+    if math.isnan(whole.seconds):
+        raise InvalidValue("timing: max_time must be a number of seconds, got nan")
+    result = _timed(path, _Request(drive, zone, start), method, whole)
     if result.status is TimingStatus.TIMED_OUT and whole.stopped:
         raise TimingCancelled("timing was cancelled")
     return result
 
 
-class _Asked(NamedTuple):
-    """What the motion must keep, and how it begins; see `time_path`."""
-
-    drive: MotionLimits
-    zone: SpeedZone
-    start: TimingStart
-
-
-def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -> TimingResult:
-    drive, zone, start = asked
-    _check_numbers(start, whole)
+def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadline) -> TimingResult:
+    drive, zone, start = request
     fault = _undrivable(path)
     if not fault and start.wait > _NO_WAIT and (start.speed, start.acceleration) != (0.0, 0.0):
         fault = f"the wheels may take {start.wait:.4g} s to turn at the start, where the robot does not rest"
@@ -145,9 +201,10 @@ def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
     began = whole.elapsed, time.thread_time()
     segments = limits_along(path, drive, zone)
-    # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
+    # The smaller of two clocks: one counts while the machine does something else, the other may be coarse.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
-    waiting, plans = [], []
+    waiting: list[Iterator[SegmentPlan]] = []
+    plans: list[SegmentPlan] = []
     state = MotionState(0.0, start.speed, start.acceleration)
     for segment, begin, limits in zip(path.segments, path.segment_starts.tolist(), segments, strict=False):
         if isinstance(segment, TurnSegment):
@@ -159,19 +216,16 @@ def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -
             break
         state = MotionState() if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
-    return _proven(path, asked, (plans, waiting), whole)
+    return _proven(path, request, plans, waiting, whole)
 
 
 def _proven(
-    path: Path,
-    asked: _Asked,
-    segments: tuple[list[SegmentPlan], list[Iterator[SegmentPlan]]],
-    whole: Deadline,
+    path: Path, request: _Request, plans: list[SegmentPlan], waiting: list[Iterator[SegmentPlan]], whole: Deadline
 ) -> TimingResult:
-    """The result once every refused segment has another plan, or none is left."""
-    (drive, zone, start), (plans, waiting) = asked, segments
+    """Return the result once it is proven, with other plans of refused segments, or the failure of one without."""
+    drive, zone, start = request
     while True:
-        result = _result(path, asked, plans)
+        result = _result(path, request, plans)
         if result.status is not TimingStatus.OK or result.trajectory is None:
             return result
         proof = certify_trajectory(
@@ -193,44 +247,28 @@ def _proven(
         plans[i] = best_of(itertools.chain(waiting[i], [_refused(plans[i], first)]))
 
 
-def _check_numbers(start: TimingStart, whole: Deadline) -> None:
-    if not all(math.isfinite(value) for value in start[:2]):
-        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
-    if not (math.isfinite(start.wait) and start.wait >= 0.0):
-        raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {start.wait}")
-    if math.isnan(whole.seconds):
-        raise InvalidValue("timing: max_time must be a number of seconds, got nan")
-
-
 def _undrivable(path: Path) -> str:
-    """Where the robot turns on the spot, which no time law over arc length can drive; empty if nowhere."""
+    """Return the place of a turn on the spot, which has no time law over arc length; empty without one."""
     for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True):
-        turn, s = _turn_in_place(segment)
-        if turn != 0.0:
-            where = f"by {turn:.6g} rad at s = {begin + s:.6g} m"
+        if not isinstance(segment, PolylineSegment):
+            continue
+        first = int(np.argmin(np.isfinite(segment.step_curvature)))  # the first step without length, or 0
+        turn = float(segment.poses[first + 1, 2] - segment.poses[first, 2])
+        if not math.isfinite(segment.step_curvature[first]) and turn != 0.0:
+            where = f"by {turn:.6g} rad at s = {begin + float(segment.knots[first]):.6g} m"
             return f"path turns in place {where}; a time law over arc length cannot drive that"
     return "" if any(segment.length > NO_LENGTH for segment in path.segments) else "path has no length"
 
 
-def _turn_in_place(segment: Segment) -> tuple[float, float]:
-    if not isinstance(segment, PolylineSegment):
-        return 0.0, 0.0
-    still = np.flatnonzero(~np.isfinite(segment.step_curvature))
-    if still.size == 0:
-        return 0.0, 0.0
-    first = int(still[0])
-    return float(segment.poses[first + 1, 2] - segment.poses[first, 2]), float(segment.knots[first])
-
-
-def _result(path: Path, asked: _Asked, plans: list[SegmentPlan]) -> TimingResult:
-    worst = max(plans, key=lambda plan: plan.status)  # the statuses are in order of gravity
+def _result(path: Path, request: _Request, plans: list[SegmentPlan]) -> TimingResult:
+    worst = max(plans, key=lambda plan: plan.status)  # statuses are ordered by severity
     trajectory = None
     if worst.status not in (TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT):
         driven = path if len(plans) == len(path.segments) else Path(path.segments[: len(plans)])
-        waits = _waits(path, asked)
+        waits = _waits(path, request)
         parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
         phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
-        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *asked.start[:2]))
+        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *request.start[:2]))
     return TimingResult(
         worst.status,
         trajectory,
@@ -243,24 +281,24 @@ def _result(path: Path, asked: _Asked, plans: list[SegmentPlan]) -> TimingResult
     )
 
 
-def _waits(path: Path, asked: _Asked) -> dict[int, Phases]:
-    """Phases at rest before those segments that the wheels must be turned for."""
-    times = [asked.start.wait]
-    if len(path.segments) > 1 and math.isfinite(asked.drive.max_steering_rate):
-        times += asked.drive.steering_times(joint_curvatures(path)).tolist()
+def _waits(path: Path, request: _Request) -> dict[int, Phases]:
+    """Return the phases at rest before the segments for which the wheels must be turned."""
+    times = [request.start.wait]
+    if len(path.segments) > 1 and math.isfinite(request.drive.max_steering_rate):
+        times += request.drive.steering_times(joint_curvatures(path)).tolist()
     return {i: ((time, 0.0),) for i, time in enumerate(times) if time > _NO_WAIT}
 
 
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
-    """What is left to say where the last plan of a segment is refused by the proof."""
+    """Return the failure of a segment whose last plan is refused by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
     named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
-    limit = named[0] if len(named) == 1 else ""  # of a speed: its gear's, or the zone's
+    limit = named[0] if len(named) == 1 else ""  # a speed may be that of either gear, or of the zone
     return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, limit=limit, s=violation.s, arrives=False)
 
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
-    """The next plan of what a method yields that is not FAIL, or the last; TIMED_OUT where time is up."""
+    """Return the next plan that is not FAIL, or the last one; TIMED_OUT if time is up."""
     last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method has a motion for this gear", arrives=False)
     try:
         for last in plans:
@@ -274,21 +312,21 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 def segment_plans(
     limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
-    """Plans of one segment from any start state, best first; impossible starts are refused by name.
+    """Yield plans of one segment from any start state, best first; impossible starts are refused with a reason.
 
     Args:
-        limits: Along the segment; None where it has no length.
-        start: At s = 0.
-        method: Plans from a state from which the limits can be kept.
+        limits: Limits along the segment; None if it has no length.
+        start: State at s = 0.
+        method: Planner from a state from which the limits can be kept.
         deadlines: Wall-clock time.
 
     Raises:
-        OutOfTime: Between two plans.
+        OutOfTime: If a deadline passed between two plans.
     """
     if limits is None:
         yield SegmentPlan(TimingStatus.OK, how="empty")
         return
-    longest, duration = SAMPLING.longest_motion, limits.duration_estimate
+    longest, duration = LONGEST_MOTION, limits.duration_estimate
     if duration > longest:
         reason = f"the drive would take about {duration:.3g} s; motions of more than {longest:.0f} s are not planned"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=limits.begin)
@@ -306,34 +344,34 @@ def segment_plans(
 
 
 def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin: float) -> Iterator[SegmentPlan]:
-    """The plan of a turn in place: one move from rest to rest, the fastest under the limits of turning.
+    """Yield the plan of a turn in place: one move from rest to rest, the fastest under the limits of turning.
 
     Args:
-        turn: To be driven over its stretch of the path coordinate.
-        drive: What the drive can do.
-        start: At its beginning.
-        begin: Where that is on the whole path [m].
+        turn: The segment.
+        drive: Limits of the drive.
+        start: State at the start of the segment.
+        begin: Start of the segment on the whole path [m].
     """
     rate, acceleration, jerk = (TURN_RADIUS * limit for limit in drive.turning)
+    reason = ""
     if not math.isfinite(rate + acceleration):
         needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
         reason = f"the path turns in place at s = {begin:.6g} m, and nothing limits that: it takes {needed}"
-        yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
     elif start != MotionState():
         reason = f"the path turns in place at s = {begin:.6g} m, where the robot moves at {start.v:.6g} m/s"
+    elif turn.length / rate > LONGEST_MOTION:
+        reason = f"a turn by {turn.turn:.6g} rad takes more than {LONGEST_MOTION:.0f} s"
+    if reason:
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
-    elif turn.length / rate > SAMPLING.longest_motion:
-        reason = f"a turn by {turn.turn:.6g} rad takes more than {SAMPLING.longest_motion:.0f} s"
-        yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
-    else:
-        phases = move(start, MotionState(turn.length), DriveBounds(rate, acceleration, acceleration, jerk))
-        yield SegmentPlan(TimingStatus.OK if phases else TimingStatus.FAIL, phases or (), how="turn in place")
+        return
+    phases = move(start, MotionState(turn.length), DriveBounds(rate, acceleration, acceleration, jerk))
+    yield SegmentPlan(TimingStatus.OK if phases else TimingStatus.FAIL, phases or (), how="turn in place")
 
 
 def _braked_plan(
     limits: PathLimits, start: MotionState, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
 ) -> SegmentPlan:
-    """Braking, then a plan: always drivable, a violation only where braking itself has one."""
+    """Return braking and then a plan: always drivable, with a violation only where braking itself has one."""
     phases = _resumed(limits, verdict, method, deadlines if verdict.refusal is None else deadlines.refused)
     motion = Motion.of(start, phases)
     worst, arrives = worst_ratio(limits, motion), motion.end.s >= limits.length - end_slack(limits)
@@ -351,7 +389,7 @@ def _braked_plan(
 
 
 def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines) -> Phases:
-    """Braking, and the first plan of what is left of the segment; braking to rest where there is none in time."""
+    """Return braking and the first plan of the rest of the segment; braking to rest if there is none in time."""
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue

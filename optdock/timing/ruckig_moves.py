@@ -1,10 +1,10 @@
 """Moves by ruckig [Berscheid2021]: from state to state, and along the reference, as few as the limits allow.
 
-ruckig's community edition runs offline. It happily drives backwards and accepts start states beyond its limits; both
-are seen to here. It never gets an intermediate position: with one it would call a cloud service.
+ruckig's community edition runs offline. It may drive backwards and accepts start states beyond its limits; both are
+checked here. It is never given an intermediate position: with one it would call a cloud service.
 
-Along the reference, level by level, every open piece is tried as one move; a piece whose move breaks a limit is split
-at the knot nearest the worst place. Between two neighbouring knots the reference itself shows that a move exists.
+Along the reference, level by level, every open piece is tried as one move; a piece whose move violates a limit is split
+at the knot nearest to the worst place. Between two neighbouring knots a move exists, that of the reference itself.
 """
 
 from __future__ import annotations
@@ -36,31 +36,55 @@ __all__ = ["Move", "load_ruckig", "move", "split_into_moves"]
 
 _ABOVE = 1.0 + 1e-9  # ruckig refuses a target exactly at its speed limit
 _STILL = 1e-9  # [m/s]: rounding below zero that does not count as driving backwards
-_CRAWL = 1e-3  # [m/s]: speeds below it break no limit
+_CRAWL = 1e-3  # [m/s]: lower speeds violate no limit
+
+_SAMPLE = 0.02  # [s], of the check of a move
+_LONGEST_FACTOR, _LONGEST_MORE = 1.2, 0.05  # bound on the duration of a move: a factor on the reference's, and [s]
+_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with hardly more than the reference's own jerk and drive
+_GENTLE_JERK = (1.05, 0.01)  # factor on the largest jerk of the reference, and share of the limit added to it
+_GENTLE_MOST_JERK = 0.95  # share of the limit above which a gentle move has no advantage
+_GENTLE_DRIVE = (1.04, 0.04)  # factor on the reference's range of accelerations, and share of the limit added to it
+_GENTLE_LEAST_DRIVE = 0.01  # least share of the acceleration for a gentle move
+_LEVEL = 0.8  # share of the largest v^2: where the cap stays above, one move is tried for any length
+_MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut into parts of at most 16, those above 6 into four, others in two
 
 
 def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
-    """The time-optimal motion between two states; None where there is none without driving backwards.
+    """Return the time-optimal motion between two states; None if there is none without driving backwards.
 
-    The speed bound is raised to what the two states make inevitable; a caller that needs it kept checks the result.
+    The speed bound is raised to the speeds that the two states imply; the caller checks the result.
 
     Args:
         start: First state.
         target: Last state.
-        bounds: Of speed, acceleration, deceleration and jerk.
-        longest: Motions that take longer count as none [s].
+        bounds: Bounds of speed, acceleration, deceleration and jerk.
+        longest: Largest duration of a motion [s].
     """
     rise = max(
         target.v + (0.5 * target.a * target.a / bounds.jerk if target.a < 0.0 else 0.0),
         start.v + (0.5 * start.a * start.a / bounds.jerk if start.a > 0.0 else 0.0),
     )
-    phases = _tool().position_move(start, target, bounds, max(bounds.speed, rise * _ABOVE), longest)
+    tool = _tool()
+    given = tool.input  # ruckig copies its inputs, so lists are assigned, never changed
+    given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
+    given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
+    given.max_velocity, given.max_jerk = [max(bounds.speed, rise * _ABOVE)], [bounds.jerk]
+    given.max_acceleration, given.min_acceleration = [bounds.acceleration], [-bounds.deceleration]
+    try:
+        tool.otg.calculate(given, tool.output)
+    except tool.error:
+        return None
+    if tool.output.duration > longest:
+        return None
+    profile = tool.output.profiles[0][0]
+    brake, times, jerks = profile.brake, profile.t, profile.j
+    if brake.duration > 0.0:
+        times, jerks = [*brake.t, *times], [*brake.j, *jerks]
+    phases = tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
     return phases if _drives_forward(start, phases) else None
 
 
-def _drives_forward(start: MotionState, phases: Phases | None) -> bool:
-    if phases is None:
-        return False
+def _drives_forward(start: MotionState, phases: Phases) -> bool:
     _s, v, a = start
     for duration, jerk in phases:
         end_a = a + duration * jerk
@@ -74,7 +98,7 @@ def _drives_forward(start: MotionState, phases: Phases | None) -> bool:
 
 
 class _Tool:
-    """One set of ruckig's objects; a trajectory object is overwritten by every calculation."""
+    """One set of ruckig's objects, overwritten by every calculation."""
 
     def __init__(self, ruckig: ModuleType) -> None:
         self.otg: Any = ruckig.Ruckig(1)  # ruckig ships no types
@@ -82,52 +106,24 @@ class _Tool:
         self.output: Any = ruckig.Trajectory(1)
         self.error: type[Exception] = ruckig.RuckigError
 
-    def position_move(
-        self, start: MotionState, target: MotionState, bounds: DriveBounds, speed: float, longest: float
-    ) -> Phases | None:
-        """The phases from state to state, brake phases first; None where ruckig finds none.
-
-        Inputs are copies inside ruckig, so lists are assigned, never changed.
-        """
-        given = self.input
-        given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
-        given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
-        given.max_velocity, given.max_jerk = [speed], [bounds.jerk]
-        given.max_acceleration, given.min_acceleration = [bounds.acceleration], [-bounds.deceleration]
-        try:
-            self.otg.calculate(given, self.output)
-        except self.error:
-            return None
-        if self.output.duration > longest:
-            return None
-        profile = self.output.profiles[0][0]
-        brake = profile.brake
-        times, jerks = profile.t, profile.j
-        if brake.duration > 0.0:
-            times, jerks = [*brake.t, *times], [*brake.j, *jerks]
-        return tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
-
 
 def load_ruckig() -> None:
     """Import ruckig now, for this thread.
 
     Raises:
-        PluginError: It is not installed.
+        PluginError: If ruckig is not installed.
     """
     _tool()
 
 
-class _Local(threading.local):
-    tool: _Tool | None = None
-
-
-_local = _Local()
+_local = threading.local()
 
 
 def _tool() -> _Tool:
-    if _local.tool is None:
+    if not hasattr(_local, "tool"):
         _local.tool = _Tool(_ruckig())
-    return _local.tool
+    tool: _Tool = _local.tool
+    return tool
 
 
 @cache
@@ -141,13 +137,7 @@ def _ruckig() -> ModuleType:
 class _Nodes(NamedTuple):
     """States between which moves are made: both ends of the segment and the knots between.
 
-    Attributes:
-        s: Distances, Shape (n,) [m].
-        v: Speeds [m/s].
-        a: Accelerations [m/s^2].
-        time: Reference time [s].
-        jerk: Largest |jerk| of the reference in the n - 1 cells [m/s^3].
-        zone: Index of the node at the zone start; 0 without one inside.
+    `time`: of the reference [s]; `jerk`: its largest |jerk| per cell [m/s^3]; `zone`: index of the zone start, or 0.
     """
 
     s: list[float]
@@ -162,60 +152,33 @@ class _Nodes(NamedTuple):
         return MotionState(self.s[i], self.v[i], self.a[i])
 
 
-class _Piece(NamedTuple):
-    """A stretch of nodes that one move drives.
-
-    Args:
-        first: Index of the node at its start.
-        last: Index of the node at its end.
-        phases: The move.
-        excess: By how much time would have to be stretched for the checked limits to hold; at most 1 when accepted.
-        worst: Where that is decided [m].
-    """
-
-    first: int
-    last: int
-    phases: Phases
-    excess: float
-    worst: float
-
-
 class Move(NamedTuple):
-    """One move along the reference.
+    """One move along the reference."""
 
-    Args:
-        left: Where it begins [m].
-        right: Where it ends [m].
-        phases: The motion.
-        excess: By how much time would have to be stretched for the checked limits to hold; at most 1 where they do.
-    """
-
-    left: float
-    right: float
-    phases: Phases
-    excess: float
+    left: float  # start [m]
+    right: float  # end [m]
+    phases: Phases  # the motion
+    excess: float  # factor on time that keeps the checked limits; at most 1 if they are kept
+    worst: float  # place that decides the excess [m]
 
 
 def split_into_moves(
     reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> list[Move]:
-    """The moves that drive the reference within the checked limits, wherever there are such.
+    """Return moves along the reference, in driving order over the whole segment, within the limits where possible.
 
     Args:
-        reference: What to follow.
-        bounds: What it was made for.
+        reference: The reference.
+        bounds: The bounds of the reference.
         start: State at the start of the segment; the end is at rest.
-        deadline: Looked at before every move.
-
-    Returns:
-        Moves in driving order over the whole segment.
+        deadline: Checked before every move.
 
     Raises:
-        OutOfTime: The deadline passed.
+        OutOfTime: If the deadline passed.
     """
     nodes = _nodes_of(reference, start, MotionState(bounds.limits.length))
     active = _first_pieces(nodes, bounds)
-    done: list[_Piece] = []
+    done: list[Move] = []
     while active:
         tried = _try_pieces(nodes, bounds, active, deadline)
         active = []
@@ -223,12 +186,12 @@ def split_into_moves(
             if best is not None and (best.excess <= 1.0 or j - i == 1):
                 done.append(best)
             else:
-                active.extend(_parts(nodes, bounds, (i, j), best))
-    return [Move(nodes.s[piece.first], nodes.s[piece.last], piece.phases, piece.excess) for piece in sorted(done)]
+                active.extend(_parts(nodes, (i, j), best))
+    return sorted(done)
 
 
 def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) -> _Nodes:
-    """_Nodes of a reference between the start and the end of the segment."""
+    """Return the nodes of a reference between the start and the end of the segment."""
     s, v, a, zone = reference.s, reference.v, reference.a, reference.grid.zone
     jerk = 0.5 * np.abs(reference.curve) * np.maximum(v[:-1], v[1:])
     launch, stop = duration_of(reference.launch.phases), duration_of(reference.stop.phases)
@@ -241,15 +204,15 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
-    """Before and after the zone start; cut into parts where the speed cap changes on the way."""
-    last, settings = len(nodes.s) - 1, bounds.settings.moves
+    """Return the pieces before and after the zone start, in parts where the speed cap is not level."""
+    last = len(nodes.s) - 1
     halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
     pieces: list[tuple[int, int]] = []
     for i, j in halves:
         cells = slice(*np.searchsorted(bounds.limits.s, (nodes.s[i] + 1e-9, nodes.s[j] - 1e-9)))
         cap = bounds.speed_squared[cells]
-        level = cap.size == 0 or float(cap.min()) > settings.level * float(cap.max())
-        pieces.extend([(i, j)] if level else _equal_parts(i, j, -(-(j - i) // settings.middle)))
+        level = cap.size == 0 or float(cap.min()) > _LEVEL * float(cap.max())
+        pieces.extend([(i, j)] if level else _equal_parts(i, j, -(-(j - i) // _MIDDLE)))
     return pieces
 
 
@@ -257,14 +220,12 @@ def _equal_parts(i: int, j: int, count: int) -> list[tuple[int, int]]:
     return list(itertools.pairwise(i + (j - i) * n // count for n in range(count + 1)))
 
 
-def _parts(
-    nodes: _Nodes, bounds: ReferenceBounds, ends: tuple[int, int], tried: _Piece | None
-) -> list[tuple[int, int]]:
-    """A long piece in equal parts, a short one in two at the knot nearest to where it is worst."""
-    (i, j), settings = ends, bounds.settings.moves
+def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tuple[int, int]]:
+    """Split a long piece in equal parts, a short one in two at the knot nearest to the worst place."""
+    i, j = ends
     cells = j - i
-    if cells > settings.short or tried is None:
-        count = -(-cells // settings.middle) if cells > settings.middle else 4 if cells > settings.short else 2
+    if cells > _SHORT or tried is None:
+        count = -(-cells // _MIDDLE) if cells > _MIDDLE else 4 if cells > _SHORT else 2
         return _equal_parts(i, j, count)
     s, worst = nodes.s, tried.worst
     middle = min(range(i + 1, j), key=lambda n: abs(s[n] - worst))
@@ -273,60 +234,57 @@ def _parts(
 
 def _try_pieces(
     nodes: _Nodes, bounds: ReferenceBounds, active: list[tuple[int, int]], deadline: Deadline
-) -> dict[tuple[int, int], _Piece | None]:
-    """The best move of every piece; the time-optimal one only where the gentle one is missing or the last hope.
+) -> dict[tuple[int, int], Move | None]:
+    """Return the best move of every piece; the time-optimal one only without a gentle one, or for a single cell.
 
-    A single cell without a move, by rounding, is driven as the reference drives it.
+    A single cell for which rounding prevents a move gets the motion of the reference.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
         deadline.look()
         gentle = _gentle_move(nodes, bounds, i, j)
         full = None if gentle and j - i > 1 else _full_move(nodes, bounds, i, j)
-        own = _reference_motion(nodes, i) if j - i == 1 and not (gentle or full) else None
+        own = None
+        if j - i == 1 and not (gentle or full):
+            own = spline_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
         moves.extend(((i, j), phases) for phases in (gentle, full, own) if phases)
     found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves])
-    best: dict[tuple[int, int], _Piece | None] = dict.fromkeys(active)
+    best: dict[tuple[int, int], Move | None] = dict.fromkeys(active)
     for (ends, phases), (excess, worst) in zip(moves, found, strict=True):
         known = best[ends]
         if known is None or (known.excess > 1.0 and excess < known.excess):
-            best[ends] = _Piece(*ends, phases, excess, worst)
+            best[ends] = Move(nodes.s[ends[0]], nodes.s[ends[1]], phases, excess, worst)
     return best
 
 
 def _full_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
-    """The time-optimal move between two nodes, unless it makes a long detour."""
+    """Return the time-optimal move between two nodes, unless it takes much longer than the reference."""
     drive = bounds.limits.drive
     most = DriveBounds(max(nodes.v[i : j + 1]), drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
-    return _short_enough(nodes, bounds, (i, j), most)
+    return _short_enough(nodes, (i, j), most)
 
 
 def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
-    """A move with hardly more jerk and acceleration than the reference: it follows a stretch that rides its cap."""
-    settings, drive = bounds.settings.moves, bounds.limits.drive
-    if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > settings.gentle_below:
+    """Return a move with hardly more jerk and acceleration than the reference, which stays close to its speeds."""
+    drive = bounds.limits.drive
+    if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
         return None
-    factor, more = settings.gentle_jerk
+    factor, more = _GENTLE_JERK
     jerk = factor * max(nodes.jerk[i:j]) + more * drive.max_jerk
-    if jerk > settings.gentle_most_jerk * drive.max_jerk:
+    if jerk > _GENTLE_MOST_JERK * drive.max_jerk:
         return None
-    accelerations, (factor, more) = nodes.a[i : j + 1], settings.gentle_drive
+    accelerations, (factor, more) = nodes.a[i : j + 1], _GENTLE_DRIVE
     rise = min(drive.max_acceleration, factor * max(accelerations) + more * drive.max_acceleration)
     fall = min(drive.max_deceleration, -factor * min(accelerations) + more * drive.max_deceleration)
-    least = settings.gentle_least_drive * drive.max_acceleration
+    least = _GENTLE_LEAST_DRIVE * drive.max_acceleration
     gentle = DriveBounds(max(nodes.v[i : j + 1]), max(rise, least), max(fall, least), jerk)
-    return _short_enough(nodes, bounds, (i, j), gentle)
+    return _short_enough(nodes, (i, j), gentle)
 
 
-def _short_enough(nodes: _Nodes, bounds: ReferenceBounds, ends: tuple[int, int], box: DriveBounds) -> Phases | None:
-    (i, j), settings = ends, bounds.settings.moves
-    longest = settings.longest_factor * (nodes.time[j] - nodes.time[i]) + settings.longest_more
+def _short_enough(nodes: _Nodes, ends: tuple[int, int], box: DriveBounds) -> Phases | None:
+    i, j = ends
+    longest = _LONGEST_FACTOR * (nodes.time[j] - nodes.time[i]) + _LONGEST_MORE
     return move(nodes.state(i), nodes.state(j), box, longest)
-
-
-def _reference_motion(nodes: _Nodes, i: int) -> Phases:
-    """The motion of the reference in one cell."""
-    return spline_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
 
 
 class _Samples(NamedTuple):
@@ -340,18 +298,15 @@ class _Samples(NamedTuple):
 
     @property
     def owners(self) -> IntArray:
-        """Which move each sample belongs to."""
+        """Index of the move of each sample."""
         return np.repeat(np.arange(self.begins.size), np.diff(np.append(self.begins, self.s.size)))
 
     def reached(self, before: IntArray, s: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-        """Speed and acceleration at distances `s` at most `period` [s] after the samples `before`.
-
-        Two Newton steps for the time.
-        """
+        """Return speed and acceleration at distances `s` at most `period` [s] after the samples `before`."""
         v, a, jerk = self.v[before], self.a[before], self.jerk[before]
         behind = self.s[before] - s
         t = -behind / np.maximum(v, _CRAWL)
-        for _ in range(2):
+        for _ in range(2):  # Newton steps for the time
             miss, speed, _a = constant_jerk(t, behind, v, a, jerk)
             t = np.clip(t - miss / np.maximum(speed, _CRAWL), 0.0, period)
         _s, speed, acceleration = constant_jerk(t, behind, v, a, jerk)
@@ -359,11 +314,10 @@ class _Samples(NamedTuple):
 
 
 def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    """Largest excess of every move and where it is; all moves at once."""
+    """Return the largest excess of every move and its place; all moves at once."""
     if not moves:
         return []
-    period = bounds.settings.moves.sample
-    phases, counts = _phase_rows(moves, period)
+    phases, counts = _phase_rows(moves)
     number_of = phases[:, 5].astype(np.int64)
     owner = np.repeat(np.arange(number_of.size), number_of)
     first = np.cumsum(number_of) - number_of
@@ -375,7 +329,7 @@ def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) 
     )
     excess = bounds.excess_at(samples.s, samples.v, samples.a)
     if bounds.jumps.size:
-        _add_jumps(bounds, samples, excess, period)
+        _add_jumps(bounds, samples, excess)
     worst = np.maximum.reduceat(excess, samples.begins)
     at_worst = np.flatnonzero(excess >= worst[samples.owners])
     place = np.empty(worst.size)
@@ -383,27 +337,27 @@ def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) 
     return list(zip(worst.tolist(), place.tolist(), strict=True))
 
 
-def _phase_rows(moves: list[tuple[MotionState, Phases]], period: float) -> tuple[FloatArray, FloatArray]:
-    """Duration, jerk, s, v, a and number of samples of every phase, and the number of phases of every move."""
+def _phase_rows(moves: list[tuple[MotionState, Phases]]) -> tuple[FloatArray, FloatArray]:
+    """Return duration, jerk, s, v, a and number of samples of every phase, and the number of phases of every move."""
     rows: list[tuple[float, float, float, float, float, int]] = []
     for start, phases in moves:
         s, v, a = start
         for duration, jerk in phases:
-            rows.append((duration, jerk, s, v, a, 1 + int(duration / period)))
+            rows.append((duration, jerk, s, v, a, 1 + int(duration / _SAMPLE)))
             s, v, a = constant_jerk(duration, s, v, a, jerk)
     return np.array(rows), np.array([len(phases) for _start, phases in moves])
 
 
-def _add_jumps(bounds: ReferenceBounds, samples: _Samples, excess: FloatArray, period: float) -> None:
-    """Raise the excess at the samples before jumps of the curvature rate to what it is at the jumps."""
+def _add_jumps(bounds: ReferenceBounds, samples: _Samples, excess: FloatArray) -> None:
+    """Raise the excess of the samples before jumps of the curvature rate to that at the jumps."""
     places = bounds.limits.s[bounds.jumps]
     ends = np.append(samples.begins[1:], samples.s.size) - 1
     first = np.searchsorted(places, samples.s[samples.begins])
     count = np.maximum(np.searchsorted(places, samples.s[ends], side="right") - first, 0)
     owner = np.repeat(np.arange(count.size), count)
     index = first[owner] + np.arange(owner.size) - (np.cumsum(count) - count)[owner]
-    stride = 2.0 * bounds.limits.length  # moves overlap; shifted apart they make one increasing sequence
+    stride = 2.0 * bounds.limits.length  # moves overlap; shifted apart they are one increasing sequence
     key = samples.s + stride * samples.owners
     before = np.maximum(np.searchsorted(key, places[index] + stride * owner) - 1, samples.begins[owner])
-    v, a = samples.reached(before, places[index], period)
+    v, a = samples.reached(before, places[index], _SAMPLE)
     np.maximum.at(excess, before, bounds.jump_excess_at(bounds.jumps[index], v, a))

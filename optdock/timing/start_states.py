@@ -1,8 +1,8 @@
-"""Start states: full braking decides what can be driven from (v0, a0), in closed form.
+"""Start states: full braking decides in closed form whether (v0, a0) is feasible.
 
 Viability: among all controls from a start state full braking (jerk -J to -D, hold, +J to rest) gives the least speed at
 every distance: compare da/ds = j / v. So the speed caps can be kept if and only if the full-braking curve stays below
-them; where it does not, no other motion breaks them less.
+them; otherwise no other motion violates them less.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from optdock.model.limits import LIMITS
 from optdock.model.trajectory import braking_phases
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, braking_slack
-from optdock.timing.path_limits import KEPT, worst_ratio
-from optdock.timing.plan_checks import SegmentPlan
-from optdock.timing.timing_settings import SAMPLING
+from optdock.timing.plan_checks import KEPT, SegmentPlan, worst_ratio
 from optdock.timing.turning_limits import turning_ratio
 
 if TYPE_CHECKING:
@@ -27,11 +25,12 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]
 
-NO_DISTANCE = 1e-9  # [m]: nothing is left to plan
+NO_DISTANCE = 1e-9  # [m]: a shorter rest of a segment needs no plan
+_PERIOD = 0.004  # [s], of the samples of full braking
 
 
 def full_stop(start: MotionState, bounds: DriveBounds) -> Phases:
-    """Full braking to rest, wherever that is; see `braking_phases`."""
+    """Return full braking to rest; see `braking_phases`."""
     return braking_phases(start.v, start.a, bounds.deceleration, bounds.jerk)
 
 
@@ -39,27 +38,27 @@ class Braking:
     """Full braking from a start state on a segment.
 
     Args:
-        limits: The segment's.
+        limits: The segment's limits.
         start: Moving forward, or at rest with acceleration > 0.
 
     Attributes:
         motion: The braking motion; it may end beyond the segment.
-        times: Where it is looked at: phase borders, a grid, every node of the limits, Shape (n,) [s].
+        times: Sample times: phase borders, a grid, every node of the limits, Shape (n,) [s].
         states: Distance, speed, acceleration there, Shape (3, n).
-        path_ratios: Quotients with limits of the path that no motion from this start keeps better, Shape (n,): the
+        path_ratios: Ratios of the limits of the path that no motion from this start keeps better, Shape (n,): the
             speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' > 0, else
             with A; the turning limits at the start itself.
         cap_ratios: The speed caps alone, Shape (n,).
         inevitable: The turning limits alone, Shape (n,) each.
         turning_ratios: Those of `turning_ratio`, Shape (n,).
-        drive_ratios: Quotients of the acceleration, which full braking leads into its limits as fast as it can.
-        ratios: The larger of both, Shape (n,).
+        drive_ratios: Ratios of the acceleration, which full braking reduces as fast as possible.
+        ratios: The larger of `path_ratios` and `drive_ratios`, Shape (n,).
     """
 
     def __init__(self, limits: PathLimits, start: MotionState) -> None:
         self.motion = Motion.of(start, full_stop(start, limits.drive_bounds))
         inside = limits.s[(limits.s > 0.0) & (limits.s < self.motion.end.s)]
-        grid = self.motion.sample_times(SAMPLING.braking_period)
+        grid = self.motion.sample_times(_PERIOD)
         self.times = np.union1d(grid, self.motion.crossing_times(inside)) if inside.size else grid
         self.states = self.motion.at(self.times)
         s, v, a = self.states
@@ -74,11 +73,11 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """How far from the start braking leaves no room for margins [m].
+        """Return the distance from the start over which braking leaves no room for margins [m].
 
         Args:
-            slack: Where it is closer than this, relative, to the limits.
-            turning_share: Where it uses more of a turning limit.
+            slack: Distance from the limits, relative, that leaves room.
+            turning_share: Ratio of a turning limit that leaves room.
         """
         tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
         turning = np.flatnonzero(self.turning_ratios <= turning_share)
@@ -87,11 +86,11 @@ class Braking:
 
 
 class StartVerdict(NamedTuple):
-    """What full braking says of a moving start; it counts as true where it does not refuse.
+    """Verdict of full braking on a moving start; true without a refusal.
 
     Args:
-        refusal: Why no motion from it keeps every limit; None where one may.
-        ways_on: From where a plan may go on, best first: the phases until then, and the state then; empty: nowhere.
+        refusal: Why no motion keeps every limit; None where one may.
+        ways_on: Phases until a plan may continue, and the state then, best first.
     """
 
     refusal: SegmentPlan | None
@@ -102,18 +101,19 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Whether the limits of a segment can be kept from a moving start; impossible ones are refused by name."""
+    """Return whether the limits of a segment can be kept from a moving start, and the reason if not."""
+    begin = limits.begin
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
-        reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot rolls backwards whatever is done"
+        reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot cannot avoid rolling backwards"
         limit = "" if start.v < 0.0 else "max_jerk"
         status = TimingStatus.BAD_START
-        return StartVerdict(SegmentPlan(status, how="none", reason=reason, limit=limit, s=limits.begin, arrives=False))
+        return StartVerdict(SegmentPlan(status, how="none", reason=reason, limit=limit, s=begin, arrives=False))
     braking = Braking(limits, start)
     brake = braking.motion
     if not np.isfinite(braking.states).all():
-        reason = f"full braking from {start} is beyond all numbers"
-        return StartVerdict(SegmentPlan(TimingStatus.FAIL, how="none", reason=reason, s=limits.begin, arrives=False))
-    needed, left, begin = brake.end.s, limits.length, limits.begin
+        reason = f"full braking from {start} overflows"
+        return StartVerdict(SegmentPlan(TimingStatus.FAIL, how="none", reason=reason, s=begin, arrives=False))
+    needed, left = brake.end.s, limits.length
     if needed > left + NO_DISTANCE:
         distances = f"{needed:.6g} m, the stop at s = {begin + left:.6g} m is {left:.6g} m away"
         reason = f"full braking from {start.v:.6g} m/s needs {distances}"
@@ -136,7 +136,7 @@ def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
 
 
 def _broken_limit(braking: Braking, k: int, limits: PathLimits) -> tuple[str, str]:
-    """The limit that decides at the k-th of `times`: its name, and in words by how much and where it is broken."""
+    """Return the limit with the largest ratio at the k-th of `times`, and a description of its violation."""
     s, v, a = (float(value) for value in braking.states[:, k])
     ratio, turning, drive = float(braking.ratios[k]), float(braking.turning_ratios[0]), limits.drive
     inside = min(max(s, 0.0), limits.length)
@@ -157,5 +157,4 @@ def _broken_limit(braking: Braking, k: int, limits: PathLimits) -> tuple[str, st
 
 
 def _valued(name: str, drive: MotionLimits) -> str:
-    """A limit with its value."""
     return f"{name} = {getattr(drive, name):.4g} {LIMITS[name].unit}"

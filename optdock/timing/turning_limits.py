@@ -1,12 +1,12 @@
-"""Turning limits: how fast v^n k may change, the speed v to the power n times the curvature k of the path.
+"""Turning limits: bounds on d/dt (v^n k), the speed v to the power n times the curvature k of the path.
 
 With the acceleration a and the curvature's rate r per metre
 
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), as a = x' / 2. Where time is stretched by c everything falls with c^(n + 1), so
-quotients of these quantities and their limits are compared as their powers 2 / (n + 1): all fall with the square of c.
+second factor is linear in (x, x'), as a = x' / 2. Where time is stretched by c the quantity falls with c^(n + 1), so
+ratios of quantity and limit are raised to the power 2 / (n + 1): all fall with the square of c.
 """
 
 from __future__ import annotations
@@ -23,56 +23,50 @@ if TYPE_CHECKING:
 __all__ = ["TurningLimit", "turning_limits", "turning_ratio"]
 
 _ORDERS = {"max_yaw_acceleration": 1, "max_lateral_jerk": 2}
-_HUGE = 1e12  # stands for a larger bound: products with it stay numbers
+_HUGE = 1e12  # replaces a larger bound, so that products with it do not overflow
 
 
 class TurningLimit(NamedTuple):
-    """A bound on how fast v^order k changes.
+    """A bound on d/dt (v^order k)."""
 
-    Attributes:
-        name: In `MotionLimits`.
-        order: Power of the speed, 1 or 2.
-        bound: Its value, > 0 and finite.
-    """
-
-    name: str
-    order: int
-    bound: float
+    name: str  # in `MotionLimits`
+    order: int  # power of the speed, 1 or 2
+    bound: float  # its value, > 0 and finite
 
     def ratio(self, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """The quantity over its bound, to the power 2 / (order + 1). Shape (n,) as all that is given."""
+        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,) as all arguments."""
         ratio: FloatArray = np.abs(self.order * a * curvature + v * v * rate) * (1.0 / self.bound)
         return ratio if self.order == 1 else np.cbrt(v * ratio) ** 2
 
     def slowness(self, rate: FloatArray, share: float = 1.0) -> FloatArray:
-        """1 / the constant speed that uses a share of the bound at curvature rates >= 0. Shape (n,) [s/m]."""
+        """Return 1 / the constant speed that uses a share of the bound, at curvature rates >= 0. Shape (n,) [s/m]."""
         return self._root(rate * (1.0 / (share * self.bound)))
 
     def fastest(self, rate: float) -> float:
-        """The constant speed that uses up the bound at a curvature rate >= 0 [m/s]."""
+        """Return the constant speed that uses up the bound at a curvature rate >= 0 [m/s]."""
         if rate <= 0.0:
             return math.inf
         return math.sqrt(self.bound / rate) if self.order == 1 else math.pow(self.bound / rate, 1.0 / 3.0)
 
     def at_constant_speed(self, squared: FloatArray, rate: FloatArray) -> FloatArray:
-        """The quantity at speeds given by their squares and at curvature rates >= 0. Shape (n,)."""
+        """Return the quantity for squared speeds and curvature rates >= 0. Shape (n,)."""
         power = squared if self.order == 1 else squared * np.sqrt(squared)
         quantity: FloatArray = rate * power
         return quantity
 
     def most_squared(self, bounds: FloatArray, rate: FloatArray) -> FloatArray:
-        """v^2 of the constant speeds that use up other bounds than this one's at rates > 0. Shape (n,) [m^2/s^2]."""
+        """Return v^2 of the constant speeds that use up the given bounds at rates > 0. Shape (n,) [m^2/s^2]."""
         return bounds / rate if self.order == 1 else np.cbrt(bounds / rate) ** 2
 
     def bounds(self, shares: FloatArray) -> FloatArray:
-        """The bound where speeds are to be smaller by the root of each share. Shape (n,)."""
+        """Return the bounds for which speeds decrease by the root of each share. Shape (n,)."""
         bounds: FloatArray = min(self.bound, _HUGE) * (shares if self.order == 1 else shares * np.sqrt(shares))
         return bounds
 
     def acceleration_beside(self, v: FloatArray, bend: FloatArray, rate: FloatArray, share: float) -> FloatArray:
-        """The acceleration for which speeds up to v leave room, at curvatures and rates >= 0. Shape (n,) [m/s^2].
+        """Return the acceleration that speeds up to v allow, at curvatures and rates >= 0. Shape (n,) [m/s^2].
 
-        A share of the room that v^2 rate leaves; infinite where the path is straight.
+        It uses a share of the bound less v^2 rate; infinite on a straight line.
         """
         power, factor = (1.0, bend) if self.order == 1 else (v, 2.0 * v * bend)
         spare = (self.bound - power * (v * v) * rate) * share
@@ -80,9 +74,9 @@ class TurningLimit(NamedTuple):
         return ceiling
 
     def arc_acceleration(self, v: float, jerk: float, bend: float, share: float) -> float:
-        """The acceleration that an arc of constant jerk from the speed v may reach at a curvature >= 0 [m/s^2].
+        """Return the largest acceleration of an arc of constant jerk from the speed v, at a curvature >= 0 [m/s^2].
 
-        There the speed is at most v + a^2 / (2 jerk); each part of it gets half of a share of the bound.
+        The speed of the arc is at most v + a^2 / (2 jerk); each term gets half of a share of the bound.
         """
         if bend <= 0.0:
             return math.inf
@@ -92,9 +86,9 @@ class TurningLimit(NamedTuple):
         return min(half / (2.0 * v * bend) if v > 0.0 else math.inf, math.pow(half * jerk / bend, 1.0 / 3.0))
 
     def inevitable(self, v: FloatArray, curvature: FloatArray, rate: FloatArray, relief: FloatArray) -> FloatArray:
-        """What no acceleration of size `relief` keeps at these speeds is above 1: v over a speed. Shape (n,).
+        """Return v over the largest speed at which an acceleration of size `relief` keeps the limit. Shape (n,).
 
-        The sign of the acceleration is that which helps. A larger speed is above 1, too.
+        The sign of the acceleration is the favourable one. Above 1 the limit cannot be kept at v or any larger speed.
         """
         bend = np.abs(curvature) if self.order == 1 else 2.0 * v * np.abs(curvature)
         ratio: FloatArray = v * self._root(np.abs(rate) / (self.bound + bend * relief))
@@ -106,7 +100,7 @@ class TurningLimit(NamedTuple):
 
 
 def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
-    """Those that are finite."""
+    """Return the finite turning limits."""
     found = ((name, order, float(getattr(drive, name))) for name, order in _ORDERS.items())
     return tuple(TurningLimit(*limit) for limit in found if math.isfinite(limit[2]))
 
@@ -114,10 +108,8 @@ def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
 def turning_ratio(
     limits: tuple[TurningLimit, ...], curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray
 ) -> FloatArray:
-    """The largest of their ratios; 0 where there is none. Shape (n,) as all that is given."""
-    if not limits:
-        return np.zeros(v.shape)
-    largest = limits[0].ratio(curvature, rate, v, a)
-    for limit in limits[1:]:
+    """Return the largest ratio of all limits; 0 without limits. Shape (n,) as all arguments."""
+    largest: FloatArray = np.zeros(v.shape)
+    for limit in limits:
         largest = np.maximum(largest, limit.ratio(curvature, rate, v, a))
     return largest

@@ -1,100 +1,61 @@
 """The windowed method: constant limits in windows of little variation, one ruckig motion per window.
 
-Simple and never in violation: within a window every limit is taken at its worst, at every window border the
-acceleration is zero, and the border speeds are those that the windows on both sides can reach.
+Simple, and within every limit by construction: a window uses the strictest value of every limit, the acceleration is
+zero at every window border, and the border speeds can be reached in the windows on both sides.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from optdock.deadline import Deadline
-from optdock.plugins.interfaces import TimeParameterizer, TimingStatus, never_cancelled
+from optdock.plugins.interfaces import TimingStatus
 from optdock.plugins.parameters import PluginParameters
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, state_after
 from optdock.timing.plan_checks import SegmentPlan, arrived_plan
-from optdock.timing.retry_strategy import TimingStart, time_path
-from optdock.timing.ruckig_moves import load_ruckig, move
-from optdock.timing.timing_settings import WINDOWED, WindowedSettings
+from optdock.timing.retry_strategy import SegmentTimeParameterizer
+from optdock.timing.ruckig_moves import move
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
+    from optdock.deadline import Deadline
     from optdock.geometry.arrays import FloatArray
-    from optdock.model.limits import MotionLimits, SpeedZone
-    from optdock.model.path import Path
-    from optdock.plugins.interfaces import TimingResult
     from optdock.timing.path_limits import PathLimits
     from optdock.timing.retry_strategy import Deadlines
 
-__all__ = ["Window", "Windowed", "reachable_speed", "s_curve_length", "windowed_plans"]
+__all__ = ["Window", "Windowed", "WindowedParameters", "reachable_speed", "s_curve_length", "windowed_plans"]
 
-_LOOK_EVERY = 500  # nodes of a path, half a millisecond, between two looks at the clock
+_MARGIN = 1e-3  # share of the speed caps left unused, for the curvature between the nodes of a polyline
+_LOOK_EVERY = 500  # nodes of a path, half a millisecond, between two checks of the deadline
 
 
 class WindowedParameters(PluginParameters):
     """Parameters of `Windowed`."""
 
-    max_window: float = Field(default=WINDOWED.max_window, gt=0.0, description="longest window [m]")
-    cap_ratio: float = Field(
-        default=WINDOWED.cap_ratio, gt=1.0, description="largest quotient of two speed caps in a window"
-    )
+    max_window: float = Field(default=1.0, gt=0.0, description="longest window [m]")
+    cap_ratio: float = Field(default=1.2, gt=1.0, description="largest quotient of two speed caps in a window")
     yaw_share: float = Field(
-        default=WINDOWED.yaw_share,
-        gt=0.0,
-        lt=1.0,
-        description="share of yaw acceleration and lateral jerk for the curvature rate",
+        default=0.8, gt=0.0, lt=1.0, description="share of yaw acceleration and lateral jerk for the curvature rate"
     )
 
 
-class Windowed(TimeParameterizer):
-    """Time laws from constant limits in windows: robust, and 3 % (easy paths) to 17 % slower than need be."""
+class Windowed(SegmentTimeParameterizer):
+    """Time laws from constant limits in windows: robust, and 3 % (easy paths) to 17 % slower than necessary."""
 
     Parameters = WindowedParameters
     parameters: WindowedParameters
 
-    def on_configure(self) -> None:
-        """Import what the first call would import.
-
-        Raises:
-            PluginError: The package ruckig is not installed.
-        """
-        load_ruckig()
-
-    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
-        self,
-        path: Path,
-        limits: MotionLimits,
-        zone: SpeedZone,
-        *,
-        start_speed: float = 0.0,
-        start_acceleration: float = 0.0,
-        start_wait: float = 0.0,
-        max_time: float = math.inf,
-        cancel_checker: Callable[[], bool] = never_cancelled,
-    ) -> TimingResult:
-        """See `TimeParameterizer.parameterize`.
-
-        Raises:
-            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
-            PluginError: The package ruckig is not installed.
-            TimingCancelled: `cancel_checker` returned True.
-        """
-        deadline = Deadline(max_time, stop=cancel_checker)
-        start = TimingStart(start_speed, start_acceleration, start_wait)
-        return time_path(path, limits, zone, start, self._plans, deadline)
-
-    def _plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
-        return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))
+    def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+        """Yield the plan of one segment; see `windowed_plans`."""
+        return windowed_plans(limits, start, deadlines, self.parameters)
 
 
 class Window(NamedTuple):
-    """A stretch [m] and the constant limits that keep all others within it."""
+    """A stretch [m] with constant limits that imply all others."""
 
     left: float
     right: float
@@ -102,24 +63,22 @@ class Window(NamedTuple):
 
 
 def windowed_plans(
-    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: WindowedSettings = WINDOWED
+    limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: WindowedParameters | None = None
 ) -> Iterator[SegmentPlan]:
-    """Windows over one segment, one plan.
-
-    FAIL where they cannot be reached from the start state with the acceleration led to 0.
+    """Yield one plan of a segment: FAIL if the first window cannot be reached from the start state.
 
     Raises:
-        OutOfTime: Before anything was found.
+        OutOfTime: If the deadline passed.
     """
     jerk = limits.drive.max_jerk
     head: Phases = ((abs(start.a) / jerk, -math.copysign(jerk, start.a)),) if start.a else ()
     level = state_after(start, *head[0]) if head else start
-    level = level._replace(v=max(level.v, 0.0))  # below only by rounding: the start need not roll backwards
+    level = level._replace(v=max(level.v, 0.0))  # negative only by rounding
     if level.s >= limits.length:
         reason = "no room to end the start acceleration"
         yield SegmentPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=limits.begin)
         return
-    windows = _windows(limits.after(level.s), settings, deadlines.last)
+    windows = _windows(limits.after(level.s), settings or WindowedParameters(), deadlines.last)
     speeds = _border_speeds(windows, level.v, deadlines.last)
     if speeds[0] < level.v:
         reason = f"the windows allow {speeds[0]:.6g} m/s at the start, not {level.v:.6g} m/s"
@@ -130,22 +89,22 @@ def windowed_plans(
         deadlines.last.look()
         length = window.right - window.left
         found = move(MotionState(0.0, v0), MotionState(length, v1), window.bounds)
-        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre; cruising is one
+        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre
             found = ((length / v0, 0.0),)
         if found is None:
-            break  # the motion ends early, and does not count as arrived
+            break  # the motion ends early and has not arrived
         phases.extend(found)
     yield arrived_plan(limits, Motion.of(start, phases), "windowed")
 
 
-def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline) -> list[Window]:
-    """The windows, each with the worst of all limits in it."""
+def _windows(limits: PathLimits, settings: WindowedParameters, deadline: Deadline) -> list[Window]:
+    """Return the windows, each with the strictest value of every limit in it."""
     bend = np.maximum(np.abs(limits.curvature[:-1]), np.abs(limits.curvature[1:]))
     slowness = limits.maximum_velocity_curve(settings.yaw_share)
     cuts = _cuts(limits, slowness, settings, deadline)
     deadline.look()
     slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
-    drive, used = limits.drive, 1.0 - settings.margin
+    drive, used = limits.drive, 1.0 - _MARGIN
     speed = used / slowness
     ceiling = np.full(bend.size, np.inf)
     for limit in limits.turning:
@@ -158,8 +117,8 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     ]
 
 
-def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedSettings, deadline: Deadline) -> list[int]:
-    """Indices of the nodes between windows: where the cap leaves its band, the length runs out, the zone begins."""
+def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedParameters, deadline: Deadline) -> list[int]:
+    """Return the indices of the nodes between windows, by the ratio of the caps, the length and the zone."""
     zone = int(np.searchsorted(limits.s, limits.zone_start - 1e-12)) if limits.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
     longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
@@ -175,7 +134,7 @@ def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedSettings, 
 
 
 def _border_speeds(windows: list[Window], start_speed: float, deadline: Deadline) -> list[float]:
-    """Speeds at the window borders, zero acceleration: a backward pass from rest, a forward pass from `start_speed`."""
+    """Return the speeds at the window borders, by a backward pass from rest and a forward pass from `start_speed`."""
     caps = [window.bounds.speed for window in windows]
     speeds = [caps[0], *map(min, caps[:-1], caps[1:]), 0.0]
     for i in range(len(windows) - 1, -1, -1):
@@ -192,7 +151,7 @@ def _border_speeds(windows: list[Window], start_speed: float, deadline: Deadline
 
 
 def reachable_speed(window: Window, slow: float, acceleration: float, wanted: float) -> float:
-    """The largest speed <= `wanted` that an S-curve from `slow` reaches within the window."""
+    """Return the largest speed <= `wanted` that an S-curve from `slow` reaches within the window."""
     length, jerk = (window.right - window.left) * (1.0 - 1e-9), window.bounds.jerk
     if wanted <= slow or s_curve_length(slow, wanted, acceleration, jerk) <= length:
         return wanted
@@ -204,21 +163,21 @@ def reachable_speed(window: Window, slow: float, acceleration: float, wanted: fl
         # (2 v0 + g) sqrt(g / J) = length with g = v1 - v0: u^3 + p u = q with u = sqrt(g)
         root = _cubic_root(2.0 * slow, length * math.sqrt(jerk))
         found = slow + root * root
-    while found > slow and s_curve_length(slow, found, acceleration, jerk) > length:  # some roundings of a small gain
+    while found > slow and s_curve_length(slow, found, acceleration, jerk) > length:  # rounding of a small gain
         found = math.nextafter(found, slow)
     return found
 
 
 def _cubic_root(p: float, q: float) -> float:
-    """The real solution of u^3 + p u = q for p >= 0, q > 0."""
+    """Return the real solution of u^3 + p u = q for p >= 0, q > 0."""
     scale = math.sqrt(p / 3.0)
-    if 2.0 * scale**3 <= 1e-12 * q:  # p moves the cube root by less than rounding of the lengths
+    if 2.0 * scale**3 <= 1e-12 * q:  # p changes the cube root by less than rounding
         return math.exp(math.log(q) / 3.0) * (1.0 - 1e-8)
     return 2.0 * scale * math.sinh(math.asinh(0.5 * q / scale**3) / 3.0)
 
 
 def s_curve_length(slow: float, fast: float, acceleration: float, jerk: float) -> float:
-    """Length of the S-curve between two speeds with zero acceleration at both ends: mean speed * time."""
+    """Return the length of the S-curve between two speeds with zero acceleration at both ends: mean speed * time."""
     gain = fast - slow
     full = acceleration * acceleration / jerk
     time = gain / acceleration + acceleration / jerk if gain >= full else 2.0 * math.sqrt(gain / jerk)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers import reference_rate
+from optdock.controllers import moving_reference
 from optdock.controllers.mpc import MpcController
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.geometry.pose import Pose2
@@ -49,7 +49,7 @@ def test_it_stays_there_where_the_plan_is_at_its_limits(name, number, late, with
     assert drove.off <= 1.0
     assert drove.time <= 1.05
     assert not drove.is_lost
-    monkeypatch.setattr(reference_rate, "_STEERED_RATE", 1.0)
+    monkeypatch.setattr(moving_reference, "_STEERED_RATE", 1.0)
     greedy = TrackingController(turn_reserve=0.0)
     assert experiment.docked(name, DockDirection.FORWARD, start, lag, latency, greedy).off > without
 

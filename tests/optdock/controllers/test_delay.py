@@ -1,9 +1,9 @@
-"""The delay of a drive is found from commands and speeds, and nothing is found where there is nothing to see."""
+"""Identification of the drive's delay from commands and speeds."""
 
 import numpy as np
 import pytest
 
-from optdock.controllers.delay_estimate import DelayEstimate
+from optdock.controllers.control_timing import DelayEstimate
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.limits import MotionLimits
@@ -23,9 +23,7 @@ def identified(actuation, commands=RAMP, known=0.0):
     return estimate.delay
 
 
-@pytest.mark.parametrize(
-    ("lag", "latency"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.05), (0.2, 0.1), (0.06, 0.025)]
-)
+@pytest.mark.parametrize(("lag", "latency"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.2, 0.1), (0.06, 0.025)])
 @pytest.mark.parametrize("sign", [1.0, -0.7])
 def test_it_finds_latency_plus_lag_on_the_first_ramp(lag, latency, sign):
     found = identified(Actuation(linear_lag=lag, latency=latency), [sign * command for command in RAMP])
@@ -42,22 +40,22 @@ def test_it_moves_smoothly():
         before = estimate.delay
 
 
-def test_a_held_or_unmeasured_drive_says_nothing():
+def test_no_evidence_from_a_held_or_unmeasured_drive():
     estimate = DelayEstimate(0.07)
     for command in RAMP:
         estimate.update(command, 0.0, 0.02)
     assert estimate.delay == 0.07
 
 
-def test_a_steady_speed_says_nothing_new():
+def test_no_evidence_at_rest():
     assert identified(Actuation(), [0.0] * 50, known=0.12) == 0.12
 
 
-def test_what_is_known_gives_way_to_evidence():
+def test_evidence_replaces_the_known_delay():
     assert identified(Actuation(), known=0.2) == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("rate", [10, 20, 50, 100, 200])
+@pytest.mark.parametrize("rate", [10, 50, 200])
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
     period, random = 1.0 / rate, np.random.default_rng(1)
@@ -71,11 +69,8 @@ def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
     assert estimate.delay == pytest.approx(0.16, abs=0.025)
 
 
-def test_a_period_that_changes_is_no_other_drive():
-    plant, estimate = (
-        DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01),
-        DelayEstimate(),
-    )
+def test_varying_periods():
+    plant, estimate = (DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01), DelayEstimate())
     state, k = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
     for steps in np.random.default_rng(2).choice([1, 2, 5, 10], 80).tolist():
         command = min(0.25, 0.4 * 0.01 * k)

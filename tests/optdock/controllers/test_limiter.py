@@ -1,4 +1,4 @@
-"""Limits on the commands: acceleration, jerk, curvature, steering; and no lag where they are kept anyway."""
+"""Limits on commands: acceleration, jerk, curvature, steering; no lag within the limits."""
 
 import dataclasses
 import math
@@ -28,6 +28,7 @@ def test_speeding_up_and_slowing_down_have_their_own_bounds(before, wanted, peri
     assert faster / 0.5 + slower / 1.0 <= period + 1e-12
 
 
+@settings(max_examples=20)
 @given(speeds, speeds)
 def test_enough_periods_reach_the_wanted_command(before, wanted):
     command = Twist2(before, before)
@@ -70,13 +71,13 @@ def differences(commands, period):
     return v, acceleration, np.diff(acceleration, prepend=0.0) / period
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-2.0, 2.0)), min_size=1, max_size=6),
     st.sampled_from([0.005, 0.02, 0.05, 0.1]),
     st.integers(1, 20),
 )
-def test_whatever_is_wanted_no_command_is_beyond_a_limit(targets, period, held):
+def test_commands_keep_the_limits(targets, period, held):
     wanted = [Twist2(*target) for target in targets for _ in range(held)]
     commands = followed(wanted, period)
     v, _, jerk = differences(commands, period)
@@ -105,14 +106,14 @@ SHARED = {
 }  # fmt: skip
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.sampled_from(sorted(SHARED)),
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
     st.lists(st.sampled_from([0.01, 0.02, 0.05, 0.1]), min_size=1, max_size=4),
     st.booleans(),
 )
-def test_limits_that_speed_and_turn_share_cost_neither_a_jump_of_the_turn_nor_of_the_speed(name, targets, rates, moves):
+def test_commands_keep_limits_shared_by_speed_and_turn(name, targets, rates, moves):
     limits, drive = SHARED[name], Drive.ACKERMANN if name == "car" else Drive.DIFFERENTIAL
     limiter, commands, periods = CommandLimiter(), [REST], []
     limiter.follow(REST, REST, 0.1, limits, drive, in_place=False)
@@ -138,14 +139,13 @@ def test_limits_that_speed_and_turn_share_cost_neither_a_jump_of_the_turn_nor_of
 
 
 def lateral_jerks(commands, period, *, steered=False):
-    """Changes of speed times yaw rate over the period; only its gains where braking alone may take from it: where the
-    robot turns no less than before, or its wheels turn no further."""
+    """Changes of speed times yaw rate over the period; only increases while braking reduces it."""
     v, w = np.array([(command.linear, command.angular) for command in commands]).T
     brakes = (np.abs(v[1:]) < np.abs(v[:-1])) & (steered | (np.abs(w[1:]) >= np.abs(w[:-1]) * (1.0 - 1e-12)))
     return np.where(brakes, np.diff(np.abs(v * w)), np.abs(np.diff(v * w))) / period
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
     st.sampled_from([0.01, 0.02, 0.05]),
@@ -159,7 +159,7 @@ def test_the_turn_changes_the_lateral_acceleration_no_faster_than_its_jerk_allow
     assert jerks.max() <= 0.1 * (1.0 + 1e-6)
 
 
-def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
+def test_braking_in_a_bend_does_not_increase_the_turn():
     limits = MotionLimits(max_curvature=4.0, max_lateral_jerk=0.02)
     commands = followed([Twist2(0.4, 0.4)] * 500 + [Twist2()] * 100, 0.02, limits)
     assert commands[499] == Twist2(0.4, 0.4)
@@ -168,7 +168,7 @@ def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
 
 
 @pytest.mark.parametrize("drive", Drive)
-def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
+def test_lateral_jerk_limit_bounds_a_step_of_the_turn(drive):
     def largest(limits):
         wanted = [Twist2(0.3, 0.0)] * 100 + [Twist2(0.3, 0.4)] * 60
         return lateral_jerks(followed(wanted, 0.02, limits, drive), 0.02).max()
@@ -182,9 +182,9 @@ def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
     assert eased.angular == pytest.approx(0.1 * 0.02 / 0.3)
 
 
-@pytest.mark.parametrize("period", [0.005, 0.02, 0.05, 0.1])
-@pytest.mark.parametrize("target", [0.3, -0.25, 0.02, 1e-4])
-def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("target", [0.3, -0.25, 1e-4])
+def test_step_response_is_fast_without_overshoot(period, target):
     commands = followed([Twist2(target)] * round(3.0 / period), period)
     v, _, _ = differences(commands, period)
     assert np.abs(v).max() <= abs(target) + 1e-9
@@ -213,7 +213,7 @@ def test_a_feed_forward_within_the_limits_passes_untouched(period):
     assert max(abs(a.angular - b.angular) for a, b in zip(found, wanted, strict=True)) < 1e-6
 
 
-def test_feedback_turns_no_tighter_than_the_robot_unless_it_stands_at_its_end():
+def test_smallest_radius_is_kept_except_in_place():
     wanted = [Twist2(0.2, 0.7)] * 100
     driven = followed(wanted, 0.02)
     assert all(abs(c.angular) <= 2.0 * abs(c.linear) + 1e-12 for c in driven)
@@ -230,10 +230,9 @@ def test_steered_wheels_turn_no_faster_than_they_can():
     assert angles.min() == pytest.approx(-0.6, abs=0.02)
 
 
-def test_a_robot_that_is_to_stop_is_commanded_nothing_in_the_end():
-    """Not what rounding has left of its speed, at periods as stamps give them."""
-    periods = np.diff(100.0 + 0.02 * np.arange(121)).tolist()
-    for speed in np.linspace(0.01, 0.5, 40).tolist():
+def test_stopping_ends_with_exactly_zero_commands():
+    periods = np.diff(100.0 + 0.02 * np.arange(91)).tolist()
+    for speed in np.linspace(0.01, 0.5, 15).tolist():
         limiter = CommandLimiter()
         limiter.restart(Twist2(speed, 0.1))
         commands = [

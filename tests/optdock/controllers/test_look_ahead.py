@@ -1,4 +1,4 @@
-"""Looking ahead: what dense poses among all obstacles say, found with few poses and few obstacles."""
+"""Collision check of a motion, compared with dense poses among all obstacles."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
+from optdock.controllers.look_ahead import LookAhead, stopping_way
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
@@ -63,10 +63,9 @@ def test_it_finds_what_dense_poses_find(twist, duration, places):
         assert found.depth <= depth + 1e-4
 
 
-def test_a_turn_in_place_and_its_braking_are_looked_at():
+def test_turns_in_place_are_checked_with_their_braking():
     beside = context([box(-0.25, 0.28, 0.02)])  # the rear left corner swings through it
     twist = Twist2(0.0, 1.0)
-    assert stopping_time(twist, 0.5, 2.0) == 0.5
     soon = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02),))
     braking = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02 + 0.25),))
     for turn in (1.0, -1.0):
@@ -77,7 +76,7 @@ def test_a_turn_in_place_and_its_braking_are_looked_at():
     assert len(braking) > len(soon)
 
 
-def test_a_robot_deep_in_one_thing_does_not_go_into_another():
+def test_robot_inside_an_obstacle():
     inside, ahead = box(0.0, 0.0, 0.1), box(0.32, 0.0, 0.04)
     world = context([inside, ahead])
     out = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(-0.3), 1.0),))
@@ -90,7 +89,7 @@ def test_a_robot_deep_in_one_thing_does_not_go_into_another():
 
 @pytest.mark.parametrize("thickness", [0.001, 0.004, 0.02])
 @pytest.mark.parametrize("gear", [1.0, -1.0])
-def test_thin_things_are_seen_in_either_gear(thickness, gear):
+def test_thin_obstacles_are_found_in_both_gears(thickness, gear):
     front = 0.26 * gear if gear > 0.0 else -0.26
     wall = np.array([[front, -1.0], [front + thickness, -1.0], [front + thickness, 1.0], [front, 1.0]])
     post = box(front, 0.1, thickness / 2.0)
@@ -100,7 +99,7 @@ def test_thin_things_are_seen_in_either_gear(thickness, gear):
         assert found is not None
 
 
-def test_what_changes_in_a_costmap_is_seen_in_the_next_call():
+def test_costmap_changes_count_in_the_next_call():
     grid = Costmap.writable((80, 80), 0.05, (-2.0, -2.0))
     world, look = PluginContext(local_costmap=grid, footprint=ROBOT.footprint), LookAhead()
     way = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(0.3), 0.5),))
@@ -111,7 +110,7 @@ def test_what_changes_in_a_costmap_is_seen_in_the_next_call():
     assert look.obstruction(world, way, NOWHERE, TOLERANCE) is None
 
 
-def test_what_is_touched_on_purpose_may_be_pressed_and_nothing_else():
+def test_only_intended_contacts_have_a_tolerance():
     wall = np.array([[0.45, -1.0], [0.6, -1.0], [0.6, 1.0], [0.45, 1.0]])
     end = np.array([[0.05, 0.0, 0.0]])  # the nose touches the wall there
     for wrong, beyond in ((0.008, 0.0), (0.012, 0.0), (0.008, 0.1)):
@@ -126,7 +125,7 @@ def test_what_is_touched_on_purpose_may_be_pressed_and_nothing_else():
     assert obstruction(docking, way) is None
 
 
-def test_obstacles_further_on_are_seen_when_the_robot_comes_to_them():
+def test_distant_obstacles_are_found_on_approach():
     look, world = LookAhead(), context([box(3.0, 0.0)])
     stopped = None
     for k in range(100):
@@ -140,7 +139,7 @@ def test_obstacles_further_on_are_seen_when_the_robot_comes_to_them():
     assert math.isfinite(stopped)
 
 
-def test_what_is_touched_at_the_end_is_not_to_be_touched_on_the_way():
+def test_contact_is_intended_only_near_its_pose():
     wall = np.array([[0.45, -1.0], [0.6, -1.0], [0.6, 1.0], [0.45, 1.0]])
     end = np.array([[0.05, 0.0, 0.0]])
     pressed = stopping_way(Pose2(0.0, 0.3, 0.0), ROBOT.footprint, ((Twist2(0.055), 1.0),))

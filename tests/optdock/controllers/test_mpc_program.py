@@ -1,4 +1,4 @@
-"""The program of the MPC: its model against exact motion, what comes after it against the Riccati equation."""
+"""The program of the MPC: model compared with exact motion, cost to go with the Riccati equation."""
 
 import math
 
@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from optdock.controllers.mpc_program import (
-    arcs_between,
-    predicted,
-    riccati_back,
-    step_matrices,
-)
+from optdock.controllers.mpc_program import arcs_between, predicted, riccati_back, step_matrices
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.limits import MotionLimits

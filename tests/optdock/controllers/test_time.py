@@ -1,4 +1,4 @@
-"""Time as the stamps say: any rate, irregular, late, twice the same, going back; and a trajectory that takes over."""
+"""Time base of the controller: rates and stamps of the calls, and changes of trajectory."""
 
 import functools
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers.control_clock import ControlClock
+from optdock.controllers.control_timing import ControlClock
 from optdock.controllers.moving_reference import ReferenceProgress, TrajectoryReference
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue, NoValidControl
@@ -41,7 +41,7 @@ def configured(**parameters):
 
 
 def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: B008 - frozen
-    """Poses of a perfect drive that is told a command at every stamp; each is held until the next."""
+    """Poses of a perfect drive with a command at every stamp, held until the next."""
     found = []
     for gap in gaps:
         twist = controller.compute_velocity_commands(pose, twist, None, stamp=stamp)
@@ -50,9 +50,7 @@ def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: 
     return found
 
 
-@pytest.mark.parametrize(
-    ("rate", "drive"), [(10, "S"), (10, "cusp"), (20, "reverse"), (50, "cusp"), (100, "short"), (200, "short")]
-)
+@pytest.mark.parametrize(("rate", "drive"), [(10, "S"), (20, "reverse"), (25, "cusp"), (200, "short")])
 def test_a_drive_takes_as_long_as_planned_at_any_rate(rate, drive):
     trajectory = DRIVES[drive]
     checker = DockGoalChecker(along_tolerance=0.002, cross_tolerance=0.002, yaw_goal_tolerance=0.01)
@@ -63,7 +61,7 @@ def test_a_drive_takes_as_long_as_planned_at_any_rate(rate, drive):
     assert np.abs(run.errors[:, :2]).max() < 0.002
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_irregular_calls_follow_the_time_that_passes(seed):
     trajectory, controller = s_curve_drive(START), configured()
     controller.set_path(trajectory)
@@ -88,7 +86,7 @@ def test_a_call_of_the_same_stamp_changes_nothing():
     for controller in (once, twice):
         controller.set_path(trajectory)
     pose, twist = START, Twist2()
-    for k in range(200):
+    for k in range(60):
         command = once.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
         for _ in range(2):
             again = twice.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
@@ -111,7 +109,7 @@ def test_a_clock_that_goes_back_is_refused_until_it_has_caught_up(make):
     controller.compute_velocity_commands(START, Twist2(), None, stamp=1.0)
 
 
-def test_a_stamp_is_a_number_and_without_one_the_clock_of_the_context_is_asked():
+def test_stamp_is_checked_and_defaults_to_the_clock():
     controller, time = TrackingController(), [7.0]
     controller.configure(PluginContext(clock=lambda: time[0]))
     controller.set_path(straight_drive(START))
@@ -123,7 +121,7 @@ def test_a_stamp_is_a_number_and_without_one_the_clock_of_the_context_is_asked()
     assert controller.progress.time == pytest.approx(0.1)
 
 
-def test_after_a_long_silence_commands_begin_at_what_the_robot_does():
+def test_after_a_long_silence_commands_restart_at_the_measured_velocity():
     controller = configured()
     controller.set_path(straight_drive(START))
     stamp, pose, twist = driven(controller, [0.02] * 150)[-1]
@@ -132,7 +130,7 @@ def test_after_a_long_silence_commands_begin_at_what_the_robot_does():
     assert 0.0 <= stopped.linear <= 0.5 * 0.5 + 1e-9
 
 
-def test_the_usual_period_is_learnt_and_one_late_call_is_no_new_rate():
+def test_period_is_filtered():
     clock, context = ControlClock(), PluginContext()
     for k in range(50):
         clock.tick(0.02 * k, context)
@@ -143,7 +141,7 @@ def test_the_usual_period_is_learnt_and_one_late_call_is_no_new_rate():
 
 
 def rest_of(trajectory, time):
-    """What is left of a straight drive from `time` on, as a trajectory of its own."""
+    """The rest of a straight drive from `time` on, as a trajectory."""
     law, now = trajectory.time_law, trajectory.at(time)
     _, v, a, _ = law.at(time)[0]
     phase = int(np.searchsorted(law.times, time, side="right")) - 1
@@ -155,15 +153,14 @@ def rest_of(trajectory, time):
 
 @functools.cache
 def undisturbed(gear):
-    """A straight drive, and all that its controller saw and said."""
+    """A straight drive, with stamps, poses and commands."""
     trajectory, controller = straight_drive(START, gear), configured()
     controller.set_path(trajectory)
     return trajectory, driven(controller, [0.02] * 330, stamp=50.0)
 
 
-@pytest.mark.parametrize("at", [0.1, 0.45, 2.0, 5.6])
-@pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
-def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
+@pytest.mark.parametrize(("gear", "at"), [(Direction.FORWARD, 0.1), (Direction.FORWARD, 5.6), (Direction.REVERSE, 2.0)])
+def test_change_of_trajectory_in_motion_does_not_change_the_commands(at, gear):
     trajectory, plain = undisturbed(gear)
     newer, joined = rest_of(trajectory, at), configured()
     joined.set_path(trajectory)
@@ -178,7 +175,7 @@ def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
     assert joined.progress.time == pytest.approx(newer.duration)
 
 
-def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
+def test_change_of_trajectory_at_a_low_rate():
     trajectory = straight_drive(START)
     reference = TrajectoryReference(trajectory)
     reference.time, reference.rate = 2.0, 0.5
@@ -199,7 +196,7 @@ def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
     assert reference.rate == pytest.approx(1.0)
 
 
-def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_have():
+def test_later_trajectories_are_replaced_or_appended():
     first, second, third = (straight_drive(START) for _ in range(3))
     reference = TrajectoryReference(first)
     reference.joined_by(second, 1.0)
@@ -211,7 +208,7 @@ def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_
     assert reference.last is second
 
 
-def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_joined_in_time():
+def test_start_stamp_in_the_future_or_past():
     trajectory = straight_drive(START)
     early, late = configured(), configured()
     early.set_path(trajectory, start_stamp=100.5)
@@ -222,7 +219,7 @@ def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_
     assert late.progress == ReferenceProgress(pytest.approx(2.0), 1.0)
 
 
-def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusal():
+def test_commands_restart_from_rest_after_a_clock_error():
     controller = configured()
     controller.set_path(straight_drive(START))
     stamp, pose, twist = driven(controller, [0.02] * 100)[-1]
@@ -231,7 +228,7 @@ def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusa
     assert controller.compute_velocity_commands(pose, Twist2(), None, stamp=stamp).linear < 0.02
 
 
-def test_what_waits_for_its_beginning_is_cancelled_at_once():
+def test_cancel_before_the_start_stamp():
     controller = configured()
     controller.set_path(straight_drive(START), start_stamp=200.0)
     driven(controller, [0.02] * 5)
@@ -240,7 +237,7 @@ def test_what_waits_for_its_beginning_is_cancelled_at_once():
     assert controller.cancel()
 
 
-def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
+def test_replanning_does_not_reset_the_stall_detection():
     controller, trajectory, refusals = configured(), straight_drive(START), 0
     controller.set_path(trajectory)
     for k in range(300):
@@ -255,8 +252,7 @@ def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
     assert refusals >= 1
 
 
-def test_a_reference_at_its_end_stays_there_however_the_period_jitters():
-    """On a real machine no period is as long as the one before; whoever waits for the end must see it once for all."""
+def test_reference_at_its_end_stays_with_varying_periods():
     reference = TrajectoryReference(straight_drive(START))
     reference.time = reference.trajectory.duration
     for period in (0.020, 0.0201, 0.0199, 0.035, 0.02):

@@ -8,7 +8,7 @@ import pytest
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers import feedback_gains
+from optdock.controllers import tracking_law
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.controllers.tracking_law import DelayBounds, Gains
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
@@ -21,8 +21,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
-from optdock.plugins.interfaces import Controller, PluginContext
-from optdock.plugins.registry import create_plugin
+from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 from optdock.verification import pose_clearances
@@ -30,8 +29,8 @@ from optdock.verification import pose_clearances
 START = Pose2(0.0, 0.0, 0.3)
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=0.6)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), LIMITS)
-PERIOD = 0.02
-STAMPS = itertools.count(0.0, PERIOD)  # of every call in this file; what lies between two controllers does not matter
+PERIOD = 0.04
+STAMPS = itertools.count(0.0, PERIOD)  # of every call in this file
 
 
 def context(robot=ROBOT, goal=START):
@@ -64,7 +63,7 @@ def accelerations(commands):
     return np.diff([c.linear for c in commands], prepend=0.0) / PERIOD
 
 
-def test_without_a_path_it_says_so():
+def test_error_without_a_path():
     with pytest.raises(ControllerInvalidPath, match="call set_path first"):
         TrackingController().compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
     controller = ready(straight_drive(START))
@@ -73,7 +72,7 @@ def test_without_a_path_it_says_so():
         controller.compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
 
 
-def test_it_advances_by_a_promised_period_per_call():
+def test_given_period():
     trajectory = straight_drive(START)
     for period in (0.02, 0.05):
         plant = DifferentialDrive(ROBOT, period=period)
@@ -87,7 +86,9 @@ def test_it_advances_by_a_promised_period_per_call():
 def test_commands_keep_the_acceleration_limits_from_a_bad_start_and_with_noise(direction):
     trajectory = s_curve_drive(START, direction)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.03)
-    world = SimulationSettings(position_noise=0.005, yaw_noise=0.01, start=START @ Pose2(0.04, -0.05, 0.2))
+    world = SimulationSettings(
+        period=PERIOD, position_noise=0.005, yaw_noise=0.01, start=START @ Pose2(0.04, -0.05, 0.2)
+    )
     controller = ready(trajectory)
     found = run_closed_loop(trajectory, ROBOT, trajectory.path.end, controller, checker, world)
     assert found.docked, found.reason
@@ -102,7 +103,7 @@ def test_an_ackermann_robot_gets_no_command_tighter_than_its_smallest_radius():
     robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=1.3), Drive.ACKERMANN)
     trajectory = s_curve_drive(START)
     commands, _ = drive(
-        ready(trajectory, robot), trajectory, 350, state=DifferentialDrive(robot).at_rest(START @ Pose2(0, 0.04, 0))
+        ready(trajectory, robot), trajectory, 60, state=DifferentialDrive(robot).at_rest(START @ Pose2(0, 0.04, 0))
     )
     assert all(abs(c.angular) <= 1.3 * abs(c.linear) + 1e-12 for c in commands)
 
@@ -111,7 +112,7 @@ def test_an_ackermann_robot_arrives_from_an_offset():
     robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=2.0), Drive.ACKERMANN)
     trajectory = s_curve_drive(START)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
-    world = SimulationSettings(start=START @ Pose2(-0.02, 0.04, 0.05))
+    world = SimulationSettings(period=PERIOD, start=START @ Pose2(-0.02, 0.04, 0.05))
     controller = ready(trajectory, robot)
     found = run_closed_loop(trajectory, robot, trajectory.path.end, controller, checker, world)
     assert found.docked, found.reason
@@ -120,18 +121,19 @@ def test_an_ackermann_robot_arrives_from_an_offset():
 
 class TestSpeedLimit:
     def test_as_a_percentage_scales_the_whole_drive(self):
-        trajectory = s_curve_drive(START)
+        trajectory = straight_drive(START, length=0.6)
         controller = ready(trajectory)
         controller.set_speed_limit(50.0, percentage=True)
         commands, states = drive(controller, trajectory, math.ceil(2.0 * trajectory.duration / PERIOD) + 3)
-        assert max(c.linear for c in commands) == pytest.approx(0.2, abs=1e-3)
+        peak = np.abs(trajectory.time_law.states[:, 1]).max()
+        assert max(c.linear for c in commands) == pytest.approx(0.5 * peak, abs=1e-3)
         assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
 
     def test_in_metres_per_second_bounds_the_peak_in_either_gear(self):
         trajectory = s_curve_drive(START, Direction.REVERSE)
         controller = ready(trajectory, Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5)))
         controller.set_speed_limit(0.1, percentage=False)
-        commands, _ = drive(controller, trajectory, 600)
+        commands, _ = drive(controller, trajectory, 100)
         assert min(c.linear for c in commands) == pytest.approx(-0.1, abs=1e-3)
 
     def test_set_and_lifted_on_the_way_keeps_the_acceleration_limits_and_the_path(self):
@@ -139,13 +141,13 @@ class TestSpeedLimit:
         controller = ready(trajectory)
 
         def change(k):
-            if k == 120:
+            if k == 60:
                 controller.set_speed_limit(0.15, percentage=False)
-            if k == 260:
+            if k == 130:
                 controller.set_speed_limit(0.0, percentage=False)
 
-        commands, states = drive(controller, trajectory, 480, change)
-        assert commands[240].linear == pytest.approx(0.15, abs=2e-3)
+        commands, states = drive(controller, trajectory, 250, change)
+        assert commands[120].linear == pytest.approx(0.15, abs=2e-3)
         gained = accelerations(commands)
         assert gained.max() <= 0.5 + 1e-9
         assert gained.min() >= -0.6 - 1e-9
@@ -158,7 +160,7 @@ class TestSpeedLimit:
         trajectory = straight_drive(START)
         limited, free = ready(trajectory), ready(trajectory)
         limited.set_speed_limit(5.0, percentage=False)
-        assert drive(limited, trajectory, 200)[0] == drive(free, trajectory, 200)[0]
+        assert drive(limited, trajectory, 30)[0] == drive(free, trajectory, 30)[0]
 
     def test_negative_is_refused(self):
         with pytest.raises(InvalidValue, match="speed limit"):
@@ -168,11 +170,14 @@ class TestSpeedLimit:
 class TestCancel:
     @pytest.mark.parametrize(
         ("make", "cycle"),
-        [(s_curve_drive, cycle) for cycle in (10, 60, 150, 320)]
-        + [(lambda p: s_curve_drive(p, Direction.REVERSE), cycle) for cycle in (60, 320)]
-        + [(cusp_drive, cycle) for cycle in (60, 150, 230)],
+        [
+            (s_curve_drive, 5),
+            (s_curve_drive, 75),
+            (lambda p: s_curve_drive(p, Direction.REVERSE), 30),
+            (cusp_drive, 75),
+        ],
     )
-    def test_brakes_along_the_path_within_the_limits_and_says_when_it_stands(self, make, cycle):
+    def test_brakes_along_the_path_within_the_limits(self, make, cycle):
         trajectory, robot = make(START), Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5))
         controller = ready(trajectory, robot)
         stopped = []
@@ -181,7 +186,7 @@ class TestCancel:
             if k >= cycle:
                 stopped.append(controller.cancel())
 
-        commands, states = drive(controller, trajectory, cycle + 80, cancelling, robot=robot)
+        commands, states = drive(controller, trajectory, cycle + 40, cancelling, robot=robot)
         assert not stopped[0]
         assert stopped[-1]
         first = stopped.index(True)
@@ -198,22 +203,22 @@ class TestCancel:
         assert ready(straight_drive(START)).cancel()
 
 
-def test_the_reference_waits_for_a_blocked_robot_and_a_robot_that_does_not_follow_is_named():
+def test_reference_waits_for_a_blocked_robot_then_error():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    for _ in range(150):
+    for _ in range(75):
         command = controller.compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
     assert 0.0 < command.linear <= 0.5
     assert controller.progress.rate < 0.1
-    error = refusal(controller, lambda now: START, 200)
+    error = refusal(controller, lambda now: START, 100)
     assert "does not follow: for 3 s the reference has waited" in str(error)
     assert 0.08 < error.where["along"] < 0.12
-    _, states = drive(controller, trajectory, 500)
+    _, states = drive(controller, trajectory, 200)
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
 
 
 def refusal(controller, pose_at, cycles, checker=None):
-    """What ends a run of a robot that is held where `pose_at` says."""
+    """The error that ends a run of a robot held at `pose_at`."""
 
     def hold():
         for _ in range(cycles):
@@ -225,31 +230,33 @@ def refusal(controller, pose_at, cycles, checker=None):
     return caught.value
 
 
-def test_far_from_the_reference_it_refuses_and_says_where():
+def test_error_far_from_the_reference():
     controller = ready(straight_drive(START), max_error=0.3)
     with pytest.raises(NoValidControl, match=r"0\.400 m and 0\.000 rad from the reference") as caught:
         controller.compute_velocity_commands(START @ Pose2(0.0, 0.4, 0.0), Twist2(), None, stamp=next(STAMPS))
     assert caught.value.where["cross"] == pytest.approx(-0.4)
 
 
-def test_a_robot_that_faces_the_wrong_way_is_refused():
+def test_error_at_a_large_heading_error():
     with pytest.raises(NoValidControl, match=r"1\.500 rad from the reference"):
         ready(straight_drive(START)).compute_velocity_commands(
             START @ Pose2(0.0, 0.0, 1.5), Twist2(), None, stamp=next(STAMPS)
         )
 
 
-def test_a_robot_in_the_middle_joins_the_trajectory_there_and_starts_from_its_own_speed():
+def test_robot_in_the_middle_joins_the_trajectory_there():
     trajectory = s_curve_drive(START)
     middle = trajectory.at(3.0).pose
     controller = ready(trajectory)
-    commands, states = drive(controller, trajectory, 350, state=DifferentialDrive(ROBOT).at_rest(middle))
+    commands, states = drive(controller, trajectory, 150, state=DifferentialDrive(ROBOT).at_rest(middle))
     assert accelerations(commands).max() <= 0.5 + 1e-9
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-3
 
 
 class TestTheFinish:
-    dead = SimulationSettings(actuation=Actuation(linear_dead_band=0.08, angular_dead_band=0.05), timeout=20.0)
+    dead = SimulationSettings(
+        period=PERIOD, actuation=Actuation(linear_dead_band=0.08, angular_dead_band=0.05), timeout=20.0
+    )
 
     def run(self, checker, settings, **parameters):
         trajectory = straight_drive(START)
@@ -263,8 +270,8 @@ class TestTheFinish:
         assert run.docked, run.reason
 
     @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
-    def test_an_error_across_that_stays_is_named_and_nothing_is_commanded_for_ever(self, gear):
-        trajectory = straight_drive(START, gear)
+    def test_lateral_error_that_stays_is_an_error(self, gear):
+        trajectory = straight_drive(START, gear, 0.6)
         controller, checker = ready(trajectory), DockGoalChecker(cross_tolerance=0.01)
         aside = trajectory.path.end @ Pose2(0.0, 0.022, 0.0)
         ends = trajectory.duration - 0.1
@@ -277,17 +284,17 @@ class TestTheFinish:
         assert "0.022 m across" in str(error)
         assert error.where["cross"] == pytest.approx(-0.022)
 
-    def test_what_is_left_at_the_end_decays_to_nothing(self):
+    def test_errors_at_the_end_decay_to_zero(self):
         trajectory = straight_drive(START)
         controller = ready(trajectory)
         late = DifferentialDrive(ROBOT).at_rest(trajectory.path.end @ Pose2(-0.04, 0.0, 0.1))
-        _, states = drive(controller, trajectory, 500, state=late)
+        _, states = drive(controller, trajectory, 250, state=late)
         left = trajectory.path.end.in_frame_of(states[-1].pose)
         assert abs(left.x) < 1e-4
         assert abs(left.yaw) < 1e-4
 
     def test_the_smallest_speed_rests_within_half_the_checkers_tolerance(self):
-        trajectory = straight_drive(START)
+        trajectory = straight_drive(START, length=0.6)
         checker = AxisGoalChecker(along_path_tolerance=0.02, cross_track_tolerance=0.02)
         controller = ready(trajectory, min_speed=0.03)
         near = trajectory.path.end @ Pose2(-0.009, 0.0, 0.0)
@@ -299,7 +306,7 @@ class TestTheFinish:
 def finishing(controller, trajectory, pose, checker):
     """The command soon after the trajectory's end, with the robot held at `pose`."""
     controller.set_path(trajectory)
-    for _ in range(round(trajectory.duration / PERIOD) + 20):
+    for _ in range(round(trajectory.duration / PERIOD) + 10):
         command = controller.compute_velocity_commands(pose, Twist2(), checker, stamp=next(STAMPS))
     return command
 
@@ -310,9 +317,9 @@ def test_a_path_is_timed_before_it_is_followed():
     controller.configure(context(goal=path.end))
     controller.set_path(path)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
-    plant = DifferentialDrive(ROBOT)
+    plant = DifferentialDrive(ROBOT, period=PERIOD)
     state = plant.at_rest(START)
-    for _ in range(800):
+    for _ in range(400):
         if checker.is_goal_reached(state.pose, path.end, state.twist, [path.pose_at(path.length - 0.1), path.end]):
             break
         state = plant.step(
@@ -322,7 +329,7 @@ def test_a_path_is_timed_before_it_is_followed():
 
 
 class TestCollisions:
-    """A wall 1 m ahead of the nose, and a drive that ends 5 cm inside of it."""
+    """A wall 1 m ahead of the robot, and a drive that ends 5 cm inside it."""
 
     WALL = np.array([[1.4, -1.0], [1.6, -1.0], [1.6, 1.0], [1.4, 1.0]])
     AHEAD = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.05)
@@ -344,13 +351,13 @@ class TestCollisions:
         }
 
     def driven(self, surroundings, trajectory=AHEAD, **parameters):
-        """Where the drive ends, and the refusal that ended it; None where there was none."""
+        """The final state, and the error that ended the drive; None without one."""
         controller = TrackingController(**parameters)
         controller.configure(surroundings)
         controller.set_path(trajectory)
         plant = DifferentialDrive(ROBOT, period=PERIOD)
         state = plant.at_rest(trajectory.path.start)
-        for _ in range(400):
+        for _ in range(200):
             try:
                 command = controller.compute_velocity_commands(state.pose, state.twist, None, stamp=next(STAMPS))
             except NoValidControl as error:
@@ -359,10 +366,9 @@ class TestCollisions:
         return state, None
 
     @pytest.mark.parametrize(
-        "world",
-        ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"],
+        "world", ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"]
     )
-    def test_it_refuses_while_it_can_still_stop_before_it_touches_what_is_no_station(self, world):
+    def test_it_stops_before_contact(self, world):
         state, error = self.driven(self.worlds()[world])
         assert error is not None
         rest = state.pose.x + state.twist.linear**2 / (2.0 * LIMITS.max_deceleration)
@@ -371,13 +377,13 @@ class TestCollisions:
         assert "collision ahead" in str(error)
 
     def tried(self, surroundings, trajectory, aside, noise):
-        """Poses of a robot that begins aside and tries again after every refusal, and how many of these there are."""
+        """Poses of a robot that begins aside and tries again after every error, and the number of errors."""
         controller = TrackingController()
         controller.configure(surroundings)
         controller.set_path(trajectory)
         plant, rng, refused = DifferentialDrive(ROBOT, period=PERIOD), np.random.default_rng(1), 0
         state, poses = plant.at_rest(trajectory.path.start @ Pose2(0.0, aside, 0.0)), []
-        for _ in range(300):
+        for _ in range(125):
             seen = state.pose @ Pose2(*rng.normal(0.0, noise, 2).tolist(), 0.0)
             try:
                 command = controller.compute_velocity_commands(seen, state.twist, None, stamp=next(STAMPS))
@@ -387,13 +393,13 @@ class TestCollisions:
             poses.append(state.pose.as_array())
         return np.array(poses), refused
 
-    def test_its_own_error_across_is_no_noise_that_lets_it_into_a_wall(self):
+    def test_lateral_error_does_not_count_as_noise(self):
         poses, refused = self.tried(self.worlds()["polygon"], self.AHEAD, 0.2, 0.0)
         assert refused > 0
         wall = ObstacleSet.from_polygons([self.WALL])
         assert pose_clearances(poses, ROBOT.footprint, wall)[0].min() > -1e-4
 
-    def test_noise_alone_refuses_no_passage(self):
+    def test_noise_does_not_block_a_passage(self):
         sides = [np.array([[0.9, y], [1.2, y], [1.2, y + 0.1], [0.9, y + 0.1]]) for y in (0.252, -0.352)]
         target = DockingProblem(
             Pose2(0.0, 0.0, 0.0), Dock(self.AHEAD.path.end), ROBOT, ObstacleSet.from_polygons(sides)
@@ -402,15 +408,15 @@ class TestCollisions:
         assert refused == 0
         assert poses[-1, 0] == pytest.approx(1.05, abs=0.005)
 
-    def test_it_drives_on_only_when_told(self):
+    def test_collision_detection_can_be_switched_off(self):
         state, error = self.driven(self.worlds()["polygon"], use_collision_detection=False)
         assert error is None
         assert state.pose.x == pytest.approx(1.05, abs=0.002)
 
-    def test_a_drive_that_ends_in_contact_ends_there_whatever_the_noise(self):
+    def test_trajectory_ending_in_contact_with_noise(self):
         touching = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.0)
         surroundings = self.worlds()["polygon"]
-        for seed in range(5):
+        for seed in range(2):
             controller = TrackingController()
             controller.configure(surroundings)
             world = SimulationSettings(
@@ -426,7 +432,7 @@ class TestCollisions:
         assert error is None
         assert state.pose.x == pytest.approx(0.15, abs=0.002)
 
-    def test_after_a_refusal_it_goes_on_from_rest_once_the_way_is_free(self):
+    def test_it_continues_from_rest_once_the_way_is_free(self):
         worlds = self.worlds()
         live = worlds["costmap and outline"].costmap
         grid = Costmap.writable(live.data.shape, live.resolution, live.origin)
@@ -436,7 +442,7 @@ class TestCollisions:
         controller.set_path(self.AHEAD)
         plant = DifferentialDrive(ROBOT, period=PERIOD)
         state, refusals = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
-        for _ in range(900):
+        for _ in range(225):
             try:
                 command = controller.compute_velocity_commands(state.pose, state.twist, None, stamp=next(STAMPS))
             except NoValidControl:
@@ -453,56 +459,49 @@ class TestCollisions:
 def test_a_new_path_in_motion_is_taken_up_without_a_stop():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    commands, states = drive(controller, trajectory, 150)
+    commands, states = drive(controller, trajectory, 40)
     ahead = Path.from_poses([states[-1].pose, trajectory.path.end @ Pose2(1.0, 0.0, 0.0)])
     controller.set_path(ahead)
-    more, _ = drive(controller, trajectory, 50, state=states[-1])
+    more, _ = drive(controller, trajectory, 25, state=states[-1])
     assert commands[-1].linear == pytest.approx(0.4, abs=1e-3)
     assert min(command.linear for command in more) > 0.39
     assert abs(np.diff([commands[-1].linear, *(c.linear for c in more)])).max() <= 0.5 * PERIOD + 1e-9
 
 
-@pytest.mark.parametrize("reserve", [0.0, 0.06, 0.2])
+@pytest.mark.parametrize("reserve", [0.0, 0.2])
 def test_the_reference_leaves_feedback_a_share_of_the_yaw_acceleration(reserve):
-    """On a trajectory that uses all of it; slower by no more than that costs."""
     trajectory = s_curve_drive(START)
     times = np.linspace(0.0, trajectory.duration, 2000)
     peak = float(np.max(np.abs(trajectory.sample_at(times).yaw_acceleration)))
     robot = Robot(ROBOT.footprint, MotionLimits(max_yaw_acceleration=peak))
-    controller, used = ready(trajectory, robot, turn_reserve=reserve, preview=0.0), []
+    controller, used, times = ready(trajectory, robot, turn_reserve=reserve, preview=0.0), [], []
 
     def look(_):
         time, rate = controller.progress
+        times.append(time)
         used.append(rate**2 * abs(trajectory.sample_at(time).yaw_acceleration[0]) / peak)
 
     cycles = math.ceil(1.2 * trajectory.duration / PERIOD)
     drive(controller, trajectory, cycles, look, robot=robot)
     assert max(used) == pytest.approx(1.0 - reserve, abs=0.02 + 0.1 * reserve)  # the rate comes down smoothly
     slowest = trajectory.duration / math.sqrt(1.0 - reserve) + 0.1
-    assert controller.progress.time == trajectory.duration
-    at_least = ready(trajectory, robot, turn_reserve=reserve, preview=0.0)
-    drive(at_least, trajectory, math.ceil(slowest / PERIOD), robot=robot)
-    assert at_least.progress.time == trajectory.duration
+    assert times[math.ceil(slowest / PERIOD)] == trajectory.duration
 
 
-def test_steered_wheels_follow_a_reference_that_leaves_them_a_hundredth():
+def test_reference_rate_of_steered_wheels():
     trajectory = s_curve_drive(START)
     for kind, rate in ((Drive.ACKERMANN, 0.99), (Drive.DIFFERENTIAL, 1.0)):
         robot = Robot(ROBOT.footprint, LIMITS, kind)
         controller = ready(trajectory, robot)
-        drive(controller, trajectory, 60, robot=robot)
+        drive(controller, trajectory, 30, robot=robot)
         assert controller.progress.rate == pytest.approx(rate, abs=1e-3)
-
-
-def test_it_is_found_by_name():
-    assert isinstance(create_plugin(Controller, "TrackingController", {"preview": 0.1}), TrackingController)
 
 
 class TestLateDrive:
     """A lag of 0.15 s, a latency of 0.1 s, poses with 1 cm and 0.02 rad of noise, a robot that turns slowly."""
 
     def off_line(self, seed):
-        """How far it leaves a straight line of 5 m at 0.8 m/s [m]."""
+        """Largest deviation from a straight line of 5 m at 0.8 m/s [m]."""
         limits = MotionLimits(max_speed=1.0, max_yaw_acceleration=0.8)
         robot, origin = Robot(ROBOT.footprint, limits), Pose2(0.0, 0.0, 0.0)
         trajectory = rest_to_rest([clothoid(origin, [0.0, 5.0], [0.0, 0.0])], speed=0.8)
@@ -520,9 +519,9 @@ class TestLateDrive:
         return float(np.abs(run.poses[:, 1]).max())
 
     def test_it_does_not_weave(self, monkeypatch):
-        assert max(self.off_line(seed) for seed in range(3)) < 0.02
-        monkeypatch.setattr(feedback_gains, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
-        assert min(self.off_line(seed) for seed in range(3)) > 0.1
+        assert max(self.off_line(seed) for seed in range(2)) < 0.02
+        monkeypatch.setattr(tracking_law, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
+        assert self.off_line(0) > 0.1
 
 
 class TestBeforeTheEnd:
@@ -531,7 +530,7 @@ class TestBeforeTheEnd:
     LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 0.6], [0.0, 0.0])], speed=0.1)
 
     def left(self, push, at):
-        """Errors across [m] and of the heading [rad] when the reference ends, after a push so far before that."""
+        """Lateral [m] and heading error [rad] at the end of the reference, after a push `at` metres before it."""
         controller = TrackingController()
         dock = Dock(self.LINE.path.end, tolerances=DockTolerances(0.01, 0.01, math.radians(1.5)))
         controller.configure(PluginContext(problem=DockingProblem(Pose2(0.0, 0.0, 0.0), dock, ROBOT)))
@@ -547,18 +546,18 @@ class TestBeforeTheEnd:
             world.advance(command, 0.04)
         return abs(world.error.y), abs(world.error.yaw)
 
-    def test_an_offset_that_cannot_be_taken_back_turns_the_robot_no_more(self, monkeypatch):
+    def test_late_offset_does_not_turn_the_robot(self, monkeypatch):
         across, turned = self.left(Pose2(0.0, 0.004, 0.0), 0.05)
         assert across < 0.0045
         assert turned < math.radians(0.3)
         shortest = Gains(2.0, 0.05, 1.0, 1.0)
-        monkeypatch.setattr(feedback_gains.FeedbackGains, "at", lambda *_, **__: shortest)
+        monkeypatch.setattr(tracking_law.FeedbackGains, "update", lambda *_, **__: shortest)
         assert self.left(Pose2(0.0, 0.004, 0.0), 0.05)[1] > math.radians(0.8)
 
-    def test_a_turn_is_taken_back_as_fast_as_the_drive_allows(self, monkeypatch):
+    def test_late_turn_is_corrected_fast(self, monkeypatch):
         across, turned = self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)
         assert across < 0.005
         assert turned < math.radians(0.3)
-        monkeypatch.setattr(feedback_gains, "_LEFT", math.inf)
-        monkeypatch.setattr(feedback_gains, "_QUICKEST_TURN", 1.0)
+        monkeypatch.setattr(tracking_law, "_LEFT", math.inf)
+        monkeypatch.setattr(tracking_law, "_QUICKEST_TURN", 1.0)
         assert self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)[1] > math.radians(0.6)

@@ -41,10 +41,36 @@ def _dense_ratios(trajectory, limits, zone) -> dict[str, float]:
 
 def _steering_rates(row, limits) -> np.ndarray:
     """Mean rates of the steering angle between samples, rests included: of the bicycle model that yaws as the samples
-    do, whatever the gear; at rest nobody sees the wheels."""
+    do, in either gear; at rest the angle is unknown."""
     moving = np.abs(row.speed) > 1e-6
     angle = np.arctan(limits.wheelbase * row.yaw_rate[moving] / row.speed[moving])
     return np.append(np.abs(np.diff(angle)) / np.diff(row.t[moving]), 0.0)
+
+
+def _least_duration(path, limits, zone) -> float:
+    """A lower bound: speed caps and accelerations only, by forward and backward passes on a fine grid."""
+    total, begin = 0.0, 0.0
+    for segment in path.segments:
+        s = np.linspace(0.0, segment.length, 8001)
+        middle = 0.5 * (s[1:] + s[:-1])
+        k, rate = np.abs(segment.curvature_at(middle)) + 1e-12, np.abs(segment.curvature_rate_at(middle))
+        steering = (1.0 + (limits.wheelbase * k) ** 2) / np.maximum(limits.wheelbase * rate, 1e-9)
+        cap = np.full(k.size, limits.max_speed if segment.direction > 0 else limits.max_reverse_speed)
+        for other in (
+            limits.max_yaw_rate / k,
+            np.sqrt(limits.max_lateral_acceleration / k),
+            limits.max_wheel_speed / (1.0 + 0.5 * limits.track_width * k),
+            limits.max_steering_rate * steering,
+            np.where(begin + middle >= path.length - zone.distance, zone.speed, np.inf),
+        ):
+            cap = np.minimum(cap, other)
+        x = np.minimum(np.append(cap, 0.0), np.insert(cap, 0, 0.0)) ** 2
+        rise, fall = 2.0 * limits.max_acceleration * s, 2.0 * limits.max_deceleration * s
+        x = np.minimum.accumulate(x - rise) + rise
+        v = np.sqrt(np.maximum(np.minimum.accumulate((x + fall)[::-1])[::-1] - fall, 0.0))
+        total += float(np.sum(2.0 * np.diff(s) / np.maximum(v[1:] + v[:-1], 1e-9)))
+        begin += segment.length
+    return total
 
 
 def _rests(trajectory) -> bool:
@@ -76,7 +102,7 @@ def _random_path(rng, gears=1, length=None, cell=0.1) -> Path:
 
 @pytest.fixture(scope="session")
 def dense() -> SimpleNamespace:
-    return SimpleNamespace(ratios=_dense_ratios, rests=_rests)
+    return SimpleNamespace(ratios=_dense_ratios, rests=_rests, least_duration=_least_duration)
 
 
 @pytest.fixture(scope="session")

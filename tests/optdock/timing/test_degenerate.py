@@ -1,4 +1,4 @@
-"""Physics never raises: whatever path and start, the outcome has a name, and OK means that every limit holds."""
+"""Any path and start gives a status, and OK means that every limit is kept."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from optdock.plugins.interfaces import TimingStatus
 from optdock.testing.drives import s_curve_drive
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.path_limits import limits_along
-from optdock.timing.timing_settings import SAMPLING
+from optdock.timing.retry_strategy import LONGEST_MOTION
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory
 
@@ -42,7 +42,7 @@ def assert_honest(result, path, limits, zone, start, dense):
         assert result.trajectory is None
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     gears=st.lists(st.tuples(st.floats(-2.5, 2.5), CELLS), min_size=1, max_size=3),
     asked=st.tuples(
@@ -85,20 +85,8 @@ def test_the_number_of_samples_does_not_matter(count, method, make, dense, all_l
     )
 
 
-@pytest.mark.parametrize("spacing", [0.002, 0.01, 0.05])
-def test_polylines_of_any_spacing(spacing, make, dense, all_limits):
-    spline = make.spline([0.6, 0.8, 0.6], [0.0, 1.2, -1.0, 0.0])
-    poses = spline.poses_at(np.linspace(0.0, 2.0, int(2.0 / spacing) + 1))
-    path, zone = Path.from_poses(poses), SpeedZone(0.1, 0.3)
-    result = NearOptimal().parameterize(path, all_limits, zone)
-    assert result.status is TimingStatus.OK
-    assert_honest(result, path, all_limits, zone, (0.0, 0.0), dense)
-    exact = NearOptimal().parameterize(Path((spline,)), all_limits, zone)
-    assert result.trajectory.duration == pytest.approx(exact.trajectory.duration, rel=0.05)
-
-
 @pytest.mark.parametrize("amplitude", [0.003, 0.03])
-def test_noisy_curvature_costs_time_but_breaks_nothing(amplitude, make, dense, all_limits):
+def test_noisy_curvature_is_slower_and_within_limits(amplitude, make, dense, all_limits):
     s = np.linspace(0.0, 3.0, 600)
     noise = np.random.default_rng(4).normal(0.0, amplitude, 600)
     clean, noisy = (Path((make.spline(np.diff(s), np.sin(2.0 * s) + extra),)) for extra in (0.0, noise))
@@ -111,7 +99,7 @@ def test_noisy_curvature_costs_time_but_breaks_nothing(amplitude, make, dense, a
     assert durations[1] > durations[0]
 
 
-def test_slow_limits_are_as_good_as_fast_ones(make, dense):
+def test_slow_limits(make, dense):
     limits = MotionLimits(0.01, 0.01, 0.005, 0.005, 0.01, max_yaw_rate=0.005, max_yaw_acceleration=0.002)
     path = make.random_path(np.random.default_rng(0), length=0.5)
     result = NearOptimal().parameterize(path, limits, SpeedZone(0.002, 0.05))
@@ -139,8 +127,8 @@ NAMES = [
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "max_reverse_speed"])
-@pytest.mark.parametrize("value", [1e-12, 1e-9, 1e-5, 1e-2, 1e3, 1e9])
-def test_an_extreme_limit_has_a_named_outcome(method, name, value):
+@pytest.mark.parametrize("value", [1e-12, 1e-5, 1e-2, 1e9])
+def test_extreme_limits_give_a_certified_motion_or_a_reason(method, name, value):
     limits = dataclasses.replace(TURNING, **{name: value})
     result = method().parameterize(PATH, limits, ZONE)
     if result.status is TimingStatus.OK:
@@ -150,14 +138,14 @@ def test_an_extreme_limit_has_a_named_outcome(method, name, value):
         assert result.reason
 
 
-def test_a_motion_of_hours_is_refused_with_its_duration():
+def test_motions_of_hours_are_refused():
     result = NearOptimal().parameterize(PATH, dataclasses.replace(TURNING, max_speed=1e-5), ZONE)
     assert result.status is TimingStatus.FAIL
     assert "about 3e+05 s; motions of more than 3600 s" in result.reason
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_the_expected_duration_is_about_the_true_one(seed):
+@pytest.mark.parametrize("seed", range(6))
+def test_duration_estimate_is_close_to_the_duration(seed):
     rng = np.random.default_rng(seed)
     knots = np.linspace(0.0, rng.uniform(0.5, 8.0), 7)
     curve = ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, np.append(rng.uniform(-1.5, 1.5, 6), 0.0))
@@ -165,22 +153,18 @@ def test_the_expected_duration_is_about_the_true_one(seed):
     (along,) = limits_along(path, TURNING, ZONE)
     true = NearOptimal().parameterize(path, TURNING, ZONE).trajectory.duration
     assert 0.4 * true <= along.duration_estimate <= 1.05 * true
-    assert true < SAMPLING.longest_motion
+    assert true < LONGEST_MOTION
 
 
 COARSE = MotionLimits(
-    max_yaw_rate=0.4,
-    max_yaw_acceleration=1.0,
-    max_lateral_acceleration=0.15,
-    max_wheel_speed=0.45,
-    track_width=0.4,
+    max_yaw_rate=0.4, max_yaw_acceleration=1.0, max_lateral_acceleration=0.15, max_wheel_speed=0.45, track_width=0.4
 )
 CURVE = s_curve_drive(Pose2(0.0, 0.0, 0.0)).path
 
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
-@pytest.mark.parametrize("spacing", [0.005, 0.02, 0.05, 0.1, 0.2])
-def test_what_is_timed_is_certified(method, spacing):
+@pytest.mark.parametrize("spacing", [0.005, 0.05, 0.2])
+def test_sampled_paths_get_certified_motions(method, spacing):
     path = Path.from_poses(CURVE.sample(spacing).poses)
     result = method().parameterize(path, COARSE, SpeedZone())
     assert certify_trajectory(result.trajectory, COARSE, SpeedZone()).certified

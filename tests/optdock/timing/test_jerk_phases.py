@@ -37,14 +37,14 @@ def test_crossing_times_invert_the_distance():
 
 
 @given(factor=st.floats(1.0, 3.0))
-def test_stretching_time_from_rest_keeps_the_distance_and_scales_the_rest(factor):
+def test_stretched_motion_scales_speed_and_acceleration(factor):
     motion, slow = Motion.of(MotionState(), PHASES), Motion.of(MotionState(), stretched(PHASES, factor))
     t = np.linspace(0.0, motion.duration, 40)
     s, v, a = motion.at(t)
     np.testing.assert_allclose(slow.at(t * factor), np.stack((s, v / factor, a / factor**2)), atol=1e-12)
 
 
-def test_braking_slack_is_the_speed_left_when_acceleration_is_back_at_zero():
+def test_braking_slack():
     state = MotionState(0.0, 0.3, -0.5)
     assert braking_slack(state, 2.0) == pytest.approx(state_after(state, 0.25, 2.0).v)
     assert braking_slack(MotionState(0.0, 0.3, 0.5), 2.0) == 0.3

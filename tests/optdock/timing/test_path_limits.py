@@ -10,7 +10,8 @@ from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
-from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits, worst_ratio
+from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
+from optdock.timing.plan_checks import worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.verification import certify_trajectory
 
@@ -57,7 +58,7 @@ def test_the_zone_counts_from_its_start_on(along):
 
 
 @pytest.mark.parametrize("start", [0.0, 0.1234, 0.3, 0.7, 0.99])
-def test_what_is_left_of_a_segment_keeps_its_limits(along, start):
+def test_limits_after_a_place_are_the_same(along, start):
     rest = along.after(start)
     assert rest.length == pytest.approx(along.length - start)
     s = np.linspace(1e-6, rest.length, 300)
@@ -81,7 +82,7 @@ def test_cap_binds_where_its_limit_is_tight(make):
 
 
 @pytest.mark.parametrize("beside", [-1e-13, -(2.0**-52), 0.0, 2.0**-52, 1e-13])
-def test_a_zone_that_begins_at_a_knot_give_or_take_rounding_begins_at_its_node(make, all_limits, beside):
+def test_zone_start_within_rounding_of_a_knot_is_its_node(make, all_limits, beside):
     segment = make.spline([0.3, 0.4, 0.3], [0.0, 1.0, 0.0, 0.0])
     along = segment_limits(segment, SpeedCaps(all_limits, Direction.FORWARD), float(segment.knots[2]) + beside, 0.1)
     assert along.zone_start in along.s
@@ -100,14 +101,9 @@ def test_a_segment_cut_just_before_its_zone_is_in_the_zone(along):
 
 @pytest.mark.parametrize(
     ("limit", "value"),
-    [
-        ("max_speed", 0.1),
-        ("max_yaw_rate", 0.05),
-        ("max_lateral_acceleration", 0.001),
-        ("max_wheel_speed", 0.02),
-    ],
+    [("max_speed", 0.1), ("max_yaw_rate", 0.05), ("max_lateral_acceleration", 0.001), ("max_wheel_speed", 0.02)],
 )
-def test_the_limit_that_decides_has_its_name(make, limit, value):
+def test_cap_at_returns_the_lowest_cap(make, limit, value):
     limits = dataclasses.replace(MotionLimits(track_width=0.4), **{limit: value})
     along = segment_limits(make.spline([1.0], [1.0, 1.0]), SpeedCaps(limits, Direction.FORWARD), 0.8, 0.01)
     name, words = along.cap_at(0.5)
@@ -131,7 +127,7 @@ def test_a_spike_between_two_time_samples_is_found(make):
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_both_rates_at_a_jump_count(make, order):
+def test_both_curvature_rates_at_a_jump_are_checked(make, order):
     limits = MotionLimits(max_yaw_acceleration=1.0)
     curvature = np.array([0.0, 0.0, 1.0])[::order]
     along = segment_limits(make.spline([1.0, 1.0], curvature), SpeedCaps(limits, Direction.FORWARD), math.inf, math.inf)
@@ -151,7 +147,7 @@ def test_agrees_with_the_independent_certificate(make, all_limits, seed):
     assert worst.ratio * (1.0 - 1e-5) <= proven <= squared * (1.0 + 1e-4)
 
 
-def test_stretching_by_what_the_check_says_cures_every_limit(make, all_limits):
+def test_stretching_by_the_worst_ratio_keeps_every_limit(make, all_limits):
     from optdock.timing.jerk_phases import stretched
 
     path = make.random_path(np.random.default_rng(2), length=2.0)

@@ -1,4 +1,4 @@
-"""What is called OK is proven; where the proof refuses a plan, the next method takes its place."""
+"""Order of the methods, proof of the plans, and deadlines."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_no_plan_at_all_is_a_failure(along):
     assert (found.status, found.reason) == (TimingStatus.FAIL, "no plan from rest after full braking")
 
 
-def test_braking_is_cut_short_once_every_limit_holds(along):
+def test_braking_ends_once_every_limit_is_kept(along):
     found = first_plan(along, MotionState(0.0, 0.7), windowed_plans)
     assert (found.status, found.arrives) == (TimingStatus.START_INFEASIBLE, True)
     motion = Motion.of(MotionState(0.0, 0.7), found.phases)
@@ -62,7 +62,7 @@ def test_braking_is_cut_short_once_every_limit_holds(along):
     assert v[s < 1.0].min() > 0.3
 
 
-def test_braking_to_rest_is_all_there_is_where_nothing_can_be_planned(make, all_limits):
+def test_braking_to_rest_without_a_plan(make, all_limits):
     gears = make.spline([2.0], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)
     result = time_path(Path(gears), all_limits, SpeedZone(), TimingStart(0.7, 0.0), never)
     assert result.status is TimingStatus.START_INFEASIBLE
@@ -72,7 +72,7 @@ def test_braking_to_rest_is_all_there_is_where_nothing_can_be_planned(make, all_
     assert tuple(end) == pytest.approx((0.49 / 1.0 + 0.7 * 0.5 / 2.4, 0.0, 0.0), abs=1e-9)
 
 
-def test_a_later_gear_without_a_plan_fails_the_whole(make, all_limits):
+def test_a_later_gear_without_a_plan_is_a_failure(make, all_limits):
     gears = make.spline([2.0], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)
 
     def first_only(along, start, deadlines):
@@ -89,7 +89,7 @@ METHODS = (NearOptimal(), NearOptimal(smooth=True), Windowed())
 def test_a_zone_that_begins_at_a_knot_is_kept(method, make):
     # The end of the path less the zone is the knot, or the knot less one rounding: a coin for every path.
     limits, sides = MotionLimits(max_yaw_acceleration=2.0), set()
-    for seed in range(24):
+    for seed in range(16):
         rng = np.random.default_rng(seed)
         lengths = np.append(rng.uniform(0.2, 0.5, 4), rng.uniform(0.25, 0.45))
         path = Path((make.spline(lengths, [*rng.uniform(-1.2, 1.2, 4), 0.0, 0.0]),))
@@ -127,7 +127,7 @@ def gears(make):
     return Path((forward, make.spline([0.5, 0.5], [0.0, 1.5, 0.0], -1, forward.spline.end)))
 
 
-def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all_limits):
+def test_only_a_refused_gear_gets_the_next_plan(gears, all_limits):
     result = time_path(gears, all_limits, SpeedZone(), TimingStart(0.0, 0.0), reckless_then_careful)
     assert result.status is TimingStatus.OK
     assert result.report.gears == ("reckless", "windowed")
@@ -135,7 +135,7 @@ def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all
     assert result.worst_ratio <= 1.0 + 1e-6
 
 
-def test_a_gear_whose_last_plan_is_refused_fails_with_what_is_broken_and_where(gears, all_limits):
+def test_a_gear_without_another_plan_reports_the_violation(gears, all_limits):
     result = time_path(gears, all_limits, SpeedZone(), TimingStart(0.0, 0.0), reckless)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
     assert "the last method, reckless, is not certified: speed " in result.reason
@@ -159,14 +159,11 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
 
 
 ZONE = SpeedZone(0.12, 0.4)
-PLANNERS = {
-    "near-optimal": near_optimal_plans,
-    "windowed": windowed_plans,
-}
+PLANNERS = {"near-optimal": near_optimal_plans, "windowed": windowed_plans}
 
 
 class Ticking:
-    """A clock that moves on by a tick whenever it is looked at."""
+    """A clock that advances by a tick at every call."""
 
     def __init__(self, tick: float = 1e-3) -> None:
         self.tick, self.now = tick, 0.0
@@ -178,7 +175,7 @@ class Ticking:
 
 @pytest.mark.parametrize("planner", PLANNERS.values(), ids=PLANNERS)
 @pytest.mark.parametrize("ticks", [1, 3, 10, 30, 100, 300, 1000])
-def test_no_more_than_a_few_looks_after_the_deadline(ticks, planner, make, all_limits):
+def test_few_checks_of_the_clock_after_the_deadline(ticks, planner, make, all_limits):
     path = make.random_path(np.random.default_rng(7), gears=2, length=2.5)
     clock = Ticking()
     deadline = Deadline(1e-3 * (ticks + 0.5), clock)
@@ -191,10 +188,10 @@ def test_no_more_than_a_few_looks_after_the_deadline(ticks, planner, make, all_l
         assert "time was up" in result.reason or "no time" in result.reason
 
 
-def test_more_time_gives_nothing_then_windows_then_the_reference(make, all_limits):
+def test_methods_by_available_time(make, all_limits):
     along = limits_along(make.random_path(np.random.default_rng(7), length=2.5), all_limits, ZONE)[0]
     found = []
-    for ticks in np.geomspace(2, 3000, 40):
+    for ticks in np.geomspace(2, 3000, 20):
         deadlines = Deadlines.of(Deadline(1e-3 * ticks, Ticking()), lookup=0.02)
         found.append(best_of(near_optimal_plans(along, MotionState(), deadlines)).how)
     order = ["none", "windowed", "reference"]
@@ -204,7 +201,7 @@ def test_more_time_gives_nothing_then_windows_then_the_reference(make, all_limit
 
 
 @pytest.mark.parametrize("method", [NearOptimal(), Windowed()])
-def test_no_time_is_a_status_and_no_number_is_refused(method, make, all_limits):
+def test_no_time_is_a_status_and_nan_is_refused(method, make, all_limits):
     path = make.random_path(np.random.default_rng(0), length=1.5)
     for none in (0.0, -1.0, 1e-9):
         result = method.parameterize(path, all_limits, ZONE, max_time=none)
@@ -217,7 +214,7 @@ def test_no_time_is_a_status_and_no_number_is_refused(method, make, all_limits):
     np.testing.assert_array_equal(ample.time_law.durations, free.time_law.durations)
 
 
-def test_an_impossible_start_is_answered_even_without_time_for_the_rest(make, all_limits):
+def test_impossible_start_is_reported_with_little_time(make, all_limits):
     path = make.random_path(np.random.default_rng(3), gears=1, length=3.0)
     for ticks in range(2, 40):
         deadline = Deadline(1e-3 * ticks, Ticking())
@@ -227,7 +224,7 @@ def test_an_impossible_start_is_answered_even_without_time_for_the_rest(make, al
             assert result.trajectory.time_law.states[-1, 1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_shortened_deadline_keeps_the_beginning_and_the_clock():
+def test_shortened_deadlines_share_start_and_clock():
     clock = Ticking()
     whole = Deadline(0.1, clock)
     early, soon, same = whole.shortened(0.03), whole.shortened(0.03, at_most=0.02), whole.shortened()

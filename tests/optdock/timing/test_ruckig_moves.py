@@ -17,7 +17,8 @@ from optdock.model.limits import SpeedZone
 from optdock.timing import ruckig_moves
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.near_optimal import reference_motion
-from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along, worst_ratio
+from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along
+from optdock.timing.plan_checks import worst_ratio
 from optdock.timing.ruckig_moves import move
 from optdock.timing.start_states import full_stop
 
@@ -29,15 +30,15 @@ def assert_reaches(start, target, phases):
     assert max(abs(a - b) for a, b in zip(end, target, strict=True)) < 1e-9
 
 
-def test_a_target_too_near_would_need_reversing_and_counts_as_none():
+def test_no_move_to_a_target_that_requires_reversing():
     assert move(MotionState(0.0, 0.4), MotionState(0.01), BOX) is None
 
 
-def test_the_loop_that_returns_to_its_own_moving_state_is_refused():
+def test_no_move_from_a_moving_state_to_itself():
     assert move(MotionState(0.0, 0.3), MotionState(0.0, 0.3), BOX) is None
 
 
-def test_dipping_below_zero_inside_a_phase_counts_as_reversing():
+def test_reversing_within_a_phase_is_detected():
     # The speed is positive at both ends of the only phases but negative between them.
     assert not ruckig_moves._drives_forward(MotionState(0.0, 0.1, -0.6), ((1.0, 1.0),))
     assert ruckig_moves._drives_forward(MotionState(0.0, 0.2, -0.6), ((1.0, 1.0),))
@@ -62,11 +63,11 @@ def test_a_legal_target_at_the_speed_bound_is_not_refused(target):
     assert_reaches(MotionState(), target, phases)
 
 
-def test_a_state_that_is_no_number_is_none():
+def test_no_move_to_a_nan_state():
     assert move(MotionState(), MotionState(math.nan), BOX) is None
 
 
-def test_longer_motions_than_asked_for_are_none():
+def test_no_move_above_the_longest_duration():
     assert move(MotionState(), MotionState(1.0), BOX, 10.0) is not None
     assert move(MotionState(), MotionState(1.0), BOX, 1.0) is None
 
@@ -82,7 +83,7 @@ def test_no_move_has_no_phases():
     assert move(MotionState(), MotionState(), BOX) == ()
 
 
-def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
+def test_full_stop_from_above_the_speed_bound():
     phases = full_stop(MotionState(0.0, 0.9), BOX)
     end = Motion.of(MotionState(0.0, 0.9), phases).end
     # v^2 / (2 D) + v D / (2 J) for a stop that reaches D.
@@ -91,9 +92,9 @@ def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
     assert_reaches(MotionState(), MotionState(1.0), move(MotionState(), MotionState(1.0), BOX))
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
-def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, acceleration, jerk, start):
+def test_full_braking_agrees_with_ruckig(speed, deceleration, acceleration, jerk, start):
     box = DriveBounds(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
     state = MotionState(0.0, 10.0**speed, start)
     assume(start >= 0.0 or state.v > 1.001 * start * start / (2.0 * box.jerk))
@@ -110,7 +111,7 @@ def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, a
     assert (motion.end.v, motion.end.a) == pytest.approx((0.0, 0.0), abs=1e-9 * max(1.0, peak, abs(start)))
 
 
-def test_stopping_with_too_much_acceleration_leads_it_back_first():
+def test_full_stop_first_reduces_the_acceleration():
     start = MotionState(0.0, 0.2, 0.8)
     motion = Motion.of(start, full_stop(start, BOX))
     assert motion.jerks[0] == pytest.approx(-1.5)
@@ -121,8 +122,8 @@ def test_threads_do_not_share_ruckig_objects():
     lengths = [0.1 * n for n in range(1, 60)]
     alone = [move(MotionState(), MotionState(length), BOX) for length in lengths]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda length: move(MotionState(), MotionState(length), BOX), lengths * 5))
-    assert together == alone * 5
+        together = list(pool.map(lambda length: move(MotionState(), MotionState(length), BOX), lengths * 3))
+    assert together == alone * 3
 
 
 def test_intermediate_positions_are_never_set():
@@ -135,7 +136,7 @@ def test_intermediate_positions_are_never_set():
     assert list(ruckig_moves._tool().input.intermediate_positions) == []
 
 
-def test_a_missing_ruckig_is_told_with_its_remedy(monkeypatch):
+def test_missing_ruckig_is_a_plugin_error(monkeypatch):
     def missing(name):
         raise ImportError(f"No module named {name!r}")
 
@@ -160,14 +161,7 @@ def test_moves_reach_their_target_within_the_bounds(first, last, length):
     assert abs(motion.jerks).max() <= BOX.jerk * (1.0 + 1e-9)
     assert motion.states[2].max() <= BOX.acceleration * (1.0 + 1e-9)
     assert motion.states[2].min() >= -BOX.deceleration * (1.0 + 1e-9)
-    t = [motion.duration * n / 200 for n in range(201)]
-    assert min(motion.at(value)[1] for value in _arrays(t)) > -1e-8
-
-
-def _arrays(times):
-    import numpy as np
-
-    return [np.array([value]) for value in times]
+    assert motion.at(np.linspace(0.0, motion.duration, 201))[1].min() > -1e-8
 
 
 def _bounds(make, all_limits, seed, **more):
@@ -175,7 +169,7 @@ def _bounds(make, all_limits, seed, **more):
     return ReferenceBounds(limits_along(path, all_limits, SpeedZone(0.15, 0.4))[0], **more)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_moves_join_to_one_motion_over_the_segment(make, all_limits, seed):
     bounds = _bounds(make, all_limits, seed)
     found = reference_motion(bounds, MotionState())
@@ -205,7 +199,7 @@ def test_a_reference_needs_room_between_launch_and_stop(make, all_limits):
     assert reference_motion(short, MotionState(0.0, 0.0, 0.4)) is None  # leading this acceleration back takes more
 
 
-def test_a_cell_without_a_move_is_driven_as_the_reference_drives_it(make, all_limits, monkeypatch):
+def test_a_cell_without_a_move_gets_the_motion_of_the_reference(make, all_limits, monkeypatch):
     bounds = _bounds(make, all_limits, 2)
     monkeypatch.setattr(ruckig_moves, "move", lambda *_: None)
     found = reference_motion(bounds, MotionState())

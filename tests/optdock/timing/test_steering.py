@@ -1,4 +1,4 @@
-"""Steered wheels take time to turn: the steering rate holds while the robot drives, and at rest it waits for them."""
+"""The steering rate is kept in motion, and the robot waits at rest until the wheels are turned."""
 
 from __future__ import annotations
 
@@ -55,26 +55,8 @@ def s_bend(*curvature, cell=1.5):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, np.array(curvature))),))
 
 
-def without_jerk(path, limits):
-    """Duration under the caps and the accelerations alone, on a fine grid: no motion is faster."""
-    total = 0.0
-    for segment in path.segments:
-        s = np.linspace(0.0, segment.length, 20_001)
-        middle = 0.5 * (s[1:] + s[:-1])
-        k, rate = segment.curvature_at(middle), np.abs(segment.curvature_rate_at(middle))
-        top = limits.max_speed if segment.direction > 0 else limits.max_reverse_speed
-        cap = limits.max_steering_rate * (1.0 + (limits.wheelbase * k) ** 2) / np.maximum(limits.wheelbase * rate, 1e-9)
-        x = np.minimum(top, cap) ** 2
-        x = np.minimum(np.append(x, 0.0), np.insert(x, 0, 0.0))
-        rise, fall = 2.0 * limits.max_acceleration * s, 2.0 * limits.max_deceleration * s
-        x = np.minimum.accumulate(x - rise) + rise
-        v = np.sqrt(np.maximum(np.minimum.accumulate((x + fall)[::-1])[::-1] - fall, 0.0))
-        total += float(np.sum(2.0 * np.diff(s) / np.maximum(v[1:] + v[:-1], 1e-9)))
-    return total
-
-
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_wheels_never_turn_faster_than_their_rate(seed, method, make, dense, all_limits):
     rng = np.random.default_rng(seed)
     path = make.random_path(rng, gears=1 + seed % 3)
@@ -94,7 +76,7 @@ def test_wheels_never_turn_faster_than_their_rate(seed, method, make, dense, all
     assert found
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_polyline_is_steered_as_its_poses_turn(seed, make, dense):
     curved = make.random_path(np.random.default_rng(20 + seed), length=2.0)
     path = Path((PolylineSegment(curved.sample(0.02).poses, curved.segments[0].direction),))
@@ -108,14 +90,14 @@ def test_a_polyline_is_steered_as_its_poses_turn(seed, make, dense):
     "bends",
     [(0.0, 0.3, -0.3, 0.0), (0.3, -0.3, 0.3), (0.0, 0.3, 0.3, 0.0, 0.0), (-0.3, 0.3), (0.0, 0.1, 0.0, -0.1, 0.0)],
 )
-def test_the_steering_cap_costs_hardly_more_than_it_must(bends):
+def test_steering_cap_is_close_to_the_bound_without_jerk(bends, dense):
     path = s_bend(*bends)
-    ratio = timed(path, CAR).duration / without_jerk(path, CAR)
+    ratio = timed(path, CAR).duration / dense.least_duration(path, CAR, NO_ZONE)
     assert 1.0 <= ratio <= 1.05
 
 
-def test_wheels_that_need_not_turn_do_not_wait():
-    """Wheels to the left, forward and then back: along the travel the curvature changes its sign."""
+def test_no_wait_at_a_cusp_without_a_turn_of_the_wheels():
+    """Wheels to the left, forward and then back: the curvature along the travel changes its sign."""
     for kept in ((0.3, -0.3), (0.0, 0.0), (-0.2, 0.2)):
         path = fold(*kept)
         free = dataclasses.replace(CAR, max_steering_rate=math.inf)
@@ -123,7 +105,7 @@ def test_wheels_that_need_not_turn_do_not_wait():
 
 
 @pytest.mark.parametrize("kept", [(0.3, 0.3), (0.3, 0.0), (-0.1, 0.2)])
-def test_at_a_cusp_the_robot_waits_as_long_as_its_wheels_turn(kept):
+def test_wait_at_a_cusp_is_the_time_of_the_turn(kept):
     path = fold(*kept)
     motion, free = timed(path, CAR), timed(path, dataclasses.replace(CAR, max_steering_rate=math.inf))
     wait = abs(math.atan(2.8 * kept[0]) + math.atan(2.8 * kept[1])) / 0.5
@@ -137,7 +119,7 @@ def test_at_a_cusp_the_robot_waits_as_long_as_its_wheels_turn(kept):
 
 @pytest.mark.parametrize("method", [NearOptimal, Windowed])
 @pytest.mark.parametrize("bend", [-0.3, 0.0, 0.2])
-def test_at_the_start_the_robot_waits_until_wheels_that_may_stand_anywhere_are_turned(method, bend):
+def test_wait_at_the_start_for_unknown_wheel_angle(method, bend):
     path = s_bend(bend, 0.1, 0.0)
     wait = (math.atan(2.8 / 3.0) + abs(math.atan(2.8 * bend))) / 0.5
     assert CAR.start_wait(path) == pytest.approx(wait)
@@ -159,8 +141,8 @@ def test_at_the_start_the_robot_waits_until_wheels_that_may_stand_anywhere_are_t
         assert found.ratios["steering_rate"] >= 1.0 / share - 1e-9 or certified
 
 
-def test_how_far_wheels_may_stand_off():
-    """As far as they turn; where nobody says how far that is, as the smallest turn asks for, or a quarter turn."""
+def test_start_wait_uses_the_largest_wheel_angle():
+    """The largest angle: of the steering, of the smallest radius, or a quarter turn."""
     path, wheels = s_bend(-0.2, 0.0), {"wheelbase": 2.0, "max_steering_rate": 0.5}
     begins = math.atan(0.4)
     for limits, farthest in (
@@ -173,8 +155,8 @@ def test_how_far_wheels_may_stand_off():
     assert MotionLimits(max_curvature=1.0).start_wait(path) == 0.0
 
 
-def test_a_rest_at_the_start_serves_no_cusp_beside_it():
-    """A first gear of a micrometre: what the wheels need at its start and at its end is added up."""
+def test_waits_at_the_start_and_at_a_near_cusp_add_up():
+    """A first gear of a micrometre: the waits at its start and at its end add up."""
     ahead = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1e-7], [0.3, 0.3])
     back = ClothoidSpline(ahead.end, [0.0, 2.0], [0.3, 0.3], -1)
     path = Path((ClothoidSegment(ahead), ClothoidSegment(back)))
@@ -192,7 +174,7 @@ def test_a_rest_at_the_start_serves_no_cusp_beside_it():
     assert not certify_trajectory(Trajectory(path, shorter), CAR, NO_ZONE, start_wait=wait).certified
 
 
-def test_a_car_in_motion_whose_wheels_nobody_knows_has_no_motion():
+def test_moving_start_with_a_wait_fails():
     path = s_bend(0.0, 0.1, 0.0)
     for method in (NearOptimal, Windowed):
         for start in ({"start_speed": 0.3}, {"start_acceleration": 0.2}):
@@ -210,8 +192,8 @@ def test_a_wait_is_a_number_of_seconds(wait):
         NearOptimal().parameterize(s_bend(0.0, 0.1), CAR, NO_ZONE, start_wait=wait)
 
 
-@pytest.mark.parametrize("start", [Pose2(-3.0, 0.4, 0.2), Pose2(-0.8, 0.7, 0.0)])
-def test_plans_of_a_car_that_stands_wait_for_its_wheels_unless_the_problem_says_how_they_stand(start):
+def test_plans_of_a_car_wait_unless_the_start_curvature_is_known():
+    start = Pose2(-0.8, 0.7, 0.0)
     limits = MotionLimits(wheelbase=0.6, max_steering_angle=0.7, max_steering_rate=0.5)
     car = Robot(Footprint.rectangle(0.8, 0.2, 0.6), limits, Drive.ACKERMANN)
     problem = DockingProblem(start, Dock(Pose2(0.0, 0.0, 0.0), final_straight=0.2), car)
@@ -246,7 +228,7 @@ def test_a_rest_that_is_too_short_is_refused():
     assert [violation.kind for violation in certify_trajectory(elsewhere, CAR, NO_ZONE).violations] == ["rest"]
 
 
-def test_a_rest_at_one_cusp_does_not_serve_another():
+def test_waiting_at_the_wrong_cusp_is_refused():
     """Three gears between which the wheels turn fully; all the waiting is done at the first cusp."""
     bends = [0.3, 0.3, 0.3]
     pose, segments = Pose2(0.0, 0.0, 0.0), []
@@ -265,7 +247,7 @@ def test_a_rest_at_one_cusp_does_not_serve_another():
 
 
 @pytest.mark.parametrize("length", [1e-12, 1e-7, 1e-6, 1e-5])
-def test_gears_of_hardly_any_length_are_steered_too(length):
+def test_waits_of_cusps_at_one_place_add_up(length):
     """Wheels to the left, right, left within a micrometre: the waits of cusps at one place are added up."""
     bends, pose, segments = (0.3, 0.3, 0.3), Pose2(0.0, 0.0, 0.0), []
     for sign, bend, run in zip((1, -1, 1), bends, (2.0, length, 2.0), strict=True):
@@ -284,8 +266,8 @@ def test_gears_of_hardly_any_length_are_steered_too(length):
     assert not certify_trajectory(Trajectory(path, TimeLaw(durations, law.jerks)), CAR, NO_ZONE).certified
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_bicycle_that_is_steered_so_drives_the_path(seed, make):
+@pytest.mark.parametrize("seed", range(3))
+def test_bicycle_model_with_these_wheel_angles_drives_the_path(seed, make):
     """Steering angle and speed alone, integrated: the angle has the sign it must have in each gear."""
     path = make.random_path(np.random.default_rng(seed), gears=3, length=1.5)
     limits = MotionLimits(wheelbase=0.7, max_steering_rate=0.6)
@@ -327,7 +309,7 @@ def test_a_moving_start_is_capped_by_the_steering_rate_too():
 def test_the_curvature_of_the_second_derivative_bounds_the_steering_rate():
     """The closed form of the proof: max |f| <= the ends plus width^2 / 8 of the bound of |f''|, for any cell."""
     rng = np.random.default_rng(0)
-    for _ in range(300):
+    for _ in range(150):
         v, a, j, k, r = rng.uniform(0.0, 3.0), *rng.normal(0.0, 2.0, 2), *rng.normal(0.0, 3.0, 2)
         width = 10.0 ** rng.uniform(-3.0, -0.5)
         t = np.linspace(0.0, width, 400)
@@ -348,7 +330,7 @@ def test_cusps_of_one_path_are_its_joints():
     assert joint_curvatures(s_bend(0.0, 0.1)).shape == (0, 2)
 
 
-@pytest.mark.parametrize("period", [0.02, 0.3, 5.0])
+@pytest.mark.parametrize("period", [0.02, 5.0])
 def test_samples_show_the_wait_at_the_cusp(period):
     path = fold()
     motion = timed(path, CAR)

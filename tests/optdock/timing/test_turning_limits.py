@@ -1,10 +1,10 @@
-"""Turning limits of both orders: what the methods say of speeds and accelerations is what the quantity does."""
+"""Turning limits of both orders: consistency of the methods with the limited quantity."""
 
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.model.limits import MotionLimits
@@ -19,8 +19,9 @@ def ratio(limit, v, a, k, r):
 
 
 @orders
+@settings(max_examples=40)
 @given(sizes, sizes, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
-def test_the_ratio_is_that_of_a_derivative_and_falls_with_the_square_of_slower_time(order, bound, v, a, k, r):
+def test_ratio_is_a_derivative_and_scales_with_time(order, bound, v, a, k, r):
     limit, h = TurningLimit("", order, bound), 1e-6
 
     def value(t):
@@ -33,8 +34,9 @@ def test_the_ratio_is_that_of_a_derivative_and_falls_with_the_square_of_slower_t
 
 
 @orders
+@settings(max_examples=40)
 @given(sizes, sizes, st.floats(0.1, 1.0))
-def test_at_constant_speed_every_method_says_the_same(order, bound, rate, share):
+def test_methods_agree_at_constant_speed(order, bound, rate, share):
     limit, rates = TurningLimit("", order, bound), np.array([rate])
     fastest = limit.fastest(rate)
     assert ratio(limit, fastest, 0.0, 1.0, rate) == pytest.approx(1.0)
@@ -49,6 +51,7 @@ def test_at_constant_speed_every_method_says_the_same(order, bound, rate, share)
 
 
 @orders
+@settings(max_examples=40)
 @given(sizes, sizes, sizes, st.floats(0.01, 0.99))
 def test_the_acceleration_beside_the_curvature_rate_uses_up_the_rest(order, bound, bend, rate, used):
     limit = TurningLimit("", order, bound)
@@ -60,6 +63,7 @@ def test_the_acceleration_beside_the_curvature_rate_uses_up_the_rest(order, boun
 
 
 @orders
+@settings(max_examples=40)
 @given(sizes, st.floats(0.0, 2.0), sizes, sizes, st.floats(0.1, 1.0))
 def test_an_arc_of_constant_jerk_stays_within_its_share(order, bound, v, jerk, bend, share):
     limit = TurningLimit("", order, bound)
@@ -71,8 +75,9 @@ def test_an_arc_of_constant_jerk_stays_within_its_share(order, bound, v, jerk, b
 
 
 @orders
+@settings(max_examples=40)
 @given(sizes, st.floats(-3.0, 3.0), st.floats(0.1, 20.0), sizes, st.floats(0.05, 3.0))
-def test_what_is_inevitable_no_acceleration_keeps_and_no_faster_start_either(order, bound, k, r, relief, v):
+def test_inevitable_ratio_bounds_every_acceleration(order, bound, k, r, relief, v):
     limit = TurningLimit("", order, bound)
 
     def inevitable(v):
@@ -87,7 +92,7 @@ def test_what_is_inevitable_no_acceleration_keeps_and_no_faster_start_either(ord
         assert best < 1.0
 
 
-def test_only_finite_limits_count_and_the_largest_ratio_does():
+def test_turning_ratio_is_the_largest_of_finite_limits():
     columns = [np.array([value]) for value in (1.0, 2.0, 0.5, 0.3)]
     assert turning_limits(MotionLimits()) == ()
     assert turning_ratio((), *columns).tolist() == [0.0]

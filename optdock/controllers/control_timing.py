@@ -1,0 +1,155 @@
+"""Timing of the control loop: the period between calls, and the delay of the drive."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import NoValidControl
+from optdock.geometry.arrays import readonly
+from optdock.geometry.checked import finite_number
+
+if TYPE_CHECKING:
+    from optdock.plugins.lifecycle import PluginContext
+
+__all__ = ["ControlClock", "DelayEstimate"]
+
+_FIRST = 0.005  # [s]: assumed before the first call, so that its command is admissible at 200 Hz too
+_LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
+_MOST_GROWTH = 2.0  # bound on one late call in the filtered period
+_SMOOTHING = 0.2  # weight of the newest period in the filtered one
+
+_LONGEST_LATENCY = 0.2  # [s]
+_LATENCIES = readonly(np.linspace(0.0, _LONGEST_LATENCY, 11))  # [s], of the models
+_LAGS = readonly(np.linspace(0.0, 0.3, 13))  # [s], of the models
+_DELAYS = readonly(_LATENCIES[:, None] + _LAGS)
+_MOVING = 0.01  # [m/s]: slower measurements are ignored: the drive is held, or its speed is not measured
+_MEMORY = 3.0  # [s], time constant of forgetting
+_EVIDENCE = 1e-5  # [m^2/s]: least difference between the best and the worst misfit
+_BETTER = 0.7  # misfit of a new best model relative to the present one (hysteresis)
+_SLEW = 0.5  # [s/s]: largest change of the estimate, so that the feed-forward does not jump
+
+
+class ControlClock:
+    """Measures the period of the calls from their stamps.
+
+    Attributes:
+        now: Stamp of the last call [s]; None before the first.
+        elapsed: Time between the last two calls [s], at most half a second.
+        period: Filtered period, the estimate of the coming one [s].
+        learnt: Whether the last call was the first that gave a period.
+        silent: Whether the last call was the first, or came after more than half a second.
+    """
+
+    def __init__(self) -> None:
+        self.now: float | None = None
+        self.elapsed = 0.0
+        self.period = _FIRST
+        self.learnt = False
+        self.silent = True
+        self._gaps = 0
+
+    def tick(self, stamp: float | None, context: PluginContext, period: float | None = None) -> None:
+        """Register a call.
+
+        Args:
+            stamp: Time of the call [s]; None: now, on the context's clock.
+            context: Context with the clock and the name for messages.
+            period: Fixed period [s]; None: measured.
+
+        Raises:
+            NoValidControl: If the clock went back. Calls are refused until the clock has caught up or is reset.
+            InvalidValue: If the stamp is not a finite number.
+        """
+        stamp = context.clock() if stamp is None else finite_number(stamp, f"{context.name}: stamp")
+        before = self.now
+        if before is not None and stamp < before:
+            raise NoValidControl(
+                f"{context.name}: the clock went back from {before} s to {stamp} s; reset the controller if it was set",
+                where={"stamp": stamp, "before": before},
+            )
+        self.now = stamp
+        if period is not None:
+            self.elapsed = self.period = period
+            self.silent = self.learnt = before is None
+            return
+        gap = math.inf if before is None else stamp - before
+        self.silent = gap > _LONGEST
+        self.elapsed = min(gap, _LONGEST) if before is not None else _FIRST
+        self.learnt = False
+        if gap == 0.0 or self.silent:
+            return
+        self._gaps += 1
+        self.learnt = self._gaps == 1
+        self.period = (
+            gap if self.learnt else self.period + _SMOOTHING * (min(gap, _MOST_GROWTH * self.period) - self.period)
+        )
+
+
+class DelayEstimate:
+    """Estimates the drive's delay with a bank of models, from commands and measured speeds.
+
+    Every model is a latency followed by a first-order lag; the feed-forward needs only their sum. The period may vary.
+
+    Args:
+        delay: Known delay [s].
+
+    Attributes:
+        delay: Latency plus lag of the best model [s]; the known delay until there is evidence.
+    """
+
+    def __init__(self, delay: float = 0.0) -> None:
+        self.delay = delay
+        self._now = 0.0
+        self._since = [-_LONGEST_LATENCY]  # times of the commands [s], the oldest first
+        self._commands = [0.0]  # [m/s]
+        self._speeds = np.zeros((_LATENCIES.size, _LAGS.size))
+        self._misfit = np.zeros(self._speeds.shape)
+        self._best = 0
+
+    @property
+    def latency_and_lag(self) -> tuple[float, float]:
+        """The delay split into latency and lag as in the best model [s]."""
+        whole = float(_DELAYS.flat[self._best])
+        lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
+        return self.delay - lag, lag
+
+    def update(self, command: float, speed: float, period: float) -> None:
+        """Update with the speed [m/s] measured at the end of a `period` [s] of the given `command` [m/s]."""
+        if period <= 0.0:
+            return
+        self._since.append(self._now)
+        self._commands.append(command)
+        begin, self._now = self._now, self._now + period
+        while len(self._since) > 2 and self._since[1] <= begin - _LONGEST_LATENCY:
+            del self._since[0], self._commands[0]
+        self._simulate(begin, period)
+        if abs(speed) < _MOVING:
+            return
+        self._misfit *= math.exp(-period / _MEMORY)
+        self._misfit += period * (self._speeds - speed) ** 2
+        best = int(np.argmin(self._misfit))
+        if float(self._misfit.flat[best]) < _BETTER * float(self._misfit.flat[self._best]):
+            self._best = best
+        convincing = float(self._misfit.max()) - float(self._misfit.flat[best]) > _EVIDENCE
+        wanted = float(_DELAYS.flat[self._best]) if convincing else self.delay
+        step = _SLEW * period
+        self.delay += min(max(wanted - self.delay, -step), step)
+
+    def _simulate(self, begin: float, period: float) -> None:
+        """Advance every model by one period, through the commands in force during it."""
+        since, commands = np.array(self._since), np.array(self._commands)
+        start, end = begin - _LATENCIES, begin - _LATENCIES + period
+        first = np.searchsorted(since, start, side="right") - 1
+        last = np.searchsorted(since, end, side="left") - 1
+        at = start
+        for k in range(int(np.max(last - first)) + 1):
+            row = np.minimum(first + k, last)
+            until = np.where(row >= last, end, np.append(since, np.inf)[row + 1])
+            time = np.maximum(until - at, 0.0)[:, None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                decay = np.where(time > 0.0, np.exp(-time / _LAGS), 1.0)
+            self._speeds = decay * self._speeds + (1.0 - decay) * commands[row][:, None]
+            at = until

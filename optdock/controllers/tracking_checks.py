@@ -1,0 +1,142 @@
+"""Checks of the tracking controller: its inputs, and its progress towards the accepted errors."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.model.dock import DockTolerances
+from optdock.model.path import Path, may_be_one_frame
+from optdock.model.trajectory import Trajectory
+from optdock.verification import proven_for
+
+if TYPE_CHECKING:
+    from optdock.geometry.pose import Pose2
+    from optdock.plugins.interfaces import GoalChecker
+    from optdock.plugins.lifecycle import PluginContext
+
+__all__ = ["AcceptedErrors", "ProgressCheck", "accepted_errors", "checked_speed_limit", "checked_task"]
+
+_BETTER = 0.95  # of the least shortfall so far, to count as progress: above the scatter of noise
+
+
+def checked_speed_limit(limit: object, percentage: object) -> float:
+    """Return `limit`, in percent or m/s.
+
+    Raises:
+        InvalidValue: If `limit` is not a finite number >= 0, or `percentage` is not a bool.
+    """
+    if not isinstance(percentage, bool):
+        raise InvalidValue(f"TrackingController: percentage must be True (percent) or False (m/s), got {percentage!r}")
+    if isinstance(limit, bool) or not isinstance(limit, Real) or not (math.isfinite(limit) and float(limit) >= 0.0):
+        raise InvalidValue(f"TrackingController: the speed limit must be finite and >= 0, got {limit!r}")
+    return float(limit)
+
+
+def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Trajectory:
+    """Return `task`, the path or trajectory to follow.
+
+    The frame must be the one of the configured problem, as far as both are known. A certified trajectory must have been
+    certified for the configured problem; only its start may differ, as a new plan in motion begins at the robot.
+    Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
+
+    Raises:
+        ControllerInvalidPath: If it is neither a path nor a trajectory, is in another frame, or was certified for
+            another problem.
+    """
+    if not isinstance(task, Path | Trajectory):
+        raise ControllerInvalidPath(f"TrackingController: can follow a Path or a Trajectory, got {type(task).__name__}")
+    if context.problem is not None and not may_be_one_frame(task.frame, context.problem.frame):
+        raise ControllerInvalidPath(
+            f"TrackingController: the path stands in frame {task.frame!r}, the configured problem in "
+            f"{context.problem.frame!r}; transform one of them",
+            where={"path": task.frame, "problem": context.problem.frame},
+        )
+    proven = proven_for(task) if isinstance(task, Trajectory) else None
+    if proven is not None and context.problem is not None:
+        differences = proven.differences(context.problem.fingerprint)
+        others = [name for name in differences if name not in ("start", "frame")]  # frames: above
+        if others:
+            raise ControllerInvalidPath(
+                f"TrackingController: the trajectory was certified for another problem than the configured one: "
+                f"{', '.join(others)} differ; configure the controller anew, or plan again",
+                where={"differences": others},
+            )
+    return task
+
+
+class AcceptedErrors(NamedTuple):
+    """Accepted errors along and across the goal's heading [m], and of the heading [rad]."""
+
+    along: float
+    cross: float
+    yaw: float
+
+    def shortfall(self, error: Pose2) -> float:
+        """Return the largest error in units of the accepted one; at most 1 where all are accepted."""
+        return max(abs(error.x) / self.along, abs(error.y) / self.cross, abs(error.yaw) / self.yaw)
+
+
+def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) -> AcceptedErrors:
+    """Return the tolerances of the goal checker, and of the problem's dock where it has none."""
+    asked = goal_checker.tolerances if goal_checker else None
+    dock = context.problem.dock.tolerances if context.problem else DockTolerances()
+    given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
+    usual = (dock.along, dock.cross, dock.yaw)
+    return AcceptedErrors(*(u if g is None or g <= 0.0 else g for g, u in zip(given, usual, strict=True)))
+
+
+class _StallTimer:
+    """Time without progress of a quantity that should become smaller."""
+
+    def __init__(self) -> None:
+        self._least, self._idle = math.inf, 0.0
+
+    def expired(self, shortfall: float, period: float, patience: float) -> bool:
+        """Whether a shortfall above 1 has not decreased for `patience` [s]; the timer restarts after that."""
+        if shortfall <= 1.0 or self._idle > patience:
+            self._least, self._idle = math.inf, 0.0
+        elif shortfall < _BETTER * self._least:
+            self._least, self._idle = shortfall, 0.0
+        else:
+            self._idle += period
+        return self._idle > patience
+
+
+class ProgressCheck:
+    """Detects a robot that does not follow its reference, or does not come nearer to the goal at the end."""
+
+    def __init__(self) -> None:
+        self._following, self._arriving = _StallTimer(), _StallTimer()
+
+    def check(
+        self, error: Pose2, period: float, patience: float, *, is_held: bool, left: AcceptedErrors | None
+    ) -> None:
+        """Check the progress of this period.
+
+        Args:
+            error: The reference pose in the robot's frame.
+            period: Time since the last call [s].
+            patience: Time without progress after which the task ends [s].
+            is_held: Whether the reference waits for the robot.
+            left: Accepted errors, once the reference is at its end; None before.
+
+        Raises:
+            NoValidControl: If the reference has waited, or the error at the end has not decreased, for `patience`.
+        """
+        where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
+        if self._following.expired(2.0 if is_held else 0.0, period, patience):
+            raise NoValidControl(
+                f"TrackingController: the robot does not follow: for {patience:g} s the reference has waited "
+                f"{abs(error.x):.3f} m ahead; the robot is blocked, or its drive does not answer",
+                where=where,
+            )
+        if self._arriving.expired(left.shortfall(error) if left else 0.0, period, patience) and left:
+            raise NoValidControl(
+                f"TrackingController: cannot come any nearer: {error.x:.3f} m along, {error.y:.3f} m across and "
+                f"{error.yaw:.3f} rad are left, accepted are {left.along:g} m, {left.cross:g} m and "
+                f"{left.yaw:g} rad, and nothing has improved for {patience:g} s; plan again from here",
+                where=where,
+            )
