@@ -16,7 +16,8 @@ from optdock.calibration.conformal_tube import conformal_rank, conformal_tube
 from optdock.calibration.detections import detection_quantities
 from optdock.calibration.drive_response import DriveResponse, answered, drive_response
 from optdock.calibration.localization import localization_errors, stored_dock
-from optdock.calibration.odometry_errors import odometry_quantities, smoothed
+from optdock.calibration.motion_smoother import smoothed
+from optdock.calibration.odometry import odometry_quantities
 from optdock.calibration.statistics import fit, mean_of, poisson_rate, share_of
 from optdock.cli import app
 from optdock.errors import InvalidFile, InvalidValue
