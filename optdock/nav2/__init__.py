@@ -1,11 +1,11 @@
-"""What speaks Nav2: its files, its costmap and its behaviors; the method knows nothing of it.
+"""Nav2: its files, its costmap layers and its behaviors; the method does not depend on this package.
 
-- `params`: a parameter file: its plugins, costmaps, dock types and docks (`plugin_lists`, `costmap_params`, `numbers`).
+- `params`: parameter files: plugins (`plugin_lists`), costmaps, dock types and docks.
 - `docks`: dock databases and dock types.
-- `scenario`: the docking problem that these files describe.
-- `provided_plugins`: which of a file's plugins are provided here, with which parameters, and why the others are not.
-- `global_costmap`: the costmap that a parameter file describes, over a map.
-- `layered_costmap`, `layers`: one master grid, and the layers that write into it.
+- `docking_problem`: the docking problem that these files describe.
+- `provided_plugins`: the plugins of a file that optdock provides, and the reasons for the others.
+- `global_costmap`: the costmap of a parameter file, built over a map.
+- `layered_costmap`, `layers`: a grid and the layers that write into it.
 - `behaviors`: BackUp, DriveOnHeading.
 
 Nav2's smoothers are in `smoothers.nav2`, its goal checkers in `checkers.nav2`.

@@ -1,27 +1,40 @@
-"""BackUp and DriveOnHeading: straight motions, ramped, timed, and with a collision check ahead."""
+"""BackUp and DriveOnHeading: straight motions with ramps, a time limit and a collision check ahead."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Twist2
-from optdock.nav2.behaviors.collision import CollisionChecker
-from optdock.nav2.behaviors.results import BACK_UP, DRIVE_ON_HEADING, RUNNING, SUCCEEDED, Codes, failed, stopped
-from optdock.plugins.interfaces import Behavior, BehaviorResult, CostmapInfoType
+from optdock.plugins.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType
 from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.pose import Pose2
+    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["BackUp", "DriveOnHeading"]
+
+_SUCCEEDED = BehaviorResult(BehaviorStatus.SUCCEEDED)
+
+
+class Codes(NamedTuple):
+    """Nav2's action error codes of a behavior."""
+
+    unknown: int
+    timeout: int
+    collision_ahead: int
+    invalid_input: int
 
 
 class DriveParameters(PluginParameters):
@@ -36,7 +49,7 @@ class DriveParameters(PluginParameters):
 
 
 class DriveCommand(PluginParameters):
-    """How far, how fast, how long."""
+    """Command of a straight motion."""
 
     target: float = Field(description="distance along the heading [m]")
     speed: float = Field(description="largest speed on the way [m/s]")
@@ -44,15 +57,50 @@ class DriveCommand(PluginParameters):
     disable_collision_checks: bool = Field(default=False, description="drive blind")
 
 
+class CollisionChecker:
+    """Check motions against the problem's obstacles and the costmaps of a context.
+
+    Nav2 checks the edges of the footprint on a grid at single poses. Here the whole footprint is swept continuously.
+
+    Args:
+        context: Source of problem, costmaps and footprint; costmaps are read again for every motion.
+        clearance: Required distance [m].
+        needs: Costmaps to check in addition to the problem.
+
+    Raises:
+        BehaviorException: If there is no footprint, or neither a problem nor a costmap.
+    """
+
+    def __init__(self, context: PluginContext, clearance: float, needs: CostmapInfoType) -> None:
+        self._context, self._clearance, self._needs = context, clearance, needs
+        if context.footprint is None or (context.problem is None and not context.costmaps(needs)):
+            raise BehaviorException(
+                f"{context.name}: cannot check for collisions: configure it with a problem or with a costmap and a "
+                f"footprint, or set disable_collision_checks"
+            )
+        self._footprint = context.footprint
+
+    def refusal(self, pose: Pose2, twist: Twist2, duration: float) -> str:
+        """Return the reason why the motion collides within `duration` [s]; empty if it does not."""
+        travel = math.hypot(twist.linear, twist.lateral) * duration
+        reach = self._footprint.circumscribed_radius + travel + self._clearance
+        centre = np.array([pose.x, pose.y])
+        obstacles = self._context.obstacles_near(centre - reach, centre + reach, self._needs)
+        found = free_motion(self._footprint, obstacles, pose, twist, duration, self._clearance)
+        if found.row < 0:
+            return ""
+        return f"collision ahead: {in_words(obstacles.name_of(found.row))} in {found.free:.2f} s"
+
+
 class StraightMotion:
-    """One run of a straight motion; the first cycle's pose is its origin.
+    """One straight motion; its origin is the pose of the first cycle.
 
     Args:
         codes: Error codes of the behavior.
         parameters: Limits.
         command: Target and speed of equal sign.
-        deadline: Running.
-        checker: Collision check, or None to drive blind.
+        deadline: Running deadline.
+        checker: Collision check; None for no check.
     """
 
     def __init__(
@@ -69,39 +117,37 @@ class StraightMotion:
         self._speed = 0.0
 
     def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """How it stands, and the command to send."""
+        """Return the result of one cycle and the command to send."""
+        p = self._parameters
         if self._deadline.passed():
-            return stopped(failed(self._codes.timeout, "time allowance exceeded before the target was reached"))
+            return _failed(self._codes.timeout, "time allowance exceeded before the target was reached"), Twist2()
         if self._origin is None:
             self._origin = pose
             self._speed = max(0.0, math.copysign(1.0, self._command.speed) * velocity.linear)
         remaining = abs(self._command.target) - self._origin.distance_to(pose)
         if remaining <= 0.0:
-            return stopped(SUCCEEDED)
+            return _SUCCEEDED, Twist2()
         self._speed = self._next_speed(remaining)
         twist = Twist2(math.copysign(self._speed, self._command.speed))
-        refusal = self._checker.refusal(pose, twist, self._look_ahead(remaining)) if self._checker else ""
+        # One cycle beyond the target, as the command holds until the next cycle.
+        ahead = min(p.simulate_ahead_time, remaining / self._speed + 1.0 / p.cycle_frequency)
+        refusal = self._checker.refusal(pose, twist, ahead) if self._checker else ""
         if refusal:
-            return stopped(failed(self._codes.collision_ahead, refusal))
-        return RUNNING, twist
+            return _failed(self._codes.collision_ahead, refusal), Twist2()
+        return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, remaining: float) -> float:
-        """Towards the commanded speed, such that the braking distance fits into what remains."""
+        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
         p = self._parameters
         faster = self._speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
         arriving = remaining * p.cycle_frequency
-        wanted = min(abs(self._command.speed), faster, braking, arriving)
-        return max(wanted, min(p.minimum_speed, abs(self._command.speed)))
-
-    def _look_ahead(self, remaining: float) -> float:
-        """Seconds to look ahead: until the target, and the last cycle beyond it."""
-        p = self._parameters
-        return min(p.simulate_ahead_time, remaining / self._speed + 1.0 / p.cycle_frequency)
+        speed = min(abs(self._command.speed), faster, braking, arriving)
+        return max(speed, min(p.minimum_speed, abs(self._command.speed)))
 
 
 class _StraightBehavior(Behavior, ABC):
-    """What both have in common; a child says which commands it takes, and with which codes it fails."""
+    """Common part of both behaviors."""
 
     Parameters = DriveParameters
     parameters: DriveParameters
@@ -113,37 +159,37 @@ class _StraightBehavior(Behavior, ABC):
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """Needs the local costmap."""
+        """The local costmap."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """The command as it will be driven.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command with the signs of the motion.
 
         Raises:
-            InvalidValue: It cannot be.
+            InvalidValue: If target and speed are invalid.
         """
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin; the command is a `DriveCommand`."""
+        """Begin a motion; the command has the fields of `DriveCommand`."""
         self._motion = None
         try:
-            parsed = self.ruled(parse_parameters(DriveCommand, command, self.context.name))
+            parsed = self.directed(parse_parameters(DriveCommand, command, self.context.name))
         except InvalidValue as error:
-            return failed(self.codes.invalid_input, str(error))
+            return _failed(self.codes.invalid_input, str(error))
         try:
             checker = None if parsed.disable_collision_checks else self._checker()
         except BehaviorException as error:
-            return failed(self.codes.unknown, str(error))
+            return _failed(self.codes.unknown, str(error))
         deadline = Deadline.of_allowance(parsed.time_allowance, self.context.clock)
         self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, checker)
-        return SUCCEEDED
+        return _SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """One cycle.
+        """Return the result of one cycle and the command to send.
 
         Raises:
-            BehaviorException: `on_run` has not succeeded.
+            BehaviorException: If `on_run` has not succeeded.
         """
         if self._motion is None:
             raise BehaviorException(f"{type(self).__name__}: on_run must succeed before the cycles begin")
@@ -154,7 +200,7 @@ class _StraightBehavior(Behavior, ABC):
 
 
 class DriveOnHeading(_StraightBehavior):
-    """Drives `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
+    """Drive `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
 
     Codes: TIMEOUT 721, COLLISION_AHEAD 723, INVALID_INPUT 724, UNKNOWN 720.
 
@@ -162,13 +208,13 @@ class DriveOnHeading(_StraightBehavior):
         **parameters: Fields of `DriveParameters`.
     """
 
-    codes = DRIVE_ON_HEADING
+    codes = Codes(unknown=720, timeout=721, collision_ahead=723, invalid_input=724)
 
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """Target and speed have the same sign, which is the direction of travel.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command unchanged; the sign of target and speed is the direction of travel.
 
         Raises:
-            InvalidValue: They have not, or one is 0.
+            InvalidValue: If the signs differ, or one of the two is 0.
         """
         if not command.target * command.speed > 0.0:
             raise InvalidValue(
@@ -179,7 +225,7 @@ class DriveOnHeading(_StraightBehavior):
 
 
 class BackUp(_StraightBehavior):
-    """Reverses by `target` metres; the signs of target and speed do not matter, as in Nav2.
+    """Reverse by `target` metres; the signs of target and speed do not matter, as in Nav2.
 
     Codes: TIMEOUT 711, INVALID_INPUT 713, COLLISION_AHEAD 714, UNKNOWN 710.
 
@@ -187,14 +233,18 @@ class BackUp(_StraightBehavior):
         **parameters: Fields of `DriveParameters`.
     """
 
-    codes = BACK_UP
+    codes = Codes(unknown=710, timeout=711, collision_ahead=714, invalid_input=713)
 
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """Both made negative.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command with both signs negative.
 
         Raises:
-            InvalidValue: One is 0.
+            InvalidValue: If target or speed is 0.
         """
         if command.target == 0.0 or command.speed == 0.0:
             raise InvalidValue(f"BackUp: target and speed must not be 0, got {command.target} and {command.speed}")
         return command.model_copy(update={"target": -abs(command.target), "speed": -abs(command.speed)})
+
+
+def _failed(code: int, message: str) -> BehaviorResult:
+    return BehaviorResult(BehaviorStatus.FAILED, code, message)

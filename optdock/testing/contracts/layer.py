@@ -9,6 +9,7 @@ import numpy as np
 
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import Costmap
+from optdock.model.occupancy import OccupancyGrid
 from optdock.plugins.interfaces import Bounds, Layer
 from optdock.testing.contracts.contract_scene import ORIGIN
 from optdock.testing.contracts.plugin import PluginContract
@@ -145,7 +146,7 @@ class LayerContract(PluginContract[Layer]):
 
         For layers with a parameter `enabled`.
         """
-        from optdock.nav2.layered_costmap import LayeredCostmap
+        from optdock.nav2.layered_costmap import layered_costmap
 
         layer = self.make_plugin()
         if "enabled" not in type(layer.parameters).model_fields:
@@ -154,7 +155,8 @@ class LayerContract(PluginContract[Layer]):
         require(layer.is_enabled() is False, "with enabled: false it does not take part")
         self.feed(layer)
         context = self.make_context()
-        costs = LayeredCostmap({"layer": layer}, context.footprint).update(self.robot()).data
+        place = OccupancyGrid(np.full((50, 50), -1), 0.1)
+        costs = layered_costmap(place, {"layer": layer}, self.robot(), context.footprint).data
         require(np.all(costs == costs.flat[0]), "disabled, it writes nothing")
 
     def test_it_follows_the_grid(self) -> None:

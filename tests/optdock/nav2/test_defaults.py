@@ -5,10 +5,9 @@ A table holds what Nav2's documents give; a parameter of ours that is not in it 
 
 import dataclasses
 
-from optdock.nav2.costmap_params import CostmapParams
 from optdock.nav2.docking_problem import nav2_scenario
 from optdock.nav2.docks import DockTypeParams
-from optdock.nav2.layered_costmap import LayeredCostmapParameters
+from optdock.nav2.params import CostmapParams
 from optdock.plugins.interfaces import GoalChecker
 from optdock.plugins.registry import INTERFACES, load_plugin
 
@@ -109,13 +108,10 @@ def test_simple_docks_have_nav2s_defaults():
     }
 
 
-def test_costmaps_have_nav2s_defaults_except_that_unknown_stays_unknown():
+def test_costmaps_have_nav2s_defaults():
     costmap = CostmapParams("global_costmap")
     assert (costmap.footprint, costmap.footprint_padding, costmap.robot_radius) == (None, 0.01, 0.1)
     assert (costmap.global_frame, costmap.resolution) == ("map", 0.1)
-    layered = LayeredCostmapParameters()
-    assert (layered.width, layered.height, layered.resolution, layered.rolling_window) == (5.0, 5.0, 0.1, False)
-    assert layered.track_unknown_space
 
 
 def test_the_docking_servers_top_speed_holds_where_the_file_says_none(tmp_path, real_data):

@@ -12,8 +12,7 @@ from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costs import LETHAL
 from optdock.model.path import Path
-from optdock.nav2.behaviors.collision import CollisionChecker
-from optdock.nav2.behaviors.drive import DriveOnHeading
+from optdock.nav2.behaviors.drive import CollisionChecker, DriveOnHeading
 from optdock.plugins.interfaces import BehaviorResult, BehaviorStatus, Bounds, Contact, CostmapInfoType, Layer
 from optdock.plugins.parameters import PluginParameters
 from optdock.testing.contracts import (
