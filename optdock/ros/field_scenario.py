@@ -1,4 +1,4 @@
-"""A recorded docking as scenarios and plan files: the certificate judges what was planned and what was driven."""
+"""A recorded docking as scenarios and plan files, for the certificate of the planned and the driven path."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _BLOCK = 512  # poses per round, bounds the memory
 
 
 class JudgedPoses(NamedTuple):
-    """What was planned or driven, as a problem that ends where it ended.
+    """A planned or driven path, and the problem that it solves.
 
     Attributes:
         name: `path` or `drive`.
-        path: Through the poses.
-        problem: From its first pose to its last, among the costmap's cells.
-        closest: The smallest clearance of the poses, with its pose and obstacle, in words.
+        path: Path through the poses.
+        problem: Problem from the first pose to the last, with the costmap.
+        closest: Text with the smallest clearance of the poses, its pose and obstacle.
     """
 
     name: str
@@ -53,16 +53,15 @@ class JudgedPoses(NamedTuple):
 def judged_poses(
     found: FieldDocking, rule: ClearanceRule, contact: float | None = None
 ) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
-    """What can be judged of a recorded docking, and what there is to say of it, in rows.
+    """Return the paths of a recorded docking with their problems, and rows of a report.
 
-    Its limits are `MotionLimits`'s own: a recording knows none.
+    The limits are the defaults of `MotionLimits`, as a recording has none.
 
     Args:
         found: The docking.
-        rule: What clearance path and drive must keep.
-        contact: Where the path ends the robot is to touch its dock, which marks whole cells: those that come this near
-            to the edge of the outline there, and reach no deeper into it, count as free [m]; None: the diagonal of a
-            cell, by which a cell may reach beyond what marks it.
+        rule: Required clearance of path and drive.
+        contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
+            edge of the outline, inside and outside, are free [m]. None for the diagonal of a cell.
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)
@@ -81,7 +80,7 @@ def judged_poses(
         distance, worst, closest = _closest(poses, problem)
         if drive is not None and name == "drive":
             closest += f" at {drive.times[worst]:.3f} s"
-            # A swing that is too short to be kept, and touches something, is what there is to be judged.
+            # A colliding pose is judged even if it is not kept.
             poses = poses[sorted({*drive.kept, worst} if distance < rule.required else drive.kept)]  # noqa: PLW2901
         try:
             path = DockPath.from_poses(poses, found.frame)
@@ -94,7 +93,7 @@ def judged_poses(
 
 
 def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costmap, list[tuple[str, str]]]:
-    """The costmap without the cells that the robot touches where the path ends, and what to say of them."""
+    """Costmap without the cells that the robot touches at the end of the path, and rows of a report."""
     grid, near = found.costmap, math.sqrt(2.0) * found.costmap.resolution if contact is None else contact
     if found.path is None or near == 0.0:
         return grid, []
@@ -107,14 +106,13 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
         return grid, []
     data = grid.data.copy()
     data[rows[touched], columns[touched]] = FREE_SPACE
-    said = (
-        f"{np.count_nonzero(touched)} occupied cells at the edge of the outline, to within {near:.3f} m, taken as free"
-    )
-    return grid.with_data(data), [("path's end", said)]
+    count = np.count_nonzero(touched)
+    text = f"{count} occupied cells at the edge of the outline, to within {near:.3f} m, taken as free"
+    return grid.with_data(data), [("path's end", text)]
 
 
 def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
-    """The least clearance of poses [m], the row of its pose, and both in words; what lies between is not seen."""
+    """Smallest clearance of the poses themselves [m], its row, and both as text."""
     if not len(problem.all_obstacles):
         return math.inf, 0, "nothing is in the way"
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
@@ -130,20 +128,20 @@ def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, st
 def save_field_docking(
     folder: str | Path, judged: tuple[JudgedPoses, ...], found: FieldDocking, note: str
 ) -> tuple[Path, ...]:
-    """Write `NAME.json`, a plan file, and `NAME.yaml`, a scenario, for each of them, and one map for all.
+    """Write a plan file `NAME.json` and a scenario `NAME.yaml` for each path, and one map for all.
 
     Args:
-        folder: Made where it is not there; files of these names are replaced.
-        judged: What to write.
-        found: Its source.
-        note: A line of comment for the scenarios.
+        folder: Folder, created if necessary; existing files are replaced.
+        judged: Paths to write.
+        found: The docking.
+        note: Comment of one line for the scenarios.
 
     Returns:
         The files written.
 
     Raises:
-        InvalidFile: A file cannot be written.
-        InvalidValue: There is nothing to write.
+        InvalidFile: If a file cannot be written.
+        InvalidValue: If there is nothing to write.
     """
     if not judged:
         raise InvalidValue("neither path nor drive has two distinct poses; there is nothing to judge")
