@@ -62,10 +62,6 @@ class DockTypeParams:
         """Return the pose of the robot docked at `dock`."""
         return docked_pose(dock, self.dock_direction)
 
-    def staging_pose(self, dock: Pose2) -> Pose2:
-        """Return the pose at which Nav2 begins the approach to `dock`."""
-        return dock @ Pose2(self.staging_x_offset, 0.0, self.staging_yaw_offset)
-
 
 def read_dock_type(name: str, block: ParameterBlock) -> DockTypeParams:
     """Return the dock type with the parameters in `block`; faults are added to those of the block."""

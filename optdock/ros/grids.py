@@ -92,9 +92,7 @@ def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None
     return StampedCostmap(frame, stamp, grid.with_data(data)) if updates else known
 
 
-def costmap_message(
-    types: MessageTypes, costmap: Costmap, frame: str, stamp: float, *, layer: str = "master"
-) -> Message:
+def costmap_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: float) -> Message:
     """Return a `nav2_msgs/Costmap`.
 
     Raises:
@@ -106,7 +104,7 @@ def costmap_message(
         "nav2_msgs/msg/CostmapMetaData",
         map_load_time=messages.stamp(types, stamp),
         update_time=messages.stamp(types, stamp),
-        layer=layer,
+        layer="master",
         resolution=costmap.resolution,
         size_x=costmap.columns,
         size_y=costmap.rows,

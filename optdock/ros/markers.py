@@ -10,7 +10,6 @@ import shapely
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
-from optdock.geometry.checked import sampling_step
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.path import may_be_one_frame
@@ -28,9 +27,9 @@ if TYPE_CHECKING:
     from optdock.ros.messages import Message, MessageTypes
     from optdock.verification import Certificate
 
-__all__ = ["SWEPT_EVERY", "delete_markers", "path_markers", "plan_markers"]
+__all__ = ["delete_markers", "path_markers", "plan_markers"]
 
-SWEPT_EVERY = 0.1  # [m] between outlines: they overlap for any robot that docks, and 10 m are 100 of them
+_SWEPT_EVERY = 0.1  # [m] between outlines: they overlap for any robot that docks, and 10 m are 100 of them
 _SPACING = 0.02  # [m] between drawn points, as in pictures
 _WIDTH, _THIN = 0.02, 0.005  # [m] of lines: visible in a view of a whole room
 _TEXT = 0.1  # [m], height of letters
@@ -49,9 +48,7 @@ _FORWARD, _REVERSE, _TURN = (0.12, 0.47, 0.71, 1.0), (0.84, 0.37, 0.0, 1.0), (0.
 _SWEPT, _GOAL, _HOT = (0.5, 0.5, 0.5, 0.5), (0.17, 0.63, 0.17, 0.9), (0.84, 0.15, 0.16, 1.0)
 
 
-def plan_markers(
-    types: MessageTypes, plan: DockPlan, frame: str, stamp: float, *, swept_every: float = SWEPT_EVERY
-) -> Message:
+def plan_markers(types: MessageTypes, plan: DockPlan, frame: str, stamp: float) -> Message:
     """Return a plan as a `visualization_msgs/MarkerArray`; see `path_markers`.
 
     Raises:
@@ -65,7 +62,6 @@ def plan_markers(
         footprint=plan.problem.robot.footprint,
         obstacles=plan.problem.all_obstacles,
         certificate=plan.certificate,
-        swept_every=swept_every,
     )
 
 
@@ -78,7 +74,6 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
     footprint: Footprint | None = None,
     obstacles: ObstacleSet | None = None,
     certificate: Certificate | None = None,
-    swept_every: float = SWEPT_EVERY,
 ) -> Message:
     """Return a path as a `visualization_msgs/MarkerArray`.
 
@@ -93,16 +88,13 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
         footprint: Outline of the robot, for the swept outlines and the goal.
         obstacles: Obstacles for the closest point.
         certificate: Certificate with the station of the closest point.
-        swept_every: Distance of outlines along the path [m].
 
     Raises:
-        InvalidValue: If the path is in another frame, the frame is empty, the time is invalid, or the distance of
-            outlines is not > 0.
+        InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.
     """
     if not may_be_one_frame(path.frame, frame):
         raise InvalidValue(f"frame: the path stands in {path.frame!r}, not in {frame!r}; transform it first")
-    step = sampling_step(swept_every, path.length, "swept_every")
-    count = max(1, math.ceil(path.length / step))
+    count = max(1, math.ceil(path.length / _SWEPT_EVERY))
     stations = np.unique(np.concatenate((np.linspace(0.0, path.length, count + 1), path.cusps)))
     size = _ARROW_LENGTH if footprint is None else footprint.circumscribed_radius
     draw = _MarkerList(types, header(types, frame, stamp))

@@ -120,19 +120,14 @@ def path_poses(message: Message) -> StampedPoses:
     return StampedPoses(frame, stamp, readonly(np.column_stack((table[:, :2], yaw))))
 
 
-def pose(message: Message, *, most_tilted: float = MOST_TILTED) -> StampedPose:
+def pose(message: Message) -> StampedPose:
     """Return the pose of a `geometry_msgs/PoseStamped` without its height.
 
-    Args:
-        message: The message.
-        most_tilted: Largest tilt of the z axis [rad]; pi for any.
-
     Raises:
-        InvalidMessage: If a number is not finite, the quaternion does not have length 1 or is tilted by more, or there
-            is no frame.
+        InvalidMessage: If a number is not finite, the quaternion does not have length 1 or is tilted by more than
+            `MOST_TILTED`, or there is no frame.
     """
-    frame, stamp = stamped_frame(message)
-    return StampedPose(frame, stamp, plain_pose(message, message.pose, "pose", most_tilted))
+    return StampedPose(*stamped_frame(message), plain_pose(message, message.pose, "pose"))
 
 
 def odometry(message: Message) -> StampedOdometry:
@@ -143,9 +138,14 @@ def odometry(message: Message) -> StampedOdometry:
             `MOST_TILTED`, or there is no frame.
     """
     frame, stamp = stamped_frame(message)
-    at = plain_pose(message, message.pose.pose, "pose.pose")
-    moves = _plain_twist(message, message.twist.twist, "twist.twist")
-    return StampedOdometry(frame, str(message.child_frame_id), stamp, at, moves)
+    at, moves = message.pose.pose, message.twist.twist
+    return StampedOdometry(
+        frame,
+        str(message.child_frame_id),
+        stamp,
+        plain_pose(message, at, "pose.pose"),
+        _plain_twist(message, moves, "twist.twist"),
+    )
 
 
 def twist(message: Message) -> StampedTwist:
@@ -377,15 +377,13 @@ def transforms_message(types: MessageTypes, transforms: Sequence[tuple[str, str,
     return made(types, "tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def diagnostics_message(  # noqa: PLR0913 - one parameter for each field
+def diagnostics_message(
     types: MessageTypes,
     name: str,
     level: _Level,
     text: str,
     values: Mapping[str, object],
     stamp: float,
-    *,
-    hardware: str = "optdock",
 ) -> Message:
     """Return a `diagnostic_msgs/DiagnosticArray` with one status.
 
@@ -396,7 +394,6 @@ def diagnostics_message(  # noqa: PLR0913 - one parameter for each field
         text: Message of one line.
         values: Details; floats are written with six digits.
         stamp: Time of the status [s].
-        hardware: Field `hardware_id`.
 
     Raises:
         InvalidValue: If there is no such level, or the time is invalid.
@@ -416,7 +413,7 @@ def diagnostics_message(  # noqa: PLR0913 - one parameter for each field
         level=number,
         name=name,
         message=text,
-        hardware_id=hardware,
+        hardware_id="optdock",
         values=pairs,
     )
     head = made(types, "std_msgs/msg/Header", stamp=messages.stamp(types, stamp), frame_id="")
