@@ -66,8 +66,7 @@ def _draw_detections(axes: Axes, motion: RecordedMotion | None, index: int) -> N
     if motion is None:
         return
     for one in motion.of:
-        for column in range(index, index + 2 if index == 0 else 3):
-            residuals = scale * one.seen.residuals[:, column]
+        for residuals in scale * one.seen.residuals.T[[0, 1] if index == 0 else [2]]:
             axes.plot(one.seen.ranges, residuals, ".", color=COLOURS["path"], markersize=2.5)
     farthest = max(float(np.max(one.seen.ranges)) for one in motion.of)
     ranges = np.linspace(0.0, farthest, 50)
@@ -81,14 +80,13 @@ def _draw_localization(axes: Axes, calibration: Calibration) -> None:
     _label(axes, "localization: error of x and y", "time [s]", "error [mm]")
     if calibration.localization is None:
         return
-    for colour, name in (("path", "x"), ("goal", "y")):
+    for column, (colour, name) in enumerate((("path", "x"), ("goal", "y")), start=1):
         axes.plot([], [], ".-", color=COLOURS[colour], label=name)
+        for rows in calibration.localization.series:
+            for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
+                times, errors = part[:, 0] - rows[0, 0], 1e3 * part[:, column]
+                axes.plot(times, errors, ".-", color=COLOURS[colour], linewidth=0.8, markersize=2.0)
     axes.legend(fontsize=7, loc="best")
-    for rows in calibration.localization.series:
-        for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
-            t = part[:, 0] - rows[0, 0]
-            axes.plot(t, 1e3 * part[:, 1], ".-", color=COLOURS["path"], linewidth=0.8, markersize=2.0)
-            axes.plot(t, 1e3 * part[:, 2], ".-", color=COLOURS["goal"], linewidth=0.8, markersize=2.0)
 
 
 def _draw_docks(axes: Axes, calibration: Calibration) -> None:

@@ -36,14 +36,14 @@ _STEP = 1e-4  # of the scale of a parameter, where its central difference is exa
 
 @dataclass(frozen=True)
 class Quantity:
-    """A property of a robot as estimated from recordings.
+    """A property of a robot as estimated from recordings; false if unknown.
 
     Args:
         name: Name in the report.
         unit: Unit of `value`, `low` and `high`.
         value: Estimate; NaN if unknown.
-        low: Lower bound of the 95 % confidence interval; NaN if unknown.
-        high: Upper bound of the 95 % confidence interval; NaN if unknown.
+        low: Lower bound of the 95 % confidence interval.
+        high: Upper bound.
         samples: Number of measurements used.
         sources: Number of recordings used.
         reason: Reason why the quantity is unknown; empty if it is known.

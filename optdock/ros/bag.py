@@ -30,24 +30,10 @@ __all__ = ["BagMessage", "BagRecording", "bag_types", "open_bag", "write_bag"]
 
 # Fields of Nav2's costmap messages, which rosbags does not contain, for recordings without message definitions.
 _NAV2_FIELDS = {
-    "CostmapMetaData": (
-        "builtin_interfaces/Time map_load_time",
-        "builtin_interfaces/Time update_time",
-        "string layer",
-        "float32 resolution",
-        "uint32 size_x",
-        "uint32 size_y",
-        "geometry_msgs/Pose origin",
-    ),
-    "Costmap": ("std_msgs/Header header", "CostmapMetaData metadata", "uint8[] data"),
-    "CostmapUpdate": (
-        "std_msgs/Header header",
-        "uint32 x",
-        "uint32 y",
-        "uint32 size_x",
-        "uint32 size_y",
-        "uint8[] data",
-    ),
+    "CostmapMetaData": "builtin_interfaces/Time map_load_time; builtin_interfaces/Time update_time; string layer; "
+    "float32 resolution; uint32 size_x; uint32 size_y; geometry_msgs/Pose origin",
+    "Costmap": "std_msgs/Header header; CostmapMetaData metadata; uint8[] data",
+    "CostmapUpdate": "std_msgs/Header header; uint32 x; uint32 y; uint32 size_x; uint32 size_y; uint8[] data",
 }
 _VERSION: Literal[9] = 9  # of rosbag2's format, as written by Jazzy and Kilted
 _LISTED = 20  # topics in an error message
@@ -76,7 +62,7 @@ def _store() -> Typestore:
         raise MissingExtra("recordings need rosbags: pip install 'optdock[bag]'") from error
     store = get_typestore(Stores.ROS2_KILTED)
     for name, fields in _NAV2_FIELDS.items():
-        store.register(get_types_from_msg("\n".join(fields), f"nav2_msgs/msg/{name}"))
+        store.register(get_types_from_msg(fields.replace("; ", "\n"), f"nav2_msgs/msg/{name}"))
     return store
 
 
@@ -157,19 +143,16 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
 
 def _latched() -> Any:  # noqa: ANN401 - a tuple of rosbags
     """Quality of service of a latched topic."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+    from rosbags import interfaces as r
 
-    never = QosTime(0, 0)
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL,
-        never,
-        never,
-        QosLiveliness.SYSTEM_DEFAULT,
-        never,
-        avoid_ros_namespace_conventions=False,
+    history, reliability, durability = (
+        r.QosHistory.KEEP_LAST,
+        r.QosReliability.RELIABLE,
+        r.QosDurability.TRANSIENT_LOCAL,
+    )
+    never, liveliness = r.QosTime(0, 0), r.QosLiveliness.SYSTEM_DEFAULT
+    return r.Qos(
+        history, 1, reliability, durability, never, never, liveliness, never, avoid_ros_namespace_conventions=False
     )
 
 

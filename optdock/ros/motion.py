@@ -257,13 +257,7 @@ def _plain_twist(message: Message, value: Message, field: str) -> Twist2:
 
 
 def path_message(types: MessageTypes, poses: ArrayLike, frame: str, stamp: float) -> Message:
-    """Return a `nav_msgs/Path`; its poses share one header.
-
-    Args:
-        types: Message classes.
-        poses: Shape (n, 3).
-        frame: Frame of the poses.
-        stamp: Stamp of the path and all poses [s].
+    """Return a `nav_msgs/Path` of poses, Shape (n, 3), which share one header with the stamp [s].
 
     Raises:
         InvalidValue: If the shape is wrong, a number is not finite, or frame or time are invalid.
@@ -293,14 +287,7 @@ def pose_message(types: MessageTypes, pose: Pose2, frame: str, stamp: float) -> 
 
 
 def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: float = 0.0, *, stamped: bool) -> Message:
-    """Return a `geometry_msgs/Twist` or a `geometry_msgs/TwistStamped`.
-
-    Args:
-        types: Message classes.
-        twist: Body velocity.
-        frame: Frame of the robot, for a `TwistStamped`.
-        stamp: Stamp of a `TwistStamped` [s].
-        stamped: Whether to return a `TwistStamped`.
+    """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with frame and stamp [s].
 
     Raises:
         InvalidValue: If frame or time of a `TwistStamped` are invalid.
@@ -314,15 +301,9 @@ def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: fl
 def odometry_message(
     types: MessageTypes, pose: Pose2, twist: Twist2, frame: str, child_frame: str, stamp: float
 ) -> Message:
-    """Return a `nav_msgs/Odometry` with zero covariances, which means unknown.
+    """Return a `nav_msgs/Odometry`: pose of `child_frame` in `frame` and body velocity at `stamp` [s].
 
-    Args:
-        types: Message classes.
-        pose: Pose of `child_frame` in `frame`.
-        twist: Body velocity.
-        frame: Parent frame, such as odom.
-        child_frame: Frame of the robot, such as base_link.
-        stamp: Time of the measurement [s].
+    The covariances are zero, which means unknown.
 
     Raises:
         InvalidValue: If a frame is empty, or the time is invalid.
@@ -351,12 +332,7 @@ def polygon_message(types: MessageTypes, vertices: ArrayLike, frame: str, stamp:
 
 
 def transforms_message(types: MessageTypes, transforms: Sequence[tuple[str, str, Pose2]], stamp: float) -> Message:
-    """Return a `tf2_msgs/TFMessage`.
-
-    Args:
-        types: Message classes.
-        transforms: Frame, child frame, and the pose of the child in the frame.
-        stamp: Stamp of all transforms [s].
+    """Return a `tf2_msgs/TFMessage` of transforms with one stamp [s]: frame, child frame, pose of the child.
 
     Raises:
         InvalidValue: If a frame is empty, or the time is invalid.
@@ -385,15 +361,9 @@ def diagnostics_message(
     values: Mapping[str, object],
     stamp: float,
 ) -> Message:
-    """Return a `diagnostic_msgs/DiagnosticArray` with one status.
+    """Return a `diagnostic_msgs/DiagnosticArray` with one status at `stamp` [s].
 
-    Args:
-        types: Message classes.
-        name: Name of the status, such as `docking_server: certificate`.
-        level: `ok`, `warn`, `error` or `stale`.
-        text: Message of one line.
-        values: Details; floats are written with six digits.
-        stamp: Time of the status [s].
+    The level is `ok`, `warn`, `error` or `stale`. Floats among the values are written with six digits.
 
     Raises:
         InvalidValue: If there is no such level, or the time is invalid.

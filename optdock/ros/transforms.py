@@ -10,7 +10,7 @@ import math
 from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from optdock.errors import InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2
@@ -88,9 +88,7 @@ class Transform:
         return Transform(self.source, self.target, self.stamp, (-tx, -ty, -tz), back)
 
 
-class _Sample(NamedTuple):
-    translation: Vector
-    rotation: Quaternion
+_Sample: TypeAlias = tuple[Vector, Quaternion]
 
 
 class _Track:
@@ -107,7 +105,7 @@ class _Track:
 
     def sample(self, row: int) -> _Sample:
         x, y, z, qx, qy, qz, qw = self.values[_WIDTH * row : _WIDTH * row + _WIDTH]
-        return _Sample((x, y, z), (qx, qy, qz, qw))
+        return (x, y, z), (qx, qy, qz, qw)
 
     def append(self, time: float, sample: array[float]) -> None:
         self.values.extend(sample)
@@ -237,12 +235,17 @@ class TransformTree:
         if common is None:
             raise self._unconnected(target, source)
         down, up = seen[: seen.index(common)], seeing[: seeing.index(common)]
-        newest = min(
-            ((tracks[f].times[-1], f) for f in (*down, *up) if not tracks[f].is_static), default=(math.inf, "")
-        )
-        at = newest[0] if stamp is None else stamp
-        if at > newest[0] + self._reach + _SAME_TIME:
-            at = _held(target, source, at, newest, tolerance)
+        moving = ((tracks[name].times[-1], name) for name in (*down, *up) if not tracks[name].is_static)
+        newest, frame = min(moving, default=(math.inf, ""))
+        at = newest if stamp is None else stamp
+        if at > newest + self._reach + _SAME_TIME:
+            if at - newest > tolerance:
+                raise TransformError(
+                    f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
+                    f"older, more than {tolerance:g} s",
+                    where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - newest},
+                )
+            at = newest
         from_source, from_target = self._along(tracks, down, source, at), self._along(tracks, up, target, at)
         found = from_target.inverse() @ from_source
         return Transform(target, source, at, found.translation, found.rotation)
@@ -273,10 +276,9 @@ class TransformTree:
                 where={"frame": name, "stamp": at, "before": times[first] - at},
             )
         share = (at - times[row - 1]) / (times[row] - times[row - 1])
-        before, after = track.sample(row - 1), track.sample(row)
-        (ax, ay, az), (bx, by, bz) = before.translation, after.translation
+        ((ax, ay, az), before), ((bx, by, bz), after) = track.sample(row - 1), track.sample(row)
         moved = (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az))
-        return _Sample(moved, _between(before.rotation, after.rotation, share))
+        return moved, _slerp(before, after, share)
 
     def stamp_text(self, newest: float) -> str:
         """Return the text of error messages for the stamp of a frame's newest transform."""
@@ -297,18 +299,6 @@ class TransformTree:
             f"{target} <- {source}: {what}; known: {', '.join(known) or 'nothing'}{more}",
             where={"target": target, "source": source, "unknown": unknown},
         )
-
-
-def _held(target: str, source: str, at: float, newest: tuple[float, str], tolerance: float) -> float:
-    """Stamp of the newest message if it is within the tolerance."""
-    stamp, frame = newest
-    if at - stamp <= tolerance:
-        return stamp
-    raise TransformError(
-        f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - stamp:.3f} s older, more "
-        f"than {tolerance:g} s",
-        where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - stamp},
-    )
 
 
 def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
@@ -337,7 +327,7 @@ def rotated(q: Quaternion, v: Vector) -> Vector:
     return x, y, z
 
 
-def _between(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
+def _slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
     """Spherical linear interpolation of two quaternions, the short way."""
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if dot < 0.0 else 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.pose import Pose2
-    from optdock.plugins.lifecycle import PluginContext
 
 __all__ = ["BackUp", "DriveOnHeading"]
 
@@ -57,97 +57,22 @@ class DriveCommand(PluginParameters):
     disable_collision_checks: bool = Field(default=False, description="drive blind")
 
 
-class CollisionChecker:
-    """Check motions against the problem's obstacles and the costmaps of a context.
+@dataclass
+class _Motion:
+    """State of one motion."""
 
-    Nav2 checks the edges of the footprint on a grid at single poses. Here the whole footprint is swept continuously.
-
-    Args:
-        context: Source of problem, costmaps and footprint; costmaps are read again for every motion.
-        clearance: Required distance [m].
-        needs: Costmaps to check in addition to the problem.
-
-    Raises:
-        BehaviorException: If there is no footprint, or neither a problem nor a costmap.
-    """
-
-    def __init__(self, context: PluginContext, clearance: float, needs: CostmapInfoType) -> None:
-        self._context, self._clearance, self._needs = context, clearance, needs
-        if context.footprint is None or (context.problem is None and not context.costmaps(needs)):
-            raise BehaviorException(
-                f"{context.name}: cannot check for collisions: configure it with a problem or with a costmap and a "
-                f"footprint, or set disable_collision_checks"
-            )
-        self._footprint = context.footprint
-
-    def refusal(self, pose: Pose2, twist: Twist2, duration: float) -> str:
-        """Return the reason why the motion collides within `duration` [s]; empty if it does not."""
-        travel = math.hypot(twist.linear, twist.lateral) * duration
-        reach = self._footprint.circumscribed_radius + travel + self._clearance
-        centre = np.array([pose.x, pose.y])
-        obstacles = self._context.obstacles_near(centre - reach, centre + reach, self._needs)
-        found = free_motion(self._footprint, obstacles, pose, twist, duration, self._clearance)
-        if found.row < 0:
-            return ""
-        return f"collision ahead: {in_words(obstacles.name_of(found.row))} in {found.free:.2f} s"
-
-
-class StraightMotion:
-    """One straight motion; its origin is the pose of the first cycle.
-
-    Args:
-        codes: Error codes of the behavior.
-        parameters: Limits.
-        command: Target and speed of equal sign.
-        deadline: Running deadline.
-        checker: Collision check; None for no check.
-    """
-
-    def __init__(
-        self,
-        codes: Codes,
-        parameters: DriveParameters,
-        command: DriveCommand,
-        deadline: Deadline,
-        checker: CollisionChecker | None,
-    ) -> None:
-        self._codes, self._parameters, self._command = codes, parameters, command
-        self._deadline, self._checker = deadline, checker
-        self._origin: Pose2 | None = None
-        self._speed = 0.0
-
-    def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """Return the result of one cycle and the command to send."""
-        p = self._parameters
-        if self._deadline.passed():
-            return _failed(self._codes.timeout, "time allowance exceeded before the target was reached"), Twist2()
-        if self._origin is None:
-            self._origin = pose
-            self._speed = max(0.0, math.copysign(1.0, self._command.speed) * velocity.linear)
-        remaining = abs(self._command.target) - self._origin.distance_to(pose)
-        if remaining <= 0.0:
-            return _SUCCEEDED, Twist2()
-        self._speed = self._next_speed(remaining)
-        twist = Twist2(math.copysign(self._speed, self._command.speed))
-        # One cycle beyond the target, as the command holds until the next cycle.
-        ahead = min(p.simulate_ahead_time, remaining / self._speed + 1.0 / p.cycle_frequency)
-        refusal = self._checker.refusal(pose, twist, ahead) if self._checker else ""
-        if refusal:
-            return _failed(self._codes.collision_ahead, refusal), Twist2()
-        return BehaviorResult(BehaviorStatus.RUNNING), twist
-
-    def _next_speed(self, remaining: float) -> float:
-        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
-        p = self._parameters
-        faster = self._speed + p.acceleration_limit / p.cycle_frequency
-        braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
-        arriving = remaining * p.cycle_frequency
-        speed = min(abs(self._command.speed), faster, braking, arriving)
-        return max(speed, min(p.minimum_speed, abs(self._command.speed)))
+    command: DriveCommand
+    deadline: Deadline
+    origin: Pose2 | None = None
+    speed: float = 0.0
 
 
 class _StraightBehavior(Behavior, ABC):
-    """Common part of both behaviors."""
+    """Common part of both behaviors.
+
+    Unlike in Nav2, which checks the edges of the footprint on a grid at single poses, the whole footprint is swept
+    continuously in the collision check.
+    """
 
     Parameters = DriveParameters
     parameters: DriveParameters
@@ -155,7 +80,7 @@ class _StraightBehavior(Behavior, ABC):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
-        self._motion: StraightMotion | None = None
+        self._motion: _Motion | None = None
 
     @property
     def resource_info(self) -> CostmapInfoType:
@@ -173,16 +98,21 @@ class _StraightBehavior(Behavior, ABC):
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
         """Begin a motion; the command has the fields of `DriveCommand`."""
         self._motion = None
+        context = self.context
         try:
-            parsed = self.directed(parse_parameters(DriveCommand, command, self.context.name))
+            parsed = self.directed(parse_parameters(DriveCommand, command, context.name))
         except InvalidValue as error:
             return _failed(self.codes.invalid_input, str(error))
-        try:
-            checker = None if parsed.disable_collision_checks else self._checker()
-        except BehaviorException as error:
-            return _failed(self.codes.unknown, str(error))
-        deadline = Deadline.of_allowance(parsed.time_allowance, self.context.clock)
-        self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, checker)
+        can_check = context.footprint is not None and (
+            context.problem is not None or context.costmaps(self.resource_info)
+        )
+        if not (parsed.disable_collision_checks or can_check):
+            return _failed(
+                self.codes.unknown,
+                f"{context.name}: cannot check for collisions: configure it with a problem or with a costmap and a "
+                "footprint, or set disable_collision_checks",
+            )
+        self._motion = _Motion(parsed, Deadline.of_allowance(parsed.time_allowance, context.clock))
         return _SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -191,12 +121,45 @@ class _StraightBehavior(Behavior, ABC):
         Raises:
             BehaviorException: If `on_run` has not succeeded.
         """
-        if self._motion is None:
+        p, motion = self.parameters, self._motion
+        if motion is None:
             raise BehaviorException(f"{type(self).__name__}: on_run must succeed before the cycles begin")
-        return self._motion.cycle(pose, velocity)
+        if motion.deadline.passed():
+            return _failed(self.codes.timeout, "time allowance exceeded before the target was reached"), Twist2()
+        if motion.origin is None:
+            motion.origin = pose
+            motion.speed = max(0.0, math.copysign(1.0, motion.command.speed) * velocity.linear)
+        remaining = abs(motion.command.target) - motion.origin.distance_to(pose)
+        if remaining <= 0.0:
+            return _SUCCEEDED, Twist2()
+        motion.speed = self._next_speed(motion, remaining)
+        twist = Twist2(math.copysign(motion.speed, motion.command.speed))
+        # One cycle beyond the target, as the command holds until the next cycle.
+        ahead = min(p.simulate_ahead_time, remaining / motion.speed + 1.0 / p.cycle_frequency)
+        refusal = "" if motion.command.disable_collision_checks else self._collision(pose, twist, ahead)
+        if refusal:
+            return _failed(self.codes.collision_ahead, refusal), Twist2()
+        return BehaviorResult(BehaviorStatus.RUNNING), twist
 
-    def _checker(self) -> CollisionChecker:
-        return CollisionChecker(self.context, self.parameters.clearance, self.resource_info)
+    def _next_speed(self, motion: _Motion, remaining: float) -> float:
+        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
+        p, highest = self.parameters, abs(motion.command.speed)
+        faster = motion.speed + p.acceleration_limit / p.cycle_frequency
+        braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
+        arriving = remaining * p.cycle_frequency
+        return max(min(highest, faster, braking, arriving), min(p.minimum_speed, highest))
+
+    def _collision(self, pose: Pose2, twist: Twist2, duration: float) -> str:
+        """Description of a collision within `duration` [s]; empty if there is none."""
+        footprint, clearance = self.context.footprint, self.parameters.clearance
+        assert footprint is not None
+        reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance
+        centre = np.array([pose.x, pose.y])
+        obstacles = self.context.obstacles_near(centre - reach, centre + reach, self.resource_info)
+        found = free_motion(footprint, obstacles, pose, twist, duration, clearance)
+        if found.row < 0:
+            return ""
+        return f"collision ahead: {in_words(obstacles.name_of(found.row))} in {found.free:.2f} s"
 
 
 class DriveOnHeading(_StraightBehavior):

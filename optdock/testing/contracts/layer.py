@@ -146,7 +146,7 @@ class LayerContract(PluginContract[Layer]):
 
         For layers with a parameter `enabled`.
         """
-        from optdock.nav2.layered_costmap import layered_costmap
+        from optdock.nav2.global_costmap import layered_costmap
 
         layer = self.make_plugin()
         if "enabled" not in type(layer.parameters).model_fields:

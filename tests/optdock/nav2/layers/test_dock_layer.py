@@ -14,7 +14,7 @@ from optdock.model.limits import MotionLimits
 from optdock.model.occupancy import OccupancyGrid
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.nav2.layered_costmap import layered_costmap
+from optdock.nav2.global_costmap import layered_costmap
 from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.raster import fill_footprint
 from optdock.nav2.layers.static import StaticLayer

@@ -7,7 +7,7 @@ from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.occupancy import OccupancyGrid
-from optdock.nav2.layered_costmap import layered_costmap
+from optdock.nav2.global_costmap import layered_costmap
 from optdock.nav2.layers.dock_layer import DockLayer
 from optdock.nav2.layers.nav2_layer import NOWHERE, joined, outline_bounds
 from optdock.nav2.layers.static import StaticLayer

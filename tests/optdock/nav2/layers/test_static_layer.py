@@ -8,7 +8,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import Costmap
 from optdock.model.occupancy import OccupancyGrid
-from optdock.nav2.layered_costmap import layered_costmap
+from optdock.nav2.global_costmap import layered_costmap
 from optdock.nav2.layers.static import StaticLayer
 
 GRID = OccupancyGrid(np.array([[0, 100, -1], [50, 99, 0]]), 0.5, (1.0, 2.0))
