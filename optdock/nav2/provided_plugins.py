@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.errors import InvalidValue, PluginError
-from optdock.nav2.layers.nav2_layer import LayerParameters
 from optdock.nav2.plugin_lists import UNLISTED
 from optdock.plugins.parameters import closest, parse_parameters
 from optdock.plugins.registry import INTERFACES, create_plugin, load_plugin
@@ -112,7 +111,8 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
         plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)
     except (InvalidValue, PluginError) as error:
         return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown, refused=True)
-    dropped = _of_the_graph(plugin_class, known)
+    graph_names = getattr(plugin_class.Parameters, "graph_names", ())  # accepted and dropped
+    dropped = tuple(name for name in known if name in graph_names)
     return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
 
 
@@ -125,18 +125,6 @@ def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tu
         faults = cause.errors() if isinstance(cause, ValidationError) else []
         return tuple(str(item["loc"][-1]) for item in faults if item["type"] == "extra_forbidden")
     return ()
-
-
-def _of_the_graph(plugin_class: type[Plugin], values: Mapping[str, object]) -> tuple[str, ...]:
-    """Names in the block and its nested blocks that the plugin accepts and drops."""
-    model = plugin_class.Parameters
-    if not issubclass(model, LayerParameters):
-        return ()
-    here = [name for name in values if name in model.graph_names]
-    inner = [
-        name for value in values.values() if isinstance(value, Mapping) for name in _of_the_graph(plugin_class, value)
-    ]
-    return tuple(dict.fromkeys((*here, *inner)))
 
 
 def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, object]:
