@@ -93,7 +93,7 @@ def calibrate(
             is given twice.
     """
     if not recordings:
-        raise InvalidValue("calibrate: needs a recording at least")
+        raise InvalidValue("calibrate: at least one recording is required")
     if not 0.0 < coverage < 1.0:
         raise InvalidValue(f"coverage: must be > 0 and < 1, got {coverage}")
     _check_robots(recordings)

@@ -73,7 +73,7 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
     bands = (0.0, 0.0)
     reason = _too_short([_axis(one, "linear") for one in used])
     if used and width == 0.0:
-        reason = "the distance between the wheels, robot.limits.track_width, is not known"
+        reason = "the distance between the wheels, robot.limits.track_width, is unknown"
     found_bands = [unknown(f"dead band, {name} wheel", "m/s", reason) for name, _ in _WHEELS]
     if not reason:
         for _ in range(2):  # latency and lag are fitted first without dead bands, then with those found
@@ -123,8 +123,8 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
         found: FloatArray = twice[row] + since * (once[row] + 0.5 * commands[row] * since)
         return found
 
-    asked = (summed(grid - latency + half) - summed(grid - latency - half)) / (2.0 * half)
-    target = gain * np.diff(asked) / _GRID
+    mean = (summed(grid - latency + half) - summed(grid - latency - half)) / (2.0 * half)
+    target = gain * np.diff(mean) / _GRID
     keep = np.exp(-_GRID / lag)
     speed = lfilter([0.0, 1.0 - keep], [1.0, -keep], target)
     way = target * _GRID + (speed - target) * lag * (1.0 - keep)  # exact within a step of the grid
@@ -139,7 +139,7 @@ def _latency_and_lag(axes: list[_Axis], name: str) -> tuple[Fit | None, list[Qua
     changes = [float(np.ptp(axis.commands)) for axis in axes]
     reason = _too_short(axes)
     if axes and max(changes) < _LEAST_CHANGE[name]:
-        reason = "the robot was never told to turn" if name == "angular" else "the robot was never told to drive"
+        reason = "there are no commands to turn" if name == "angular" else "there are no commands to drive"
     if reason:
         return None, [unknown(row, "s", reason, count) for row in rows]
     found = _fit(axes)
@@ -217,7 +217,7 @@ def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: 
         axes = [_wheel(one, side, width) for one in recordings]
         title, unit = f"dead band, {wheel} wheel", "m/s"
         if max(float(np.max(np.abs(axis.commands))) for axis in axes) < _MOST_BAND:
-            found.append(unknown(title, unit, "the wheel was never told to turn fast enough", count))
+            found.append(unknown(title, unit, "no command was fast enough for this wheel", count))
             continue
         misfits = _misfits(axes, tried, values)
         # Between two commanded speeds all dead bands fit equally: the middle one is the estimate.

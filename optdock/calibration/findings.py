@@ -18,10 +18,10 @@ __all__ = ["as_text", "as_yaml", "written_values"]
 
 # Advice for quantities that no key of a file holds.
 _USES = {
-    "detections late by": "the executor learns it; take it off the stamps in the detector's driver",
-    "twist window": "hand in the odometry's poses (Measurements.odometry): a twist is late by half of it",
-    "scale of the way": "the executor learns it; multiply the wheels' radii by 1 + it in the base",
-    "dead band, left wheel": "the TrackingController tells such wheels more, bit by bit; its min_speed does so at once",
+    "detections late by": "learned by the executor; subtract it from the stamps in the detector's driver",
+    "twist window": "use the odometry's poses (Measurements.odometry), as a twist is delayed by half of it",
+    "scale of the way": "learned by the executor; multiply the wheels' radii by 1 + it in the base",
+    "dead band, left wheel": "the TrackingController raises their commands gradually; min_speed does so at once",
 }
 _LEARNED = {
     "odometry_scale_sigma": "scale of the way",

@@ -135,7 +135,7 @@ def localization_errors(motion: RecordedMotion) -> LocalizationErrors:
     found = [docks_in_map(one, motion.delay) for one in motion.of]
     found = [one for one in found if len(one.stamps) > 0]
     if sum(len(one.stamps) for one in found) < _LEAST:
-        reason = "localization and dock were hardly ever known at the same time"
+        reason = "localization and detections hardly overlap in time"
         return LocalizationErrors([unknown(*name, reason) for name in (position, yaw, rate, size)], [])
     docks = np.concatenate([one.dock for one in found])
     first = float(docks[0, 2])
@@ -219,7 +219,7 @@ def _jump_quantities(
     steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
     exposure = max(float(np.sum(steps[steps < _GAP])), _BIN)
     if least > _MOST_JUMP:
-        reason = f"the localization wanders: no jump of less than {least:.2f} m could be told from that"
+        reason = f"jumps of less than {least:.2f} m cannot be distinguished from the drift of the localization"
         found = [unknown(*rate, reason)]
     else:
         found = [Quantity(*rate, *poisson_rate(len(sizes), exposure), len(sizes), len(series))]

@@ -74,7 +74,7 @@ def _missing(name: str, way: float, turned: float, track_width: float) -> str:
     if turned < _LEAST_TURN and name in ("scale of turns", "track width beyond what is believed"):
         return f"the robot turned by {turned:.2f} rad only while it saw the dock"
     if track_width == 0.0 and name.endswith("is believed"):
-        return "the distance between the wheels, robot.limits.track_width, is not known"
+        return "the distance between the wheels, robot.limits.track_width, is unknown"
     return ""
 
 
@@ -96,7 +96,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     name, unit = "twist window", "s"
     used = [one for one in recordings if len(one.odometry) > 20]
     if not used:
-        return unknown(name, unit, "the odometry told no poses")
+        return unknown(name, unit, "the odometry contains no poses")
     changes = max(float(np.ptp(one.odometry_twists[:, 0])) for one in used)
     if changes < _LEAST_CHANGE:
         return unknown(name, unit, "the speed of the robot never changed")
@@ -127,11 +127,13 @@ class _Increments:
     def __init__(self, recording: Recording) -> None:
         path = recording.path
         self.stamps, steps = path.times, np.diff(path.times)
-        told = recording.odometry_twists
+        twists = recording.odometry_twists
         self._grid = np.arange(self.stamps[0], self.stamps[-1], _GRID)
         ways = [np.interp(self._grid, self.stamps, way) for way in path.ways]
         self._summed = [np.concatenate(([0.0], np.cumsum(0.5 * (way[1:] + way[:-1]) * _GRID))) for way in ways]
-        self._told = [np.concatenate(([0.0], np.cumsum(0.5 * (told[1:, k] + told[:-1, k]) * steps))) for k in range(2)]
+        self._integrals = [
+            np.concatenate(([0.0], np.cumsum(0.5 * (twists[1:, k] + twists[:-1, k]) * steps))) for k in range(2)
+        ]
         last = np.searchsorted(self.stamps, self.stamps + _SPAN)
         self.rows = np.flatnonzero((self.stamps - _LONGEST > self.stamps[0]) & (last < len(self.stamps)))
         self._ends = last[self.rows]
@@ -139,9 +141,9 @@ class _Increments:
     def residuals(self, window: float) -> FloatArray:
         """Integrals of the means over the window minus those of the twist, linear and angular, Shape (2 n,) [m]."""
         off = []
-        for summed, told, scale in zip(self._summed, self._told, (1.0, _LEVER), strict=True):
+        for summed, integral, scale in zip(self._summed, self._integrals, (1.0, _LEVER), strict=True):
             ahead, back = (np.interp(self.stamps - lag, self._grid, summed) for lag in (0.0, window))
-            gap = (ahead - back) / window - told
+            gap = (ahead - back) / window - integral
             off.append(scale * (gap[self._ends] - gap[self.rows]))
         return np.concatenate(off)
 

@@ -1,4 +1,4 @@
-"""Recordings: what was measured and commanded on one drive, from logs, run files and recordings of ROS 2."""
+"""Recordings: measurements and commands of one drive, from logs, run files and recordings of ROS 2."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _Value = TypeVar("_Value")
 
 
 class OdometryPath(NamedTuple):
-    """Path by dead reckoning, in a frame of its own.
+    """Path by dead reckoning, in an arbitrary frame.
 
     Attributes:
         times: Rising, Shape (n,) [s].
@@ -247,11 +247,11 @@ def _log_localization(measured: list[Measurements]) -> FloatArray:
     newest = {one.pose_stamp: one.pose for one in measured if one.pose is not None and one.pose_stamp is not None}
     if newest:
         return _rows([(stamp, *at.as_array()) for stamp, at in sorted(newest.items())], 4)
-    told = [(one.stamp, one.pose, one.odometry) for one in measured if one.pose is not None]
-    if all(from_wheels is None for _, _, from_wheels in told):
-        return _rows([(stamp, *at.as_array()) for stamp, at, _ in told], 4)
+    poses = [(one.stamp, one.pose, one.odometry) for one in measured if one.pose is not None]
+    if all(from_wheels is None for _, _, from_wheels in poses):
+        return _rows([(stamp, *at.as_array()) for stamp, at, _ in poses], 4)
     rows, before = [], None
-    for _, at, from_wheels in told:
+    for _, at, from_wheels in poses:
         if from_wheels is None:
             continue
         correction = at @ from_wheels.pose.inverse()
@@ -267,9 +267,9 @@ def _is_same(one: Pose2, other: Pose2) -> bool:
 
 def _log_detections(log: DockingLog, measured: list[Measurements]) -> FloatArray:
     """Detections as the dock type returned them to the executor, each once, in the order of their stamps."""
-    asked = log.task.dock_type
-    if asked is not None:
-        kind = CheckedDockType(create_plugin(DockType, asked.name, asked.parameters))
+    choice = log.task.dock_type
+    if choice is not None:
+        kind = CheckedDockType(create_plugin(DockType, choice.name, choice.parameters))
         measured = [one._replace(detections=kind.detections(one)) for one in measured]
     rows = {
         (one.stamp, one.pose.x, one.pose.y): (one.stamp, *one.pose.as_array(), one.position_sigma, one.yaw_sigma)
@@ -299,10 +299,10 @@ def _recording_of_bag(source: Path) -> Recording:
     with open_bag(source) as bag:
         odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
         cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")
-        told = [one for _, one in _values(bag, odom, odometry)]
-        if len(told) < 2:
-            raise InvalidFile(f"{source}: {odom}: needs two messages at least, has {len(told)}")
-        begin, base = told[0].stamp, told[0].child_frame
+        measured = [one for _, one in _values(bag, odom, odometry)]
+        if len(measured) < 2:
+            raise InvalidFile(f"{source}: {odom}: must have at least two messages, has {len(measured)}")
+        begin, base = measured[0].stamp, measured[0].child_frame
         commands = [(time - begin, one.twist.linear, one.twist.angular) for time, one in _values(bag, cmd, twist)]
         seen = []
         topic = bag.find(_DETECTED, ("geometry_msgs/msg/PoseStamped",))
@@ -310,16 +310,16 @@ def _recording_of_bag(source: Path) -> Recording:
             if found.frame != base:
                 raise InvalidFile(f"{source}: {topic}: must be in frame {base}, is in {found.frame}")
             seen.append((found.stamp - begin, *found.pose.as_array(), 0.0, 0.0))
-    rows = _rows([(one.stamp - begin, *one.pose.as_array()) for one in told], 4)
-    rising = _are_rising(np.array([one.stamp for one in told]))
-    rows, twists = rows[rising], _rows([(one.twist.linear, one.twist.angular) for one in told], 2)[rising]
-    asked = _rows(commands, 3)
-    asked = asked[_are_rising(asked[:, 0])]
-    near = np.clip(np.searchsorted(rows[:, 0], asked[:, 0]), 0, len(rows) - 1)
+    rows = _rows([(one.stamp - begin, *one.pose.as_array()) for one in measured], 4)
+    rising = _are_rising(np.array([one.stamp for one in measured]))
+    rows, twists = rows[rising], _rows([(one.twist.linear, one.twist.angular) for one in measured], 2)[rising]
+    command_rows = _rows(commands, 3)
+    command_rows = command_rows[_are_rising(command_rows[:, 0])]
+    near = np.clip(np.searchsorted(rows[:, 0], command_rows[:, 0]), 0, len(rows) - 1)
     return Recording(
         source=str(source),
-        times=asked[:, 0],
-        commands=asked[:, 1:],
+        times=command_rows[:, 0],
+        commands=command_rows[:, 1:],
         twists=twists[near],
         odometry=rows,
         odometry_twists=twists,
@@ -335,7 +335,7 @@ def _recording_of_bag(source: Path) -> Recording:
 def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], what: str) -> str:
     found = bag.find(names, kinds)
     if not found:
-        raise InvalidFile(f"{bag.source}: has no {what}: none of {', '.join(names)}")
+        raise InvalidFile(f"{bag.source}: has no {what}: it contains none of {', '.join(names)}")
     return found
 
 

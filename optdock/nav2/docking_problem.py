@@ -183,7 +183,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
         raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
     value = float(vector[0 if axis == "x" else -1])
     if not (math.isfinite(value) and sign * value > 0.0):
-        no_reverse = "; a robot that cannot reverse is not known here" if name == "min_velocity" else ""
+        no_reverse = "; robots that cannot reverse are not supported" if name == "min_velocity" else ""
         raise InvalidValue(f"{name}: {axis} must be finite and {'>' if sign > 0 else '<'} 0, got {value}{no_reverse}")
     unit = _UNITS.get((name, axis))
     fault = unit_fault(value, unit) if unit else ""

@@ -63,7 +63,7 @@ def file_costmap(
     values = params.nodes[node]
     rows, columns = grid.data.shape
     size = f"{columns * grid.resolution:g} m x {rows * grid.resolution:g} m, cells of {grid.resolution:g} m"
-    rolls = "; it does not roll, the whole map is known" * (values.get("rolling_window") is True)
+    rolls = "; it does not roll, as the whole map is known" * (values.get("rolling_window") is True)
     listed = [p for p in params.plugins if p.node == node and p.kind in ("layer", "filter")]
     layers, outcomes = _layers(params, listed, grid, dock)
     tracked = values.get("track_unknown_space")
@@ -71,7 +71,7 @@ def file_costmap(
     return FileCostmap(
         costmap,
         (
-            (described.name, f"built in the place and size of the map: {size}{rolls}"),
+            (described.name, f"built with the place and size of the map: {size}{rolls}"),
             ("unknown cells", _unknown_cells(tracked, layers)),
             *outcomes,
             *((name, _skipped_costmap(name)) for name in params.costmaps if name != described.name),
@@ -109,7 +109,7 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
     """The layer with its map or dock, or None, and the outcome."""
     layer, cleared = found.plugin, ""
     if found.instance.kind == "filter":
-        return None, "skipped: optdock has no filters; what it forbids is not in the costmap"
+        return None, "skipped: optdock has no filters; its restrictions are not in the costmap"
     if not isinstance(layer, Layer):
         return None, f"skipped: {found.reason}"
     if not layer.is_enabled():
@@ -118,7 +118,7 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
         if has_map:
             return None, "skipped: there is no second map"
         layer.set_map(grid)
-        cleared = "; it frees the cells under the robot at the start" * layer.parameters.footprint_clearing_enabled
+        cleared = "; it clears the cells under the robot at the start" * layer.parameters.footprint_clearing_enabled
     if isinstance(layer, DockLayer):
         layer.set_dock(dock)
     return layer, f"used: {found.outcome}{cleared}"
@@ -130,14 +130,14 @@ def _unknown_cells(tracked: object, layers: Mapping[str, Layer]) -> str:
         return "free: track_unknown_space is false"
     if tracked is False:
         return "obstacles: track_unknown_space is false, but not of the layer of the map"
-    silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would take them for free)"
+    silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would treat them as free)"
     return f"obstacles{silent}"
 
 
 def _skipped_costmap(name: str) -> str:
     if name.endswith("local_costmap"):
-        return "skipped: it holds what sensors see around the robot, and nothing has been seen yet"
-    return "skipped: planning looks at one costmap"
+        return "skipped: it contains only sensor data, of which there is none yet"
+    return "skipped: planning uses one costmap"
 
 
 def layered_costmap(
@@ -184,7 +184,7 @@ def _check_layers(layers: Mapping[str, Layer]) -> None:
         if not isinstance(layer, Layer):
             raise InvalidValue(f"costmap.layers.{name}: must be a Layer, got {layer!r}")
     if len({id(layer) for layer in layers.values()}) != len(layers):
-        raise InvalidValue(f"costmap.layers: one layer stands there twice among {', '.join(layers)}")
+        raise InvalidValue(f"costmap.layers: one layer is given twice among {', '.join(layers)}")
 
 
 @contextmanager

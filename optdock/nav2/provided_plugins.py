@@ -38,12 +38,12 @@ _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _REASONS: Mapping[str, str] = {
-    "dock": "its staging offsets, direction and threshold are read, the plugin talks to sensors",
+    "dock": "its staging offsets, direction and threshold are read; the plugin itself needs sensors",
     UNLISTED: "no list of plugins names it",
 }
-_UNSEEN = "nothing has been seen yet"
+_UNSEEN = "there is no sensor data yet"
 _CLASS_REASONS: Mapping[str, str] = {
-    "InflationLayer": "clearance is proven with the exact footprint, inflated costs change no plan",
+    "InflationLayer": "the clearance is proven with the exact footprint, so inflated costs change no plan",
     **dict.fromkeys(("ObstacleLayer", "VoxelLayer", "RangeSensorLayer", "NonPersistentVoxelLayer"), _UNSEEN),
 }
 

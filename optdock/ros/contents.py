@@ -69,9 +69,9 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
         InvalidValue: If the plan is in another frame than the problem.
     """
     if plan.path is None and plan.raw_path is None and plan.trajectory is None:
-        raise InvalidFile(f"the plan holds no path and no motion to record, its status is {plan.status}")
+        raise InvalidFile(f"the plan contains no path and no motion to record, its status is {plan.status}")
     if problem is not None and not may_be_one_frame(plan.frame, problem.frame):
-        raise InvalidValue(f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}")
+        raise InvalidValue(f"the plan is in frame {plan.frame!r}, the scenario in {problem.frame!r}")
     frame, start = names.frame or plan.frame, names.start
     yield from _world(problem, frame, start)
     for topic, path in ((_PLAN, plan.raw_path), (_TRAJECTORY, plan.path)):

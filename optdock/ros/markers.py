@@ -93,7 +93,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
         InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.
     """
     if not may_be_one_frame(path.frame, frame):
-        raise InvalidValue(f"frame: the path stands in {path.frame!r}, not in {frame!r}; transform it first")
+        raise InvalidValue(f"frame: the path is in {path.frame!r}, not in {frame!r}; transform it first")
     count = max(1, math.ceil(path.length / _SWEPT_EVERY))
     stations = np.unique(np.concatenate((np.linspace(0.0, path.length, count + 1), path.cusps)))
     size = _ARROW_LENGTH if footprint is None else footprint.circumscribed_radius

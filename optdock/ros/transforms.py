@@ -66,7 +66,7 @@ class Transform:
         tilt = 2.0 * math.asin(min(math.hypot(x, y), 1.0))
         if tilt > MOST_TILTED:
             raise TransformError(
-                f"{self.target} <- {self.source}: leans by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
+                f"{self.target} <- {self.source}: is tilted by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
                 f"pitch; it is not a pose in the plane",
                 where={"target": self.target, "source": self.source, "tilt": tilt},
             )

@@ -41,20 +41,20 @@ class DriveParameters(PluginParameters):
     """Nav2's parameters of BackUp and DriveOnHeading, and a clearance."""
 
     cycle_frequency: float = Field(default=10.0, gt=0.0, description="calls per second [Hz]")
-    simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="how far ahead to look [s]")
-    acceleration_limit: float = Field(default=2.5, gt=0.0, description="speeding up [m/s^2]")
-    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="slowing down, negative [m/s^2]")
-    minimum_speed: float = Field(default=0.10, gt=0.0, description="smallest speed on the way [m/s]")
-    clearance: float = Field(default=0.0, ge=0.0, description="distance to keep from obstacles [m]")
+    simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="duration of the collision check ahead [s]")
+    acceleration_limit: float = Field(default=2.5, gt=0.0, description="largest acceleration [m/s^2]")
+    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="largest deceleration, negative [m/s^2]")
+    minimum_speed: float = Field(default=0.10, gt=0.0, description="smallest speed before the target [m/s]")
+    clearance: float = Field(default=0.0, ge=0.0, description="required distance from obstacles [m]")
 
 
 class DriveCommand(PluginParameters):
     """Command of a straight motion."""
 
     target: float = Field(description="distance along the heading [m]")
-    speed: float = Field(description="largest speed on the way [m/s]")
-    time_allowance: float = Field(default=10.0, ge=0.0, description="time it may take [s]; 0: no limit")
-    disable_collision_checks: bool = Field(default=False, description="drive blind")
+    speed: float = Field(description="largest speed [m/s]")
+    time_allowance: float = Field(default=10.0, ge=0.0, description="time limit [s]; 0: none")
+    disable_collision_checks: bool = Field(default=False, description="skip the collision check")
 
 
 @dataclass

@@ -25,7 +25,7 @@ class DockLayerParameters(LayerParameters):
     """Parameters of the DockLayer; Nav2 has no such layer."""
 
     contact_margin: float = Field(
-        default=0.05, ge=0.0, description="how far around the docked robot mapped cells are cleared [m]"
+        default=0.05, ge=0.0, description="distance around the docked robot within which mapped cells are cleared [m]"
     )
 
 

@@ -30,7 +30,7 @@ class StaticLayerParameters(LayerParameters):
     unknown_cost_value: int = Field(default=255, ge=0, le=255, description="occupancy, as a byte, that is unknown")
     inscribed_obstacle_cost_value: int = Field(default=99, ge=0, le=255, description="occupancy that is inscribed")
     use_maximum: bool = Field(default=False, description="keep higher costs of the layers below")
-    footprint_clearing_enabled: bool = Field(default=False, description="free the cells under the robot")
+    footprint_clearing_enabled: bool = Field(default=False, description="clear the cells under the robot")
 
     graph_names: ClassVar[frozenset[str]] = frozenset(
         {"map_topic", "map_subscribe_transient_local", "subscribe_to_updates", "transform_tolerance"}

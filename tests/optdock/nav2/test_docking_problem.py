@@ -116,7 +116,7 @@ def test_a_start_that_is_no_pose_is_refused(files, start):
         (
             "[-0.2, 0.0, -0.9]",
             "[0.0, 0.0, -0.9]",
-            "min_velocity: x must be finite and < 0, got 0.0; a robot that cannot",
+            "min_velocity: x must be finite and < 0, got 0.0; robots that cannot",
         ),
         ("[-0.8, 0.0, -1.1]", "[0.8, 0.0, 1.1]", "max_decel: x must be finite and < 0, got 0.8"),
         ("[0.7, 0.0, 1.1]", "[0.7, 0.0, .inf]", "max_accel: yaw must be finite and > 0, got inf"),

@@ -50,7 +50,7 @@ def built(read, grid=None, described=NAME):
     [
         ("      track_unknown_space: true\n", 255, "obstacles"),
         ("      track_unknown_space: false\n", 0, "free: track_unknown_space is false"),
-        ("", 255, "obstacles (track_unknown_space is not given; Nav2 would take them for free)"),
+        ("", 255, "obstacles (track_unknown_space is not given; Nav2 would treat them as free)"),
     ],
 )
 def test_unknown_cells_are_what_the_file_says_and_obstacles_where_it_is_silent(tmp_path, node, cost, said):
@@ -89,7 +89,7 @@ def test_a_layer_that_frees_the_cells_under_the_robot_is_known_by_its_row(tmp_pa
     blocked = OccupancyGrid(np.full((60, 60), 100, dtype=np.int8), SIDE)
     costmap, rows = built(params(tmp_path, *layers), blocked)
     assert bool(np.any(costmap.data != 254)) is frees
-    assert any("frees the cells under the robot" in row for row in rows.values()) is frees
+    assert any("clears the cells under the robot" in row for row in rows.values()) is frees
 
 
 def test_the_map_is_in_the_costmap_also_where_the_file_lists_no_static_layer(tmp_path):
@@ -111,14 +111,17 @@ def test_what_is_skipped_is_said_with_its_reason(tmp_path):
     _, rows = built(
         params(tmp_path, STATIC, second, voxels, seen, INFLATION, clouds, node=keepout + rolling, local=True)
     )
-    assert rows[NAME].endswith("; it does not roll, the whole map is known")
+    assert rows[NAME].endswith("; it does not roll, as the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
-    assert rows["voxels"] == rows["seen"] == "skipped: nothing has been seen yet"
-    assert rows["inflation"] == "skipped: clearance is proven with the exact footprint, inflated costs change no plan"
+    assert rows["voxels"] == rows["seen"] == "skipped: there is no sensor data yet"
+    assert (
+        rows["inflation"]
+        == "skipped: the clearance is proven with the exact footprint, so inflated costs change no plan"
+    )
     assert rows["static_layer"] == "used: StaticLayer(); not read: map_topic"
     assert rows["clouds"] == "skipped: optdock has no layer of this class"
-    assert rows["keepout"] == "skipped: optdock has no filters; what it forbids is not in the costmap"
-    assert rows["local_costmap"].startswith("skipped: it holds what sensors see")
+    assert rows["keepout"] == "skipped: optdock has no filters; its restrictions are not in the costmap"
+    assert rows["local_costmap"].startswith("skipped: it contains only sensor data")
 
 
 def test_a_layer_that_refuses_its_parameters_is_a_fault_of_the_file(tmp_path):

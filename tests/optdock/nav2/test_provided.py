@@ -89,8 +89,8 @@ def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
     assert rows["FollowPath.diff_drive"][3] == "not provided: no list of plugins names it"
-    assert rows["inflation_layer"][3].startswith("not provided: clearance is proven with the exact footprint")
-    assert rows["obstacle_layer"][3] == "not provided: nothing has been seen yet"
+    assert rows["inflation_layer"][3].startswith("not provided: the clearance is proven with the exact footprint")
+    assert rows["obstacle_layer"][3] == "not provided: there is no sensor data yet"
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"
     assert rows["simple_smoother"][3].startswith("SimpleSmoother(tolerance=1e-10, max_its=1000, refinement_num=2, ")
     assert nav2_costmap_rows(params) == [

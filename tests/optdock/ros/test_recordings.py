@@ -146,7 +146,7 @@ def test_markers_keep_gears_apart_and_all_can_be_deleted():
     assert len({(colour.r, colour.g) for colour in colours}) == 2
     (delete,) = ros.delete_markers(bag_types, "map", 1.0).markers
     assert delete.action == 3
-    with pytest.raises(od.InvalidValue, match="stands in 'odom', not in 'map'"):
+    with pytest.raises(od.InvalidValue, match="is in 'odom', not in 'map'"):
         ros.path_markers(bag_types, path.with_frame("odom"), "map", 1.0)
 
 
@@ -191,7 +191,7 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
     Path("broken.json").write_text('{"format": "optdock-plan/1", "status": "GoalOccupied"}')
     refused = run("bag", "broken.json", "run.mcap")
     assert refused.stderr == (
-        "broken.json: the plan holds no path and no motion to record, its status is GoalOccupied\n"
+        "broken.json: the plan contains no path and no motion to record, its status is GoalOccupied\n"
     )
     assert refused.exit_code == 2
     assert Path("run.mcap").read_bytes() == before
@@ -211,7 +211,7 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
         (("dock.log", "a.mcap", "--scenario", "bay.yaml"), "--scenario: is for plans and runs; the log of a docking"),
         (
             ("plan.json", "a.mcap", "--scenario", "odom.yaml"),
-            "plan.json: the plan stands in frame 'map', the scenario in",
+            "plan.json: the plan is in frame 'map', the scenario in",
         ),
         (("plan.json", "file/a.mcap"), "file/a.mcap: cannot be written: Not a directory"),
     ],
@@ -350,7 +350,11 @@ WRONG_RECORDINGS = [
     (without(), "--since 0.01 --until 0.04", "/odom: holds no message from 0.010 s to 0.040 s of 2.000 s (--since, "),
     (without(), "--since 0.11 --until 0.3", "/local_costmap/costmap_raw: holds no message from 0.110 s to 0.300 s"),
     (UNJOINED, "", "/plan: map <- odom: there is no transform of 'map'; known: odom <- base_link (until"),
-    ([*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)], "", "/plan: map <- odom: leans by 0.600 rad, more than"),
+    (
+        [*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)],
+        "",
+        "/plan: map <- odom: is tilted by 0.600 rad, more than",
+    ),
 ]
 WRONG_OPTIONS = [
     ("--since 2 --until 1", "--since: must be >= 0 s and before --until, got 2.0 and 1.0"),

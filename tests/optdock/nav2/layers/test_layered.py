@@ -79,7 +79,7 @@ def test_layers_in_use_or_given_twice_and_other_objects_are_refused():
     with pytest.raises(LifecycleError, match="cannot configure"):
         layered_costmap(PLACE, {"fine": fine, "used": used}, HERE)
     assert used.state is LifecycleState.INACTIVE
-    with pytest.raises(InvalidValue, match="stands there twice"):
+    with pytest.raises(InvalidValue, match="is given twice"):
         layered_costmap(PLACE, {"a": fine, "b": fine}, HERE)
     for odd in (3, StaticLayer, "static_layer"):
         with pytest.raises(InvalidValue, match=r"costmap\.layers\.odd: must be a Layer, got"):
