@@ -77,7 +77,7 @@ def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     expected = int(np.sum((passed >= nearest) & (passed < nearest + _NEAR)))
     share = min(max(beyond / max(expected, 1), 0.1), 0.95)
     most = min(int(np.ceil(np.log(_CHANCE) / np.log(1.0 - share))), len(missed))
-    # Uncertainty of either range: noise of the detection, and the way driven during the jitter of a stamp.
+    # Uncertainty of either range: noise of the detection, and the distance driven during the jitter of a stamp.
     speeds = np.concatenate(
         [np.hypot(*one.seen.velocity[one.seen.ranges < nearest + _NEAR, :2].T) for one in motion.of]
     )

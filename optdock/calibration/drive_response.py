@@ -4,8 +4,9 @@ The commanded speed is delayed by the latency and then followed with a time cons
 
     speed' = (gain * command(t - latency) - speed) / lag,
 
-and the way between two poses of the odometry is compared with the measured one. The latency of single commands is
-taken as uniformly distributed about its mean. As this smooths the response like the lag, the spread is estimated too.
+and the distance travelled between two poses of the odometry is compared with the measured one. The latency of single
+commands is taken as uniformly distributed about its mean. As this smooths the response like the lag, the spread is
+estimated too.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def _too_short(axes: list[_Axis]) -> str:
 
 
 def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], at: FloatArray) -> FloatArray:
-    """Return the way of a first-order drive with latency, from rest [m or rad], Shape (n,).
+    """Return the distance travelled by a first-order drive with latency, from rest [m or rad], Shape (n,).
 
     Args:
         times: Times of the commands, Shape (m,) [s]; each holds until the next one.

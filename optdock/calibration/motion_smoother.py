@@ -39,10 +39,10 @@ __all__ = [
     "smoothed",
 ]
 
-_CELL = 0.2  # [s]: slip hardly ever lasts shorter
-_LEAST_WAY = 1e-3  # [m] in a cell, below which the robot stands and does not slip
+_CELL = 0.2  # [s]: slip is rarely shorter
+_LEAST_WAY = 1e-3  # [m] in a cell, below which the robot is at rest without slip
 _LEAST_DETECTIONS = 8  # twice as many numbers as one recording has unknowns
-_LEVER = 0.2  # [m]: half of a usual track width, by which turns count as way of the wheels
+_LEVER = 0.2  # [m]: half of a usual track width, by which turns count as distance travelled by the wheels
 _CAUCHY = 2.5  # standard deviations beyond which the weight of a detection decreases
 _EVALUATIONS = 40  # limit for the problem of one recording, which is nearly linear
 _PRIOR = readonly(np.array([0.1, 0.5, 0.2, 0.5]))  # weak: scale [1], drift [rad/m], turn scale [1], delay [s]
@@ -62,7 +62,7 @@ class Noise(NamedTuple):
         yaw: Detected yaw at range 0 [rad].
         yaw_slope: Increase of `yaw` per metre of range [rad/m].
         jitter: Stamps [s].
-        slip: Way after one metre [m/m^0.5].
+        slip: Distance travelled after one metre [m/m^0.5].
         slip_yaw: Heading after one metre [rad/m^0.5].
     """
 
@@ -237,7 +237,7 @@ class _Solution(NamedTuple):
     information: FloatArray
     score: FloatArray
     seen: Seen
-    slip: FloatArray  # expected squares of a and b times the way of the cell, Shape (c, 2)
+    slip: FloatArray  # expected squares of a and b times the distance of the cell, Shape (c, 2)
 
 
 class _Problem:
@@ -248,7 +248,7 @@ class _Problem:
         path = recording.path
         self.times, self._first_yaw = path.times, float(path.poses[0, 2])
         self._along, self._aside, self._turn = path.increments
-        self._worn = np.abs(self._along) + _LEVER * np.abs(self._turn)  # way of the wheels
+        self._worn = np.abs(self._along) + _LEVER * np.abs(self._turn)  # distance travelled by the wheels
         rows = recording.detections
         inside = (rows[:, 0] > self.times[0] + 0.1) & (rows[:, 0] < self.times[-1])
         self.stamps, self._detected = rows[inside, 0], rows[inside, 1:4]

@@ -32,7 +32,7 @@ _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a
 
 
 def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
-    """Return the scale of the way, the turn per metre, the scale of turns and the delay of the detections.
+    """Return the scales of distances and turns, the turn per metre and the delay of the detections.
 
     With a track width also the errors of the wheels' radii and of the track width.
 
@@ -113,13 +113,13 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     value, low, high = found.interval(0)
     if high - low > _LONGEST:
         return unknown(name, unit, "the twists fit with windows of any length", len(clusters))
-    # The way is interpolated linearly between two poses; the error of means is a share of the time between them.
+    # The distance is interpolated linearly between two poses; the error of means is a share of the time between them.
     rough = _ROUGH * float(np.median(np.concatenate([np.diff(one.odometry[:, 0]) for one in used])))
     return Quantity(name, unit, value, max(low - rough, 0.0), high + rough, len(clusters), len(used))
 
 
 class _Increments:
-    """Way and yaw of one recording by its poses, and the integrals of its twists.
+    """Distance and yaw of one recording by its poses, and the integrals of its twists.
 
     Integrals over a span are compared, as increments over a short window are mostly jitter of the stamps.
     """
@@ -149,6 +149,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """Cluster indices of the residuals; each part has one of the way and one of the turn at every time."""
+    """Cluster indices of the residuals; each part has a linear and an angular one at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

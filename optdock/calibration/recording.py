@@ -55,7 +55,7 @@ class OdometryPath(NamedTuple):
 
     @property
     def increments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Way along and across the mean heading [m] and turn [rad] of every step, Shape (n - 1,) each."""
+        """Distances along and across the mean heading [m] and turn [rad] of every step, Shape (n - 1,) each."""
         step = np.diff(self.poses, axis=0)
         middle = self.poses[:-1, 2] + 0.5 * step[:, 2]
         c, s = np.cos(middle), np.sin(middle)
@@ -63,7 +63,7 @@ class OdometryPath(NamedTuple):
 
     @property
     def ways(self) -> tuple[FloatArray, FloatArray]:
-        """Way along the heading [m] and turn [rad] since the beginning, Shape (n,) each."""
+        """Distance along the heading [m] and turn [rad] since the beginning, Shape (n,) each."""
         return np.concatenate(([0.0], np.cumsum(self.increments[0]))), self.poses[:, 2] - self.poses[0, 2]
 
 

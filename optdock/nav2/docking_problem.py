@@ -17,7 +17,7 @@ from optdock.model.dock import Dock
 from optdock.model.limits import LIMIT_UNITS, MotionLimits, SpeedZone
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.nav2.docks import DockEntry, DockTypeParams, load_dock_database
+from optdock.nav2.docks import DockEntry, DockTypeParams, docked_pose, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import load_nav2_params
 from optdock.plugins.parameters import closest
@@ -96,7 +96,7 @@ def nav2_scenario(
     dock_type, pose = _type_of(dock, params), _start(start)
     zone = _approach(params, dock_type)
     station = Dock(
-        dock_type.docked_pose(dock.pose),
+        docked_pose(dock.pose, dock_type.dock_direction),
         direction=dock_type.dock_direction,
         approach_speed=zone.speed,
         approach_distance=zone.distance,

@@ -58,10 +58,6 @@ class DockTypeParams:
     staging_yaw_offset: float = 0.0
     docking_threshold: float = 0.05
 
-    def docked_pose(self, dock: Pose2) -> Pose2:
-        """Return the pose of the robot docked at `dock`."""
-        return docked_pose(dock, self.dock_direction)
-
 
 def read_dock_type(name: str, block: ParameterBlock) -> DockTypeParams:
     """Return the dock type with the parameters in `block`; faults are added to those of the block."""

@@ -58,7 +58,7 @@ _POLYGON = ("geometry_msgs/msg/PolygonStamped",)
 _ODOMETRY = ("nav_msgs/msg/Odometry",)
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 
-# Distances between the kept poses of a drive: noise of millimetres is no turn, and the way between two poses is
+# Distances between the kept poses of a drive: noise of millimetres is no turn, and the path between two poses is
 # straight to a millimetre.
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
 _REVERSED = 0.01  # [m]: shorter motions back are noise
@@ -354,7 +354,7 @@ def kept_poses(poses: FloatArray) -> tuple[int, ...]:
 
 
 def _reversals(ahead: FloatArray) -> list[int]:
-    """Rows at which the way driven forward, Shape (n,) [m], reverses by more than noise."""
+    """Rows at which the distance driven forward, Shape (n,) [m], reverses by more than noise."""
     found, trend, low, high = list[int](), 0, 0, 0
     for row, way in enumerate(ahead.tolist()):
         high, low = (row if way > ahead[high] else high), (row if way < ahead[low] else low)

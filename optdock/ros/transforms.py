@@ -107,10 +107,6 @@ class _Track:
         x, y, z, qx, qy, qz, qw = self.values[_WIDTH * row : _WIDTH * row + _WIDTH]
         return (x, y, z), (qx, qy, qz, qw)
 
-    def append(self, time: float, sample: array[float]) -> None:
-        self.values.extend(sample)
-        self.times.append(time)
-
     def inserted(self, time: float, sample: array[float], first: int) -> _Track:
         """Return a track with one more sample, without those before `first`; a sample of the same time is replaced."""
         row = bisect_left(self.times, time)
@@ -147,15 +143,7 @@ class TransformTree:
         self._tracks = {name: track for name, track in list(self._tracks.items()) if track.is_static}
 
     def insert(self, message: Message, *, is_static: bool = False) -> bool:
-        """Store a geometry_msgs/TransformStamped.
-
-        Args:
-            message: The message.
-            is_static: Whether the transform is valid at all times.
-
-        Returns:
-            Whether the transform was stored; otherwise the reason is in `refused`.
-        """
+        """Store a geometry_msgs/TransformStamped; see `put`."""
         parent, child = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
         t, q = message.transform.translation, message.transform.rotation
         try:
@@ -205,7 +193,8 @@ class TransformTree:
         """Store one more sample of a moving frame."""
         first, last = known.times[0], known.times[-1]
         if stamp > last and stamp - first <= 2.0 * self._history:  # old samples are dropped in batches
-            known.append(stamp, sample)
+            known.values.extend(sample)
+            known.times.append(stamp)  # last, for readers in other threads
         elif stamp >= last - self._history:
             oldest = bisect_left(known.times, max(stamp, last) - self._history)
             self._tracks[child] = known.inserted(stamp, sample, oldest)

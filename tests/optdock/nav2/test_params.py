@@ -5,7 +5,7 @@ import pytest
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
-from optdock.nav2.docks import DockTypeParams, docked_pose
+from optdock.nav2.docks import docked_pose
 from optdock.nav2.params import load_nav2_params
 
 
@@ -94,7 +94,7 @@ def test_dock_types_and_docks_of_a_server_file_are_read(real):
 @pytest.mark.parametrize("direction", list(DockDirection)[:2])
 def test_a_robot_that_backs_into_its_dock_looks_the_other_way(direction):
     dock = Pose2(1.0, 2.0, 0.4)
-    docked = DockTypeParams("d", direction).docked_pose(dock)
+    docked = docked_pose(dock, direction)
     turned = 0.0 if direction is DockDirection.FORWARD else math.pi
     assert (docked.x, docked.y, math.remainder(docked.yaw - 0.4 - turned, math.tau)) == pytest.approx((1.0, 2.0, 0.0))
     assert docked_pose(docked, direction).distance_to(dock) == pytest.approx(0.0, abs=1e-12)
