@@ -12,6 +12,7 @@ import numpy as np
 from optdock.errors import InvalidFile, InvalidMessage, OptdockError
 from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.executor.log import LOG_FORMAT
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, normalize_angle, pose_errors, unwrap_yaw
 from optdock.io.guarded_file import MostBytes, read_text
 from optdock.io.run_file import RUN_FORMAT, load_run
@@ -40,6 +41,8 @@ _COMMANDS = ("/cmd_vel", "/cmd_vel_smoothed", "/cmd_vel_nav")
 _COMMAND_TYPES = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
 _DETECTED = ("/detected_dock_pose",)
 _Value = TypeVar("_Value")
+
+_NONE, _NO_POSES, _NO_DETECTIONS = (readonly(np.zeros(shape)) for shape in ((0,), (0, 4), (0, 6)))
 
 
 class OdometryPath(NamedTuple):
@@ -91,12 +94,12 @@ class Recording(NamedTuple):
     twists: FloatArray
     odometry: FloatArray
     odometry_twists: FloatArray
-    odometry_ages: FloatArray
-    localization: FloatArray
-    detections: FloatArray
-    stored: Pose2 | None
-    docked_at: float | None
-    robot: Robot | None
+    odometry_ages: FloatArray = _NONE
+    localization: FloatArray = _NO_POSES
+    detections: FloatArray = _NO_DETECTIONS
+    stored: Pose2 | None = None
+    docked_at: float | None = None
+    robot: Robot | None = None
 
     @property
     def track_width(self) -> float:
@@ -177,12 +180,8 @@ def _recording_of_run(source: str, run: RunColumns) -> Recording:
         twists=run.twists,
         odometry=np.column_stack((run.times, run.poses)),
         odometry_twists=run.twists,
-        odometry_ages=np.zeros(0),
         localization=np.column_stack((run.times, run.measured)),
-        detections=np.zeros((0, 6)),
-        stored=None,
         docked_at=float(run.times[-1]) if run.docked else None,
-        robot=None,
     )
 
 
@@ -323,12 +322,7 @@ def _recording_of_bag(source: Path) -> Recording:
         twists=twists[near],
         odometry=rows,
         odometry_twists=twists,
-        odometry_ages=np.zeros(0),
-        localization=np.zeros((0, 4)),
         detections=_rows(sorted(seen), 6),
-        stored=None,
-        docked_at=None,
-        robot=None,
     )
 
 
