@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from optdock.model.costmap import Costmap
     from optdock.model.costs import OccupancyRule
     from optdock.ros.bag import BagRecording
+    from optdock.ros.messages import Message
 
 __all__ = [
     "FieldDocking",
@@ -305,17 +306,27 @@ class _RecordingReader:
         with self._errors_of(self._topics.tf):
             return found.planar()
 
+    def _evenly_spaced(self, topic: str) -> list[Message]:
+        """Messages of a topic: all, or `_OUTLINES` to twice as many of them, evenly spaced."""
+        found: list[Message] = []
+        every = 1
+        for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
+            if number % every == 0:
+                found.append(message)
+            if len(found) == 2 * _OUTLINES:
+                found, every = found[::2], 2 * every
+        if not found:
+            raise self._nothing(topic)
+        return found
+
     def _footprint(self) -> Footprint:
         """Outline in the robot's frame: the median of many, as the pose of each is only known to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:
             raise self._none_of(names, _POLYGON, option, "; or give the outline by --footprint or --radius")
-        messages = [message for _, message in self._bag.messages(topic, *self._interval)]
-        if not messages:
-            raise self._nothing(topic)
         outlines = []
-        for message in messages[:: max(1, len(messages) // _OUTLINES)]:
+        for message in self._evenly_spaced(topic):
             with self._errors_of(topic):
                 stamp = seconds(message.header.stamp)
             stood = self._robot_in(message.header.frame_id.lstrip("/"), stamp)
