@@ -162,7 +162,7 @@ def test_a_jump_of_the_localization_is_found():
     contains(rows["localization jumps"], 2 / 17.0)
 
 
-# What a recording cannot tell.
+# Unknown quantities.
 
 
 def named(quantities):
@@ -209,7 +209,7 @@ def test_one_recording_and_none_that_docked():
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 25, 60])
-def test_a_recording_that_ends_early_is_too_short_and_no_error(cycles):
+def test_a_short_recording_is_no_error(cycles):
     one = drive(duration=2.0)
     end = one.times[cycles]
     told = {"odometry": one.odometry[:cycles], "odometry_twists": one.odometry_twists[:cycles]}
@@ -265,7 +265,7 @@ def test_the_rank_is_the_smallest_that_covers(count, coverage):
     assert (rank - 1) / (count + 1) < coverage
 
 
-def test_another_docking_stays_inside_as_often_as_said():
+def test_another_docking_stays_inside_with_the_coverage():
     random = np.random.default_rng(0)
     inside = 0
     for _ in range(400):
@@ -276,7 +276,7 @@ def test_another_docking_stays_inside_as_often_as_said():
     assert 0.86 <= inside / 400 <= 0.95  # 18 of 20 ranks, give or take three standard deviations
 
 
-def test_too_few_dockings_tell_no_coverage():
+def test_the_tube_needs_enough_dockings_and_an_outline():
     found = conformal_tube([(0.01, 0.01)] * 98, 0.4, 0.99)
     assert found.tube is None
     assert "99 are needed" in found.quantities[0].reason
@@ -289,7 +289,7 @@ def test_too_few_dockings_tell_no_coverage():
 # Reports and files.
 
 
-def test_what_is_written_are_keys_that_exist(found):
+def test_written_keys_exist(found):
     values = yaml.safe_load(as_yaml(found))
     assert values == written_values(found)
     settings = ExecutorSettings(**values["executor"])
@@ -374,7 +374,7 @@ def test_a_recording_of_ros_contains_the_same_drive(tmp_path):
     assert read.detections[:, :4] == pytest.approx(one.detections[:, :4], abs=1e-6)
 
 
-def test_recordings_that_lack_something_are_refused_by_name(tmp_path):
+def test_incomplete_recordings_are_refused(tmp_path):
     one = drive(seed=6, duration=2.0)
     with pytest.raises(InvalidFile, match="has no commands"):
         read_recording(bag_of(tmp_path / "no.mcap", one, without=("/cmd_vel",)))

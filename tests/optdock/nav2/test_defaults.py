@@ -1,6 +1,6 @@
-"""Nav2's published defaults (reference commit of 2026-08-21), parameter by parameter, and where ours differ on purpose.
+"""Nav2's published defaults (reference commit of 2026-08-21), and intended differences.
 
-A table holds what Nav2's documents give; a parameter of ours that is not in it must be listed as our own.
+The tables contain the values of Nav2's documentation; other parameters must be listed as optdock's own.
 """
 
 import dataclasses
@@ -80,7 +80,7 @@ OWN = {
 }
 
 
-def test_plugins_have_nav2s_parameters_and_defaults_and_no_others_but_our_own():
+def test_plugins_have_nav2s_parameters_and_defaults():
     found = {}
     for name in NAV2:
         kind, plugin = name.split(".")
@@ -114,7 +114,7 @@ def test_costmaps_have_nav2s_defaults():
     assert (costmap.global_frame, costmap.resolution) == ("map", 0.1)
 
 
-def test_the_docking_servers_top_speed_holds_where_the_file_says_none(tmp_path, real_data):
+def test_the_default_speed_is_that_of_the_docking_server(tmp_path, real_data):
     (tmp_path / "p.yaml").write_text(
         "global_costmap:\n  global_costmap:\n    ros__parameters: {robot_radius: 0.2}\n"
         "docking_server:\n  ros__parameters:\n    docks: [home]\n    home: {type: any, pose: [5.0, 6.0, 0.0]}\n"

@@ -206,7 +206,7 @@ docking_server:
     assert params.node("controller_server")["map..topic"] == "x"
 
 
-def test_of_several_namespaces_the_first_counts(tmp_path):
+def test_the_first_of_several_namespaces_is_used(tmp_path):
     robot = "  global_costmap:\n    global_costmap:\n      ros__parameters: {robot_radius: %s}\n"
     params = loaded(tmp_path, "r1:\n" + robot % 0.3 + "r2:\n" + robot % 0.6)
     assert params.costmaps["global_costmap"].robot_radius == params.node("global_costmap")["robot_radius"] == 0.3

@@ -303,7 +303,7 @@ def test_a_recorded_docking_is_checked_by_the_certificate(frame, blocked):
         assert re.search(rf"{name} closest +0\.\d+ m into map, pose \d+ of \d+, \(\S+, \S+, \S+\)", result.stdout)
 
 
-def test_a_stretch_of_a_recording_is_taken():
+def test_an_interval_of_a_recording_is_read():
     write_bag("field.mcap", field_messages(blocked=True))
     result = run("import", "bag", "field.mcap", "-o", "field", "--since", "0.1", "--until", "1.0", "--radius", "0.2")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -438,7 +438,7 @@ def test_a_collision_is_reported_before_other_violations():
     assert re.search("violation +the path slips sideways", verdict.stdout)
 
 
-def test_a_swing_between_the_poses_that_are_kept_is_judged():
+def test_a_collision_between_kept_poses_is_reported():
     """The robot turns by 0.09 rad and back on the spot, and its corner collides."""
     messages = field_messages()
     grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
@@ -461,7 +461,7 @@ def test_a_swing_between_the_poses_that_are_kept_is_judged():
 @pytest.mark.parametrize(
     ("depth", "options", "refused"), [(0.04, (), False), (0.04, ("--contact", "0"), True), (0.2, (), True)]
 )
-def test_a_dock_that_is_touched_marks_whole_cells(depth, options, refused):
+def test_occupied_cells_at_the_docked_outline_are_free(depth, options, refused):
     """At the end of the path, cells up to a cell's diagonal inside the outline are the dock."""
     messages = field_messages()
     grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
@@ -475,7 +475,7 @@ def test_a_dock_that_is_touched_marks_whole_cells(depth, options, refused):
     assert (run("certify", "field/drive.json", "field/drive.yaml").exit_code != 0) == refused
 
 
-def test_a_costmap_is_taken_with_its_updates():
+def test_updates_of_the_costmap_are_applied():
     messages = field_messages()
     head = ros.messages.header(bag_types, "odom", BEGIN + 0.5)
     data = np.full(4, 254, dtype=np.uint8)
