@@ -1,10 +1,9 @@
-"""Calibration: what recorded drives tell of a robot, its sensors and its dock, each with a confidence interval."""
+"""Calibration: properties of a robot, its sensors and its dock from recorded drives, with confidence intervals."""
 
 from optdock.calibration.calibrate import Calibration, calibrate
-from optdock.calibration.files import ReadFile, read_recording
 from optdock.calibration.findings import as_text, as_yaml, written_values
 from optdock.calibration.picture import save_calibration_picture
-from optdock.calibration.recording import Recording
+from optdock.calibration.recording import ReadFile, Recording, read_recording
 from optdock.calibration.statistics import Quantity
 
 __all__ = [

@@ -11,8 +11,8 @@ from optdock.calibration.conformal_tube import conformal_tube
 from optdock.calibration.detections import detection_quantities
 from optdock.calibration.drive_response import drive_response
 from optdock.calibration.localization import localization_errors, stored_dock
-from optdock.calibration.odometry import odometry_age, twist_window
-from optdock.calibration.odometry_errors import odometry_quantities, smoothed
+from optdock.calibration.motion_smoother import smoothed
+from optdock.calibration.odometry import odometry_age, odometry_quantities, twist_window
 from optdock.calibration.statistics import Quantity, unknown
 from optdock.errors import InvalidValue
 
@@ -22,87 +22,12 @@ if TYPE_CHECKING:
     from optdock.calibration.conformal_tube import DrivenTube
     from optdock.calibration.drive_response import DriveResponse
     from optdock.calibration.localization import LocalizationErrors
-    from optdock.calibration.recorded_motion import RecordedMotion
+    from optdock.calibration.motion_smoother import RecordedMotion
     from optdock.calibration.recording import Recording
-    from optdock.geometry.pose import Pose2
 
 __all__ = ["Calibration", "calibrate"]
 
-_SAME_DOCK = 0.01, 0.01  # [m], [rad]: docks stored so near to each other are one
-
-
-class Calibration(NamedTuple):
-    """What was found; `quantities` are all of it, the rest is for files and pictures.
-
-    Attributes:
-        quantities: In the order of the report.
-        recordings: What it is of.
-        response: Of the drive.
-        motion: Odometry against detections; None: there were none.
-        localization: Against the motion; None: likewise.
-        tube: As driven.
-    """
-
-    quantities: tuple[Quantity, ...]
-    recordings: tuple[Recording, ...]
-    response: DriveResponse
-    motion: RecordedMotion | None
-    localization: LocalizationErrors | None
-    tube: DrivenTube
-
-    def quantity(self, name: str) -> Quantity:
-        """The quantity with a name, as in the report.
-
-        Raises:
-            InvalidValue: There is none.
-        """
-        for one in self.quantities:
-            if one.name == name:
-                return one
-        raise InvalidValue(f"calibration: no quantity is named {name!r}; see Calibration.quantities")
-
-
-def calibrate(
-    recordings: Sequence[Recording],
-    deviations: Sequence[tuple[float, float]] = (),
-    *,
-    coverage: float = 0.99,
-) -> Calibration:
-    """Estimate all quantities, each with a 95 % confidence interval or the reason why it is unknown.
-
-    Args:
-        recordings: Of one robot, at one dock.
-        deviations: Of dockings that were replayed: largest distance across the path [m], largest turn off it [rad].
-        coverage: The probability that another docking stays inside the tube.
-
-    Raises:
-        InvalidValue: There is no recording, the coverage is not between 0 and 1, robots or docks are different ones, or
-            a drive is given twice.
-    """
-    if not recordings:
-        raise InvalidValue("calibrate: needs a recording at least")
-    if not 0.0 < coverage < 1.0:
-        raise InvalidValue(f"coverage: must be > 0 and < 1, got {coverage}")
-    _check_robots(recordings)
-    _check_docks(recordings)
-    _check_drives(recordings)
-    response = drive_response(recordings)
-    motion = smoothed(recordings)
-    robots = [one.robot for one in recordings if one.robot is not None]
-    radius = robots[0].footprint.circumscribed_radius if robots else 0.0
-    tube = conformal_tube(deviations, radius, coverage)
-    quantities = [*response.quantities, twist_window(recordings), odometry_age(recordings)]
-    found = None
-    if motion is None:
-        quantities += [unknown(name, unit, "the dock was not detected often enough") for name, unit in _BY_DETECTIONS]
-    else:
-        found = localization_errors(motion)
-        width = max((one.track_width for one in recordings), default=0.0)
-        quantities += [*odometry_quantities(motion, width), *detection_quantities(motion)]
-        quantities += [*found.quantities, *stored_dock(motion)]
-    return Calibration((*quantities, *tube.quantities), tuple(recordings), response, motion, found, tube)
-
-
+_SAME_DOCK = 0.01, 0.01  # [m], [rad]: stored docks that differ by less are the same
 _BY_DETECTIONS = (
     ("scale of the way", "1"),
     ("turn per metre", "rad/m"),
@@ -119,24 +44,80 @@ _BY_DETECTIONS = (
 )
 
 
-def _check_docks(recordings: Sequence[Recording]) -> None:
-    first: tuple[Recording, Pose2] | None = None
-    for one in recordings:
-        if one.stored is None:
-            continue
-        if first is None:
-            first = one, one.stored
-            continue
-        off = one.stored.in_frame_of(first[1])
-        if math.hypot(off.x, off.y) > _SAME_DOCK[0] or abs(off.yaw) > _SAME_DOCK[1]:
-            raise InvalidValue(
-                f"{one.source}: its dock is stored at {one.stored.brief}, that of {first[0].source} at "
-                f"{first[1].brief}; calibrate one dock at a time"
-            )
+class Calibration(NamedTuple):
+    """Result of a calibration.
+
+    Attributes:
+        quantities: All quantities, in the order of the report.
+        recordings: Recordings used.
+        response: Drive response.
+        motion: Smoothed motion; None if there are too few detections.
+        localization: Errors of the localization; None likewise.
+        tube: Tracking tube.
+    """
+
+    quantities: tuple[Quantity, ...]
+    recordings: tuple[Recording, ...]
+    response: DriveResponse
+    motion: RecordedMotion | None
+    localization: LocalizationErrors | None
+    tube: DrivenTube
+
+    def quantity(self, name: str) -> Quantity:
+        """Return the quantity with the name in the report.
+
+        Raises:
+            InvalidValue: If there is no quantity of that name.
+        """
+        for one in self.quantities:
+            if one.name == name:
+                return one
+        raise InvalidValue(f"calibration: no quantity is named {name!r}; see Calibration.quantities")
+
+
+def calibrate(
+    recordings: Sequence[Recording],
+    deviations: Sequence[tuple[float, float]] = (),
+    *,
+    coverage: float = 0.99,
+) -> Calibration:
+    """Estimate all quantities, each with a 95 % confidence interval or the reason why it is unknown.
+
+    Args:
+        recordings: Drives of one robot at one dock.
+        deviations: For each docking: largest distance across the path [m], largest turn off it [rad].
+        coverage: Probability that another docking stays inside the tube.
+
+    Raises:
+        InvalidValue: If there is no recording, the coverage is not between 0 and 1, robots or docks differ, or a drive
+            is given twice.
+    """
+    if not recordings:
+        raise InvalidValue("calibrate: at least one recording is required")
+    if not 0.0 < coverage < 1.0:
+        raise InvalidValue(f"coverage: must be > 0 and < 1, got {coverage}")
+    _check_robots(recordings)
+    _check_docks(recordings)
+    _check_drives(recordings)
+    response = drive_response(recordings)
+    motion = smoothed(recordings)
+    robots = [one.robot for one in recordings if one.robot is not None]
+    radius = robots[0].footprint.circumscribed_radius if robots else 0.0
+    tube = conformal_tube(deviations, radius, coverage)
+    quantities = [*response.quantities, twist_window(recordings), odometry_age(recordings)]
+    localization = None
+    if motion is None:
+        quantities += [unknown(name, unit, "the dock was not detected often enough") for name, unit in _BY_DETECTIONS]
+    else:
+        localization = localization_errors(motion)
+        width = max((one.track_width for one in recordings), default=0.0)
+        quantities += [*odometry_quantities(motion, width), *detection_quantities(motion)]
+        quantities += [*localization.quantities, *stored_dock(motion)]
+    return Calibration((*quantities, *tube.quantities), tuple(recordings), response, motion, localization, tube)
 
 
 def _check_robots(recordings: Sequence[Recording]) -> None:
-    """Limits may have been changed from one drive to the next, outline and wheels not."""
+    """Check that drive, outline and track width are the same; limits may differ between drives."""
     known = [(one.source, one.robot) for one in recordings if one.robot is not None]
     for source, robot in known[1:]:
         first, other = known[0]
@@ -147,8 +128,20 @@ def _check_robots(recordings: Sequence[Recording]) -> None:
             raise InvalidValue(f"{source}: its robot has a track width of {width:g} m, that of {first} {others:g} m")
 
 
+def _check_docks(recordings: Sequence[Recording]) -> None:
+    known = [(one.source, one.stored) for one in recordings if one.stored is not None]
+    for source, stored in known[1:]:
+        first, other = known[0]
+        off = stored.in_frame_of(other)
+        if math.hypot(off.x, off.y) > _SAME_DOCK[0] or abs(off.yaw) > _SAME_DOCK[1]:
+            raise InvalidValue(
+                f"{source}: its dock is stored at {stored.brief}, that of {first} at {other.brief}; calibrate one dock "
+                "at a time"
+            )
+
+
 def _check_drives(recordings: Sequence[Recording]) -> None:
-    """A drive that counts twice would make intervals narrow that are not."""
+    """Check that no drive is given twice, as that would make intervals too narrow."""
     seen: dict[bytes, str] = {}
     for one in recordings:
         key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()

@@ -1,4 +1,4 @@
-"""How wide the tube must be: split conformal prediction over dockings that were driven again."""
+"""Width of the tracking tube by split conformal prediction over replayed dockings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["DrivenTube", "conformal_rank", "conformal_tube"]
 
 
 class DrivenTube(NamedTuple):
-    """A tube that holds with a probability.
+    """A tube with its coverage.
 
     Attributes:
-        tube: How wide; None: there are too few dockings for the coverage asked for.
-        coverage: The probability that another docking stays inside, at least [1].
-        quantities: Its two widths and their sum at the farthest point of the footprint.
+        tube: The tube; None if unknown.
+        coverage: Lower bound of the probability that another docking stays inside [1].
+        quantities: Widths `cross` and `yaw` of the tube.
     """
 
     tube: TrackingTube | None
@@ -32,43 +32,41 @@ class DrivenTube(NamedTuple):
 
 
 def conformal_rank(count: int, coverage: float) -> int:
-    """Which of `count` scores, counted from the smallest as 1, bounds another one with a probability; above: none does.
+    """Return the rank, from 1, of the score that bounds another score with probability `coverage`.
 
-    Another score is as likely to have any rank among all count + 1, so that it is at most the k-th one with a
-    probability of k / (count + 1) or more ([Vovk2005]).
+    Another score has any rank among all count + 1 with equal probability, so it is at most the k-th score with
+    probability k / (count + 1) or more ([Vovk2005]). No score is a bound if the rank is larger than `count`.
     """
     return math.ceil(coverage * (count + 1) - 1e-9)
 
 
 def conformal_tube(deviations: Sequence[tuple[float, float]], radius: float, coverage: float) -> DrivenTube:
-    """The tube that the next docking stays in with a probability.
+    """Return the tube in which the next docking stays with probability `coverage`.
 
-    What counts of a docking is by how far a point of the footprint can have been off at most; as the width of the tube
-    is all that a certificate knows of it, how this is shared between `cross` and `yaw` is free: as their medians are.
+    The score of a docking is the largest possible displacement of a point of the footprint. A certificate depends only
+    on that width, so its division into `cross` and `yaw` is free; it follows the medians.
 
     Args:
-        deviations: Of each docking: the largest distance across the path [m], the largest turn off it [rad].
-        radius: Circumscribed radius of the footprint [m]; 0: not known.
-        coverage: The probability asked for.
+        deviations: For each docking: largest distance across the path [m], largest turn off it [rad].
+        radius: Circumscribed radius of the footprint [m]; 0 if unknown.
+        coverage: Required probability.
 
     Returns:
-        The tube; None in its place with the reason in its quantities where dockings are too few for the coverage or the
-        footprint is not known.
+        The tube, or the reason in its quantities if there are too few dockings or the footprint is unknown.
     """
     names = ("tube, cross", "m"), ("tube, yaw", "rad")
     count = len(deviations)
     rank, reason = conformal_rank(count, coverage), ""
     if rank > count:
         needed = math.ceil(coverage / (1.0 - coverage) - 1e-9)
-        reason = f"there are {count} whole dockings; to tell of {100 * coverage:g} %, {needed} are needed"
+        reason = f"there are {count} complete dockings; for {100 * coverage:g} %, {needed} are needed"
     elif radius <= 0.0:
-        reason = "the outline of the robot is not known"
+        reason = "the outline of the robot is unknown"
     if reason:
         return DrivenTube(None, 0.0, [unknown(name, unit, reason, count) for name, unit in names])
-    rows = np.array(deviations)
     scores = np.array([float(displacement(cross, yaw, radius)) for cross, yaw in deviations])
     width = float(np.sort(scores)[rank - 1])
-    cross, yaw = np.median(rows, axis=0).tolist()
+    cross, yaw = np.median(np.array(deviations), axis=0).tolist()
     share = cross / max(cross + 2.0 * radius * math.sin(0.5 * yaw), 1e-9)
     tube = TrackingTube(share * width, 2.0 * math.asin(min((1.0 - share) * width / (2.0 * radius), 1.0)))
     found = [

@@ -1,7 +1,7 @@
-"""How far localization is off, how often it jumps, and where in the map the dock truly is.
+"""Localization: spread and jumps of its errors, and the pose of the dock in the map.
 
-A detection together with an estimate of the localization puts the dock in the map. Where that is, is the same in all
-recordings; how it moves about is the error of the localization.
+A detection and a localization estimate together give the pose of the dock in the map. The dock is the same in all
+recordings; variations of its pose are errors of the localization.
 """
 
 from __future__ import annotations
@@ -12,37 +12,44 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.calibration.motion_smoother import relative_poses
 from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, student, unknown
-from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import normalize_angle, wrap_angles
 
 if TYPE_CHECKING:
-    from optdock.calibration.recorded_motion import RecordedMotion, Smoothed
+    from optdock.calibration.motion_smoother import RecordedMotion, Smoothed
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LocalizationErrors", "docks_in_map", "localization_errors", "stored_dock"]
 
-_NEAR = 0.3  # [s] between a detection and an estimate: the odometry leads over so long without an error that counts
-_RIGHT = 4.0  # standard deviations: detections that are farther off are wrong ones
-_BIN = 0.5  # [s]: medians over so long are exact to millimetres, and few localizations are told more slowly
+_NEAR = 0.3  # [s] between a detection and an estimate: the error of the odometry over this time is negligible
+_RIGHT = 4.0  # standard deviations beyond which a detection is a wrong one
+_BIN = 0.5  # [s]: medians over this time are exact to millimetres, and few localizations are slower
 _SIDE = 2  # bins on either side whose means are compared for a jump
-_GAP = 1.5  # [s] between two bins, after which a change may be drift
-_LEAST_JUMP = 0.025  # [m]: AMCL drifts by less than that in a second, mostly; else see `_by_drift`
-_MOST_JUMP = 0.04  # [m]: where no less can be told from drift, jumps as particle filters make them cannot be counted
-_TIMES_DRIFT = 3.5  # standard deviations of drift: by chance one change of 500 is more, of a hundred that are looked at
-_BY_CHANCE = 3.5  # standard deviations of a change that detections make up
-_EVERY = 1.0  # [s] between the values that the spread is computed of: their errors last for seconds
-_LEAST = 12  # values in all
-_UNKNOWN = 1.0  # [m], [rad]: standard deviation of what a jump may be, and of the dock
-_IN_A_JUMP = 0.005  # [m] of drift and of detections that a size has in it
+_GAP = 1.5  # [s] between two bins, beyond which a change may be drift
+_LEAST_JUMP = 0.025  # [m]: AMCL mostly drifts by less in one second; otherwise see `_least_jump`
+_MOST_JUMP = 0.04  # [m]: if smaller jumps cannot be distinguished from drift, jumps of particle filters are not counted
+_TIMES_DRIFT = 3.5  # standard deviations of drift, exceeded by one change of 500; about a hundred are tested
+_BY_CHANCE = 3.5  # standard deviations of a change due to noise of detections
+_EVERY = 1.0  # [s] between the samples for the spread: the errors last for seconds
+_LEAST = 12  # samples in total
+_UNKNOWN = 1.0  # [m], [rad]: standard deviation of jumps and of the dock, weak priors
+_IN_A_JUMP = 0.005  # [m]: drift and noise of detections contained in the size of a jump
+_USUAL = 0.01  # [m], [rad]: smaller scatter of the dock between recordings is by chance
+
+# Logarithms of the limits of the standard deviation [m] or [rad], and of the correlation time [s], the white part and
+# the offsets of recordings.
+_LIMITS = math.log(3e-4), math.log(0.3)
+_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.01)), (math.log(2e-4), math.log(0.2))
+_GUESS = math.log(10.0), math.log(0.003), math.log(0.01)  # drift of AMCL, and noise of one second of detections
 
 
 class LocalizationErrors(NamedTuple):
-    """What is measured against the detections.
+    """Errors of the localization against the detections.
 
     Attributes:
-        quantities: Spread, rate and size of jumps.
-        series: Of each recording: stamps and errors of x, y [m], yaw [rad] at the robot, Shape (n, 4).
+        quantities: Spread of position and yaw, rate and size of jumps.
+        series: For each recording: stamps and errors of x, y [m], yaw [rad] at the robot, Shape (n, 4).
     """
 
     quantities: list[Quantity]
@@ -50,13 +57,13 @@ class LocalizationErrors(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Robot and dock in the map.
+    """Robot and dock in the map at the times of detections.
 
     Attributes:
-        stamps: Of detections, Shape (n,) [s].
-        robot: By localization, Shape (n, 3).
-        dock: As then detected, Shape (n, 3).
-        variances: Of the robot's x and y, each [m^2], and yaw [rad^2], where the dock is known; Shape (n, 2).
+        stamps: Shape (n,) [s].
+        robot: Pose of the robot by localization, Shape (n, 3).
+        dock: Pose of the dock by localization and detection, Shape (n, 3).
+        variances: Variances of the robot's x and y, each [m^2], and yaw [rad^2] by a detection, Shape (n, 2).
     """
 
     stamps: FloatArray
@@ -66,35 +73,42 @@ class Placed(NamedTuple):
 
 
 def docks_in_map(one: Smoothed, delay: float) -> Placed:
-    """Where localization and each detection put the robot and the dock; wrong detections are left out.
+    """Return robot and dock in the map at the times of all detections except wrong ones.
 
     Args:
-        one: A recording.
-        delay: By which its detections are late [s].
-
+        one: Smoothed recording.
+        delay: Delay of the detections [s].
     """
-    told, seen = one.recording.localization, one.seen
+    estimates, seen = one.recording.localization, one.seen
     times, poses = one.recording.path
     stamps = seen.stamps - delay
-    if len(told) < 2:
+    if len(estimates) < 2:
         return Placed(stamps[:0], seen.detected[:0], seen.detected[:0], seen.detected[:0, :2])
-    near = np.clip(np.searchsorted(told[:, 0], stamps), 1, len(told) - 1)
-    near = np.where(stamps - told[near - 1, 0] < told[near, 0] - stamps, near - 1, near)
+    near = np.clip(np.searchsorted(estimates[:, 0], stamps), 1, len(estimates) - 1)
+    near = np.where(stamps - estimates[near - 1, 0] < estimates[near, 0] - stamps, near - 1, near)
     kept = np.all(np.abs(seen.residuals) < _RIGHT * seen.sigmas, axis=1)
-    kept &= (np.abs(told[near, 0] - stamps) < _NEAR) & (stamps >= times[0]) & (stamps <= times[-1])
+    kept &= (np.abs(estimates[near, 0] - stamps) < _NEAR) & (stamps >= times[0]) & (stamps <= times[-1])
     then, now = (
-        np.column_stack([np.interp(at[kept], times, poses[:, k]) for k in range(3)]) for at in (told[near, 0], stamps)
+        np.column_stack([np.interp(at[kept], times, poses[:, k]) for k in range(3)])
+        for at in (estimates[near, 0], stamps)
     )
-    robot = _composed(told[near[kept], 1:], _seen_from(then, now))
+    robot = _composed(estimates[near[kept], 1:], relative_poses(then, now))
     sigmas, ranges = seen.sigmas[kept], seen.ranges[kept]
     variances = sigmas[:, 0] ** 2 + (ranges * sigmas[:, 2]) ** 2, sigmas[:, 2] ** 2
     return Placed(stamps[kept], robot, _composed(robot, seen.detected[kept]), np.column_stack(variances))
 
 
+def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
+    """Poses given in frames, in the parent frame of these, Shape (n, 3)."""
+    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
+    return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))
+
+
 def stored_dock(motion: RecordedMotion) -> list[Quantity]:
-    """The dock's pose in the map, of the recordings whose dockings succeeded: a mean with Student's interval."""
+    """Return the mean pose of the dock in the map over successful dockings, with Student's interval."""
     names = (("stored dock, x", "m"), ("stored dock, y", "m"), ("stored dock, yaw", "rad"))
-    rows = [docks_in_map(one, float(motion.values[3])).dock for one in motion.of if one.recording.docked_at is not None]
+    rows = [docks_in_map(one, motion.delay).dock for one in motion.of if one.recording.docked_at is not None]
     rows = [one for one in rows if len(one) > 0]
     count = sum(map(len, rows))
     if len(rows) < 2:
@@ -104,104 +118,49 @@ def stored_dock(motion: RecordedMotion) -> list[Quantity]:
     poses = np.array(
         [[*np.mean(one[:, :2], axis=0), first + float(np.mean(wrap_angles(one[:, 2] - first)))] for one in rows]
     )
-    kept = _without_outliers(poses)
+    # Outliers are recordings at another dock, or of a robot that was lost.
+    middle = np.median(poses, axis=0)
+    spread = 1.4826 * np.median(np.abs(poses - middle), axis=0) + _USUAL
+    kept = poses[np.all(np.abs(poses - middle) <= 6.0 * spread, axis=1)]
     x, y, yaw = (Quantity(*name, *mean_of(kept[:, k]), count, len(kept)) for k, name in enumerate(names))
     whole = normalize_angle(yaw.value) - yaw.value
     yaw = dataclasses.replace(yaw, value=yaw.value + whole, low=yaw.low + whole, high=yaw.high + whole)
     return [x, y, yaw]
 
 
-def _without_outliers(poses: FloatArray) -> FloatArray:
-    """Poses near the median in every coordinate: all but those of another dock, or of a robot that was lost."""
-    middle = np.median(poses, axis=0)
-    spread = 1.4826 * np.median(np.abs(poses - middle), axis=0) + _USUAL
-    kept: FloatArray = poses[np.all(np.abs(poses - middle) <= 6.0 * spread, axis=1)]
-    return kept
-
-
-# [m, m, rad]: a localization that agrees with itself better does so by chance
-_USUAL = readonly(np.array([0.01, 0.01, 0.01]))
-
-
 def localization_errors(motion: RecordedMotion) -> LocalizationErrors:
-    """Spread and jumps of the localization."""
-    names = (
-        ("localization sigma, position", "m"), ("localization sigma, yaw", "rad"),
-        ("localization jumps", "1/s"), ("size of localization jumps", "m"),
-    )  # fmt: skip
-    found = [docks_in_map(one, float(motion.values[3])) for one in motion.of]
+    """Return spread and jumps of the localization."""
+    position, yaw = ("localization sigma, position", "m"), ("localization sigma, yaw", "rad")
+    rate, size = ("localization jumps", "1/s"), ("size of localization jumps", "m")
+    found = [docks_in_map(one, motion.delay) for one in motion.of]
     found = [one for one in found if len(one.stamps) > 0]
     if sum(len(one.stamps) for one in found) < _LEAST:
-        reason = "localization and dock were hardly ever known at the same time"
-        return LocalizationErrors([unknown(name, unit, reason) for name, unit in names], [])
+        reason = "localization and detections hardly overlap in time"
+        return LocalizationErrors([unknown(*name, reason) for name in (position, yaw, rate, size)], [])
     docks = np.concatenate([one.dock for one in found])
     first = float(docks[0, 2])
     dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(wrap_angles(docks[:, 2] - first)))])
     series = [_binned(one, dock, _BIN) for one in found]
-    least = _by_drift(series)
+    least = _least_jump(series)
     jumps = [_jumps(rows, least) for rows in series]
-    sizes = np.array([size for one in jumps for _, size in one])
-    steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
-    exposure = max(float(np.sum(steps[steps < _GAP])), _BIN)
     thin = [_binned(one, dock, _EVERY) for one in found]
     cut = [[stamp for stamp, _ in one] for one in jumps]
     quantities = [
-        _spread(names[0], thin, cut, (1, 2)),
-        _spread(names[1], thin, cut, (3,)),
-        _rate(names[2], len(sizes), exposure, least, len(series)),
-        _size(names[3], sizes, exposure, len(series)),
+        _spread(position, thin, cut, (1, 2)),
+        _spread(yaw, thin, cut, (3,)),
+        *_jump_quantities(rate, size, series, jumps, least),
     ]
     return LocalizationErrors(quantities, [rows[:, :4] for rows in series])
 
 
-def _rate(name: tuple[str, str], jumps: int, exposure: float, least: float, sources: int) -> Quantity:
-    if least > _MOST_JUMP:
-        return unknown(*name, f"the localization wanders: no jump of less than {least:.2f} m could be told from that")
-    return Quantity(*name, *poisson_rate(jumps, exposure), jumps, sources)
-
-
-def _size(name: tuple[str, str], sizes: FloatArray, exposure: float, sources: int) -> Quantity:
-    """The mean size of jumps."""
-    if len(sizes) < 2:
-        return unknown(*name, f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes))
-    value, low, high = mean_of(sizes)
-    return Quantity(*name, value, max(low - _IN_A_JUMP, 0.0), high + _IN_A_JUMP, len(sizes), sources)
-
-
-def _errors(robot: FloatArray, seen: FloatArray, dock: FloatArray) -> FloatArray:
-    """Of the localization at the robot, x, y [m], yaw [rad] in the map, Shape (n, 3).
-
-    Args:
-        robot: In the map by localization, Shape (n, 3).
-        seen: The dock in the map by these and detections, Shape (n, 3).
-        dock: Where it is in the map, Shape (3,).
-    """
-    truly = _composed(np.broadcast_to(dock, seen.shape), _seen_from(seen, robot))
-    return np.column_stack((robot[:, :2] - truly[:, :2], wrap_angles(robot[:, 2] - truly[:, 2])))
-
-
-def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses in frames, seen from where the frames are given in, Shape (n, 3)."""
-    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
-    x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
-    return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))
-
-
-def _seen_from(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses as seen from frames, Shape (n, 3)."""
-    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
-    x, y = poses[:, 0] - frames[:, 0], poses[:, 1] - frames[:, 1]
-    return np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - frames[:, 2]))
-
-
 def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
-    """Errors of the localization with a dock at a pose in the map, in means of bins of some width [s].
+    """Weighted means of the errors of the localization in bins of `width` [s], with the dock known, Shape (b, 6).
 
-    Returns:
-        Stamps, errors of x, y, yaw, and variances of what detections make of position and yaw, Shape (b, 6).
+    The columns are stamps, errors of x, y, yaw, and variances of the position and the yaw by the detections.
     """
-    number = np.floor((one.stamps - one.stamps[0]) / width)
-    errors, certain = _errors(one.robot, one.dock, dock), 1.0 / one.variances
+    true = _composed(np.broadcast_to(dock, one.dock.shape), relative_poses(one.dock, one.robot))
+    errors = np.column_stack((one.robot[:, :2] - true[:, :2], wrap_angles(one.robot[:, 2] - true[:, 2])))
+    number, certain = np.floor((one.stamps - one.stamps[0]) / width), 1.0 / one.variances
     rows = []
     for bin_ in np.unique(number).tolist():
         inside = number == bin_
@@ -212,17 +171,8 @@ def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
     return np.array(rows)
 
 
-def _by_drift(series: list[FloatArray]) -> float:
-    """The size from which on a change is a jump [m]: changes by drift have the median that all of them have."""
-    changes = np.array([size for rows in series for _, size, _ in _changes(rows)])
-    if len(changes) == 0:
-        return _LEAST_JUMP
-    sigma = float(np.median(changes)) / math.sqrt(2.0 * math.log(2.0))  # of x and y each: a length is Rayleigh's
-    return max(_LEAST_JUMP, _TIMES_DRIFT * sigma)
-
-
 def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
-    """Rows, how far the means before and after are apart, and by how much they are by chance, x and y each [m]."""
+    """For each row: index, distance of the means before and after, and its standard deviation per axis [m]."""
     found = []
     for k in range(_SIDE, len(rows) - _SIDE + 1):
         (before, one), (after, other) = _mean(rows[k - _SIDE : k]), _mean(rows[k : k + _SIDE])
@@ -231,8 +181,24 @@ def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
     return found
 
 
+def _mean(rows: FloatArray) -> tuple[FloatArray, float]:
+    """Weighted mean of x and y, and the variance of each."""
+    weights = 1.0 / rows[:, 4]
+    mean: FloatArray = weights @ rows[:, 1:3] / np.sum(weights)
+    return mean, float(1.0 / np.sum(weights))
+
+
+def _least_jump(series: list[FloatArray]) -> float:
+    """Smallest change that is a jump [m]; the drift is estimated from the median change."""
+    changes = np.array([size for rows in series for _, size, _ in _changes(rows)])
+    if len(changes) == 0:
+        return _LEAST_JUMP
+    sigma = float(np.median(changes)) / math.sqrt(2.0 * math.log(2.0))  # per axis: a length is Rayleigh distributed
+    return max(_LEAST_JUMP, _TIMES_DRIFT * sigma)
+
+
 def _jumps(rows: FloatArray, least: float) -> list[tuple[float, float]]:
-    """Stamps and sizes [s, m] of jumps: where the means before and after differ, and most near by."""
+    """Stamps and sizes [s, m] of jumps: local maxima of the significant changes."""
     steps = np.zeros(len(rows))
     for k, size, chance in _changes(rows):
         if size > max(least, _BY_CHANCE * chance):
@@ -241,22 +207,38 @@ def _jumps(rows: FloatArray, least: float) -> list[tuple[float, float]]:
     return [(float(rows[k, 0]), float(steps[k])) for k in np.flatnonzero((steps > 0.0) & (steps >= np.array(around)))]
 
 
-def _mean(rows: FloatArray) -> tuple[FloatArray, float]:
-    """Mean x and y by their variances, and the variance of each."""
-    weights = 1.0 / rows[:, 4]
-    mean: FloatArray = weights @ rows[:, 1:3] / np.sum(weights)
-    return mean, float(1.0 / np.sum(weights))
+def _jump_quantities(
+    rate: tuple[str, str],
+    size: tuple[str, str],
+    series: list[FloatArray],
+    jumps: list[list[tuple[float, float]]],
+    least: float,
+) -> list[Quantity]:
+    """Rate and mean size of jumps."""
+    sizes = np.array([size for one in jumps for _, size in one])
+    steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
+    exposure = max(float(np.sum(steps[steps < _GAP])), _BIN)
+    if least > _MOST_JUMP:
+        reason = f"jumps of less than {least:.2f} m cannot be distinguished from the drift of the localization"
+        found = [unknown(*rate, reason)]
+    else:
+        found = [Quantity(*rate, *poisson_rate(len(sizes), exposure), len(sizes), len(series))]
+    if len(sizes) < 2:
+        return [*found, unknown(*size, f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes))]
+    value, low, high = mean_of(sizes)
+    bounds = max(low - _IN_A_JUMP, 0.0), high + _IN_A_JUMP
+    return [*found, Quantity(*size, value, *bounds, len(sizes), len(series))]
 
 
 def _spread(
     name: tuple[str, str], series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]
 ) -> Quantity:
-    """Standard deviation of an error that drifts: a Gauss-Markov process, by maximum likelihood.
+    """Standard deviation of a drifting error: a Gauss-Markov process, by maximum likelihood.
 
-    Its correlation time and a white part, beside that of the detections, are estimated too; the dock and what each jump
-    has added are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3). A jump while
-    the dock was not seen moves all that a recording shows; so the lower bound is that of a model in which recordings
-    are off by offsets of their own, whose standard deviation is one more unknown.
+    The correlation time and a white part, in addition to the noise of the detections, are estimated too; the dock and
+    the sizes of jumps are unknown. The interval is that of the profile likelihood ([Pawitan2001] ch. 3). As a jump
+    before the dock is first detected shifts a whole recording, the lower bound is taken from a model with one more
+    unknown, the standard deviation of an offset of each recording.
     """
     from scipy.optimize import brentq, minimize_scalar
 
@@ -264,13 +246,13 @@ def _spread(
     lowest, highest = _LIMITS
 
     def bound(limit: float, *, offsets: bool) -> tuple[float, float]:
-        """The best standard deviation, and the end of its interval towards a limit, as logarithms."""
+        """Return the logarithms of the estimate and of the bound towards `limit`."""
 
         def profile(logarithm: float) -> float:
             return process.profile(math.exp(logarithm), offsets=offsets)
 
         best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-        # How far the likelihood falls to the end: Student's quantile instead of the normal one, as recordings are few.
+        # Student's quantile replaces the normal one, as recordings are few.
         level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
         if profile(limit) < level:
             return at, limit
@@ -285,14 +267,8 @@ def _spread(
     return Quantity(*name, math.exp(at), math.exp(low), math.exp(high), count, len(series))
 
 
-_LIMITS = math.log(3e-4), math.log(0.3)  # [m] or [rad], of the standard deviation that is looked for
-# Of correlation time, white part and offsets of recordings.
-_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.01)), (math.log(2e-4), math.log(0.2))
-_GUESS = math.log(10.0), math.log(0.003), math.log(0.01)  # as AMCL drifts, and as a second of detections is exact
-
-
 class _Process:
-    """The likelihood of errors of localization."""
+    """Likelihood of the errors of the localization."""
 
     def __init__(self, series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]) -> None:
         number = np.repeat(np.arange(len(series)), [len(rows) for rows in series])
@@ -308,7 +284,7 @@ class _Process:
                 self._known += _UNKNOWN**2 * np.multiply.outer(after, after)
 
     def profile(self, sigma: float, *, offsets: bool) -> float:
-        """Negative logarithm of the likelihood of a standard deviation, with the others as fit best."""
+        """Negative log profile likelihood of a standard deviation."""
         from scipy.optimize import minimize
 
         def misfit(others: FloatArray) -> float:

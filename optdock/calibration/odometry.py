@@ -1,39 +1,104 @@
-"""The window that the odometry's twist is a mean over, and how old the odometry is when it is used."""
+"""Odometry: scales, drift and the errors of wheels that cause them, window of the twist, age of the poses."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.calibration.statistics import LEAST_CLUSTERS, Quantity, clusters_of, fit, mean_of, unknown
+from optdock.geometry.pose import wrap_angles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from optdock.calibration.motion_smoother import RecordedMotion
     from optdock.calibration.recording import Recording
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["odometry_age", "twist_window"]
+__all__ = ["odometry_age", "odometry_quantities", "twist_window"]
+
+_LEAST_TRIP, _LEAST_TURN = 0.3, 0.3  # [m], [rad] in total: over less, an error of 10 % is not visible
 
 _STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima where the speed hardly changes
-_LONGEST = 1.0  # [s]: a twist that is older steers no robot
-_LEAST_ACCELERATION = 0.05  # [m/s]: of a speed that changes by less, means over different windows are the same
+_LONGEST = 1.0  # [s]: a twist that is older is useless for control
+_LEAST_CHANGE = 0.05  # [m/s]: means over different windows are equal if the speed changes by less
 _ROUGH = 0.1  # of the time between two poses
 _CLUSTER = 2.0  # [s]: longer than the windows
-_SPAN = 0.3  # [s] of a residual: longer than the usual windows, so that all of a change of speed is in it
+_SPAN = 0.3  # [s] of a residual: longer than the usual windows, so that it contains a whole change of speed
 _GRID = 0.002  # [s]: half of the jitter of stamps
 _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a robot's width
 
 
+def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
+    """Return the scales of distances and turns, the turn per metre and the delay of the detections.
+
+    With a track width also the errors of the wheels' radii and of the track width.
+
+    Args:
+        motion: Smoothed recordings.
+        track_width: Distance between the wheels [m]; 0 if unknown.
+    """
+    ways = [np.diff(one.seen_from_dock, axis=0) for one in motion.of]
+    way = sum(float(np.sum(np.hypot(step[:, 0], step[:, 1]))) for step in ways)
+    turned = sum(float(np.sum(np.abs(wrap_angles(step[:, 2])))) for step in ways)
+    half = 0.5 * track_width
+    rows = [  # each a linear combination of scale, drift, turn scale and delay
+        ("scale of the way", "1", (1.0, 0.0, 0.0, 0.0)),
+        ("turn per metre", "rad/m", (0.0, 1.0, 0.0, 0.0)),
+        ("scale of turns", "1", (0.0, 0.0, 1.0, 0.0)),
+        ("detections late by", "s", (0.0, 0.0, 0.0, 1.0)),
+        ("left wheel's radius beyond what is believed", "1", (1.0, -half, 0.0, 0.0)),
+        ("right wheel's radius beyond what is believed", "1", (1.0, half, 0.0, 0.0)),
+        ("track width beyond what is believed", "1", (1.0, 0.0, -1.0, 0.0)),
+    ]
+    count = 3 * sum(len(one.seen.ranges) for one in motion.of)
+    found = []
+    for name, unit, weights in rows:
+        reason = _missing(name, way, turned, track_width)
+        if reason:
+            found.append(unknown(name, unit, reason, count))
+            continue
+        slope = np.array([weights])
+        value = float((slope @ motion.values)[0])
+        spread = 1.96 * math.sqrt(float((slope @ motion.covariance @ slope.T)[0, 0]))
+        found.append(Quantity(name, unit, value, value - spread, value + spread, count, len(motion.of)))
+    return found
+
+
+def _missing(name: str, way: float, turned: float, track_width: float) -> str:
+    """Reason why a quantity is unknown; empty if it is known."""
+    if way < _LEAST_TRIP:
+        return f"the robot drove {way:.2f} m only while it saw the dock"
+    if turned < _LEAST_TURN and name in ("scale of turns", "track width beyond what is believed"):
+        return f"the robot turned by {turned:.2f} rad only while it saw the dock"
+    if track_width == 0.0 and name.endswith("is believed"):
+        return "the distance between the wheels, robot.limits.track_width, is unknown"
+    return ""
+
+
+def odometry_age(recordings: Sequence[Recording]) -> Quantity:
+    """Return the mean age of the newest pose of the odometry in a control cycle [s]."""
+    name, unit = "age of the odometry", "s"
+    ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
+    if not ages:
+        return unknown(name, unit, "no control cycle is recorded with the pose of the odometry that it used")
+    # Means over 50 cycles are independent, as messages delay each other for a few cycles only.
+    blocks = [np.mean(part) for one in ages for part in np.array_split(one, max(1, len(one) // 50))]
+    if len(blocks) < 2:
+        return unknown(name, unit, "the recordings are shorter than 100 cycles")
+    return Quantity(name, unit, *mean_of(np.array(blocks)), sum(map(len, ages)), len(ages))
+
+
 def twist_window(recordings: Sequence[Recording]) -> Quantity:
-    """The time over which the twist is a mean of the odometry's own increments [s]."""
+    """Return the time over which the twist is a mean of the odometry's own increments [s]."""
     name, unit = "twist window", "s"
     used = [one for one in recordings if len(one.odometry) > 20]
     if not used:
-        return unknown(name, unit, "the odometry told no poses")
+        return unknown(name, unit, "the odometry contains no poses")
     changes = max(float(np.ptp(one.odometry_twists[:, 0])) for one in used)
-    if changes < _LEAST_ACCELERATION:
+    if changes < _LEAST_CHANGE:
         return unknown(name, unit, "the speed of the robot never changed")
     parts = [_Increments(one) for one in used]
     clusters = _clusters(parts)
@@ -48,57 +113,42 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     value, low, high = found.interval(0)
     if high - low > _LONGEST:
         return unknown(name, unit, "the twists fit with windows of any length", len(clusters))
-    # Between two poses the way is taken as straight in time; what that does to means is a share of their distance.
+    # The distance is interpolated linearly between two poses; the error of means is a share of the time between them.
     rough = _ROUGH * float(np.median(np.concatenate([np.diff(one.odometry[:, 0]) for one in used])))
     return Quantity(name, unit, value, max(low - rough, 0.0), high + rough, len(clusters), len(used))
 
 
-def odometry_age(recordings: Sequence[Recording]) -> Quantity:
-    """How old the newest pose of the odometry is in a control cycle, in the mean [s]."""
-    name, unit = "age of the odometry", "s"
-    ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
-    if not ages:
-        return unknown(name, unit, "no control cycle is recorded with the pose of the odometry that it used")
-    # Means over 50 cycles are independent, as messages wait for each other for a few cycles only.
-    blocks = [np.mean(part) for one in ages for part in np.array_split(one, max(1, len(one) // 50))]
-    if len(blocks) < 2:
-        return unknown(name, unit, "the recordings are shorter than 100 cycles")
-    return Quantity(name, unit, *mean_of(np.array(blocks)), sum(map(len, ages)), len(ages))
-
-
 class _Increments:
-    """Way and yaw by the poses of one recording, and the integrals of the twists beside them.
+    """Distance and yaw of one recording by its poses, and the integrals of its twists.
 
-    Integrals over a span are compared, as increments over a short window are mostly the jitter of the stamps.
+    Integrals over a span are compared, as increments over a short window are mostly jitter of the stamps.
     """
 
     def __init__(self, recording: Recording) -> None:
-        self.stamps, poses = recording.path
-        step, steps = np.diff(poses, axis=0), np.diff(self.stamps)
-        middle = poses[:-1, 2] + 0.5 * step[:, 2]
-        along = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
-        ways = np.concatenate(([0.0], np.cumsum(along))), poses[:, 2] - poses[0, 2]
-        told = recording.odometry_twists
-        grid = np.arange(self.stamps[0], self.stamps[-1], _GRID)
-        self._grid = grid
-        self._ways = [np.interp(grid, self.stamps, way) for way in ways]
-        self._summed = [np.concatenate(([0.0], np.cumsum(0.5 * (way[1:] + way[:-1]) * _GRID))) for way in self._ways]
-        self._told = [np.concatenate(([0.0], np.cumsum(0.5 * (told[1:, k] + told[:-1, k]) * steps))) for k in range(2)]
+        path = recording.path
+        self.stamps, steps = path.times, np.diff(path.times)
+        twists = recording.odometry_twists
+        self._grid = np.arange(self.stamps[0], self.stamps[-1], _GRID)
+        ways = [np.interp(self._grid, self.stamps, way) for way in path.ways]
+        self._summed = [np.concatenate(([0.0], np.cumsum(0.5 * (way[1:] + way[:-1]) * _GRID))) for way in ways]
+        self._integrals = [
+            np.concatenate(([0.0], np.cumsum(0.5 * (twists[1:, k] + twists[:-1, k]) * steps))) for k in range(2)
+        ]
         last = np.searchsorted(self.stamps, self.stamps + _SPAN)
-        first = np.flatnonzero((self.stamps - _LONGEST > self.stamps[0]) & (last < len(self.stamps)))
-        self.rows, self._ends = first, last[first]
+        self.rows = np.flatnonzero((self.stamps - _LONGEST > self.stamps[0]) & (last < len(self.stamps)))
+        self._ends = last[self.rows]
 
     def residuals(self, window: float) -> FloatArray:
         """Integrals of the means over the window minus those of the twist, linear and angular, Shape (2 n,) [m]."""
         off = []
-        for summed, told, scale in zip(self._summed, self._told, (1.0, _LEVER), strict=True):
+        for summed, integral, scale in zip(self._summed, self._integrals, (1.0, _LEVER), strict=True):
             ahead, back = (np.interp(self.stamps - lag, self._grid, summed) for lag in (0.0, window))
-            gap = (ahead - back) / window - told
+            gap = (ahead - back) / window - integral
             off.append(scale * (gap[self._ends] - gap[self.rows]))
         return np.concatenate(off)
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """As `clusters_of`; each part has residuals of the way and, at the same times, of the turn."""
+    """Cluster indices of the residuals; each part has a linear and an angular one at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

@@ -1,4 +1,4 @@
-"""The picture of a calibration: residuals and fits, and where the recordings saw the dock in the map."""
+"""Picture of a calibration: residuals and fits, and the dock in the map by each recording."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from optdock.calibration.calibrate import Calibration
-    from optdock.calibration.recorded_motion import RecordedMotion
+    from optdock.calibration.motion_smoother import RecordedMotion
 
 __all__ = ["save_calibration_picture"]
 
-_SHOWN = 15.0  # [s] of the answer of the drive: as much as can be told apart
-_PAUSE = 1.5  # [s] after which no line joins two errors
+_SHOWN = 15.0  # [s] of the response of the drive: curves of more are too dense
+_PAUSE = 1.5  # [s]: errors farther apart are not joined by a line
 
 
 def save_calibration_picture(target: str | Path, calibration: Calibration) -> None:
-    """Draw how the drive answers, how exact detections are, how localization errs, and where the dock is.
+    """Draw the response of the drive, residuals of detections, errors of the localization, and the dock in the map.
 
     Args:
-        target: Where; the suffix chooses the format.
-        calibration: What was found.
+        target: File; the suffix selects the format.
+        calibration: Result of a calibration.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     figure = new_figure(12.0, 8.5)
     grid = figure.add_gridspec(2, 6)
@@ -46,10 +46,7 @@ def save_calibration_picture(target: str | Path, calibration: Calibration) -> No
 
 def _draw_response(axes: Axes, calibration: Calibration) -> None:
     answers = calibration.response.answers
-    axes.set_title("drive: as told by the odometry, and as fitted", fontsize=10)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("speed [m/s], yaw rate [rad/s]")
-    _grid(axes)
+    _label(axes, "drive: odometry and fit", "time [s]", "speed [m/s], yaw rate [rad/s]")
     if not answers:
         return
     times, columns = answers[0]
@@ -63,17 +60,13 @@ def _draw_response(axes: Axes, calibration: Calibration) -> None:
 
 
 def _draw_detections(axes: Axes, motion: RecordedMotion | None, index: int) -> None:
-    """Residuals of x and y together, or of yaw, over the range, and the standard deviations found."""
+    """Draw residuals of x and y (index 0) or yaw (index 2) over the range, and the estimated standard deviations."""
     name, unit, scale = ("position", "mm", 1e3) if index == 0 else ("yaw", "degrees", 180.0 / np.pi)
-    axes.set_title(f"detections: residuals of {name}, and 1 and 2 sigma", fontsize=10)
-    axes.set_xlabel("range [m]")
-    axes.set_ylabel(f"residual [{unit}]")
-    _grid(axes)
+    _label(axes, f"detections: residuals of {name}, and 1 and 2 sigma", "range [m]", f"residual [{unit}]")
     if motion is None:
         return
     for one in motion.of:
-        for column in range(index, index + 2 if index == 0 else 3):
-            residuals = scale * one.seen.residuals[:, column]
+        for residuals in scale * one.seen.residuals.T[[0, 1] if index == 0 else [2]]:
             axes.plot(one.seen.ranges, residuals, ".", color=COLOURS["path"], markersize=2.5)
     farthest = max(float(np.max(one.seen.ranges)) for one in motion.of)
     ranges = np.linspace(0.0, farthest, 50)
@@ -84,31 +77,24 @@ def _draw_detections(axes: Axes, motion: RecordedMotion | None, index: int) -> N
 
 
 def _draw_localization(axes: Axes, calibration: Calibration) -> None:
-    axes.set_title("localization: error of x and y", fontsize=10)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("error [mm]")
-    _grid(axes)
+    _label(axes, "localization: error of x and y", "time [s]", "error [mm]")
     if calibration.localization is None:
         return
-    for colour, name in (("path", "x"), ("goal", "y")):
+    for column, (colour, name) in enumerate((("path", "x"), ("goal", "y")), start=1):
         axes.plot([], [], ".-", color=COLOURS[colour], label=name)
+        for rows in calibration.localization.series:
+            for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
+                times, errors = part[:, 0] - rows[0, 0], 1e3 * part[:, column]
+                axes.plot(times, errors, ".-", color=COLOURS[colour], linewidth=0.8, markersize=2.0)
     axes.legend(fontsize=7, loc="best")
-    for rows in calibration.localization.series:
-        for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
-            t = part[:, 0] - rows[0, 0]
-            axes.plot(t, 1e3 * part[:, 1], ".-", color=COLOURS["path"], linewidth=0.8, markersize=2.0)
-            axes.plot(t, 1e3 * part[:, 2], ".-", color=COLOURS["goal"], linewidth=0.8, markersize=2.0)
 
 
 def _draw_docks(axes: Axes, calibration: Calibration) -> None:
-    axes.set_title("the dock in the map", fontsize=10)
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    _label(axes, "the dock in the map", "x [m]", "y [m]")
     axes.set_aspect("equal", adjustable="datalim")
-    _grid(axes)
     if calibration.motion is not None:
         for k, one in enumerate(calibration.motion.of):
-            rows = docks_in_map(one, float(calibration.motion.values[3])).dock
+            rows = docks_in_map(one, calibration.motion.delay).dock
             axes.plot(rows[:, 0], rows[:, 1], ".", color=COLOURS["limit"], markersize=2.0, label="" if k else "single")
             if len(rows):
                 middle = np.mean(rows[:, :2], axis=0)
@@ -126,6 +112,9 @@ def _draw_docks(axes: Axes, calibration: Calibration) -> None:
         axes.legend(fontsize=7, loc="best")
 
 
-def _grid(axes: Axes) -> None:
+def _label(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
     axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)
     axes.tick_params(labelsize=8)

@@ -1,51 +1,91 @@
-"""What was measured and commanded on one drive, as arrays, whichever file it comes from."""
+"""Recordings: measurements and commands of one drive, from logs, run files and recordings of ROS 2."""
 
 from __future__ import annotations
 
+import json
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
+from optdock.errors import InvalidFile, InvalidMessage, OptdockError
 from optdock.executor.checked_dock_type import CheckedDockType
-from optdock.geometry.pose import Pose2, normalize_angle, unwrap_yaw
+from optdock.executor.log import LOG_FORMAT
+from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import Pose2, normalize_angle, pose_errors, unwrap_yaw
+from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.run_file import RUN_FORMAT, load_run
 from optdock.plugins.interfaces import DockType
 from optdock.plugins.registry import create_plugin
+from optdock.ros.bag import open_bag
+from optdock.ros.motion import odometry, pose, twist
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from optdock.executor.log import DockingLog
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.io.run_file import RunColumns
     from optdock.model.measurements import Measurements
     from optdock.model.robot import Robot
+    from optdock.ros.bag import BagRecording
+    from optdock.ros.messages import Message
 
-__all__ = ["Path2", "Recording", "recording_of_log"]
+__all__ = ["OdometryPath", "ReadFile", "Recording", "read_recording", "recording_of_log"]
 
-_SAME = 1e-6  # [m], [rad]: a correction of the odometry that has not changed, to rounding
+_SAME = 1e-6  # [m], [rad]: corrections of the odometry that differ by less are equal up to rounding
+
+_ODOMETRY = ("/odom", "/odometry/filtered")  # Nav2's names
+_COMMANDS = ("/cmd_vel", "/cmd_vel_smoothed", "/cmd_vel_nav")
+_COMMAND_TYPES = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist")
+_DETECTED = ("/detected_dock_pose",)
+_Value = TypeVar("_Value")
+
+_NONE, _NO_POSES, _NO_DETECTIONS = (readonly(np.zeros(shape)) for shape in ((0,), (0, 4), (0, 6)))
 
 
-class Path2(NamedTuple):
-    """Dead reckoning: times, Shape (n,), rising [s], poses, Shape (n, 3), yaw continuous, in a frame of its own."""
+class OdometryPath(NamedTuple):
+    """Path by dead reckoning, in an arbitrary frame.
+
+    Attributes:
+        times: Rising, Shape (n,) [s].
+        poses: Poses with continuous yaw, Shape (n, 3).
+    """
 
     times: FloatArray
     poses: FloatArray
 
+    @property
+    def increments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Distances along and across the mean heading [m] and turn [rad] of every step, Shape (n - 1,) each."""
+        step = np.diff(self.poses, axis=0)
+        middle = self.poses[:-1, 2] + 0.5 * step[:, 2]
+        c, s = np.cos(middle), np.sin(middle)
+        return c * step[:, 0] + s * step[:, 1], c * step[:, 1] - s * step[:, 0], step[:, 2]
+
+    @property
+    def ways(self) -> tuple[FloatArray, FloatArray]:
+        """Distance along the heading [m] and turn [rad] since the beginning, Shape (n,) each."""
+        return np.concatenate(([0.0], np.cumsum(self.increments[0]))), self.poses[:, 2] - self.poses[0, 2]
+
 
 class Recording(NamedTuple):
-    """One drive. Stamps are on the clock of its measurements [s], poses in rows of x, y [m], yaw [rad].
+    """One drive. Stamps are on the clock of its measurements [s], poses are rows of x, y [m], yaw [rad].
 
     Attributes:
-        source: The file.
-        times: Of the control cycles, Shape (n,).
-        commands: Linear and angular, given then, Shape (n, 2) [m/s, rad/s].
-        twists: Linear and angular, told then, Shape (n, 2).
-        odometry: Stamps and poses of the odometry, each once, Shape (m, 4); empty where only twists were told.
-        odometry_twists: Told with those poses, Shape (m, 2).
-        odometry_ages: Of the newest pose in each cycle, Shape (n,) or empty [s].
+        source: File name.
+        times: Times of the control cycles, Shape (n,).
+        commands: Linear and angular commands of the cycles, Shape (n, 2) [m/s, rad/s].
+        twists: Linear and angular speeds measured in the cycles, Shape (n, 2).
+        odometry: Stamps and poses of the odometry, each once, Shape (m, 4); empty if there were only twists.
+        odometry_twists: Speeds measured with these poses, Shape (m, 2).
+        odometry_ages: Age of the newest pose in each cycle, Shape (n,) or empty [s].
         localization: Stamps and poses in the map, each estimate once, Shape (k, 4).
-        detections: Stamps, poses of the docked robot seen from the robot, told sigmas, Shape (d, 6).
-        stored: Where the dock is stored in the map; None: there is none.
-        docked_at: When it was said to be docked [s]; None: it was not.
-        robot: As it was planned for; None: not known.
+        detections: Stamps, docked poses in the robot's frame, reported sigmas, Shape (d, 6).
+        stored: Stored pose of the docked robot in the map; None if there is none.
+        docked_at: Time at which docking succeeded [s]; None if it did not.
+        robot: Robot the plans were made for; None if unknown.
     """
 
     source: str
@@ -54,117 +94,262 @@ class Recording(NamedTuple):
     twists: FloatArray
     odometry: FloatArray
     odometry_twists: FloatArray
-    odometry_ages: FloatArray
-    localization: FloatArray
-    detections: FloatArray
-    stored: Pose2 | None
-    docked_at: float | None
-    robot: Robot | None
+    odometry_ages: FloatArray = _NONE
+    localization: FloatArray = _NO_POSES
+    detections: FloatArray = _NO_DETECTIONS
+    stored: Pose2 | None = None
+    docked_at: float | None = None
+    robot: Robot | None = None
 
     @property
     def track_width(self) -> float:
-        """Distance between the wheels [m]; 0: not known."""
+        """Distance between the wheels [m]; 0 if unknown."""
         return 0.0 if self.robot is None else self.robot.limits.track_width
 
     @property
-    def path(self) -> Path2:
-        """The way of the robot by its odometry: its poses, or else the integral of its twists."""
+    def path(self) -> OdometryPath:
+        """Poses of the odometry, or the integral of the twists if there are none."""
         if len(self.odometry) > 1:
-            return Path2(self.odometry[:, 0], np.column_stack((self.odometry[:, 1:3], unwrap_yaw(self.odometry[:, 3]))))
+            poses = np.column_stack((self.odometry[:, 1:3], unwrap_yaw(self.odometry[:, 3])))
+            return OdometryPath(self.odometry[:, 0], poses)
         steps, mean = np.diff(self.times), 0.5 * (self.twists[1:] + self.twists[:-1])
         yaw = np.concatenate(([0.0], np.cumsum(mean[:, 1] * steps)))
         middle, way = 0.5 * (yaw[1:] + yaw[:-1]), mean[:, 0] * steps
         x, y = (np.concatenate(([0.0], np.cumsum(way * part))) for part in (np.cos(middle), np.sin(middle)))
-        return Path2(self.times, np.column_stack((x, y, yaw)))
+        return OdometryPath(self.times, np.column_stack((x, y, yaw)))
+
+
+class ReadFile(NamedTuple):
+    """Content of one file.
+
+    Attributes:
+        recording: The drive.
+        deviation: Largest distance across the path [m] and largest turn off it [rad] of a docking; None if there is no
+            completed docking along a path, or a log could not be replayed exactly.
+    """
+
+    recording: Recording
+    deviation: tuple[float, float] | None
+
+
+def read_recording(source: str | Path) -> ReadFile:
+    """Read a log, a run file or a recording of ROS 2.
+
+    Raises:
+        InvalidFile: If the file cannot be read, is of another kind, or is damaged.
+        MissingExtra: If a recording of ROS 2 is read without the extra `bag`.
+    """
+    source = Path(source)
+    if source.is_dir() or source.suffix in (".mcap", ".db3"):
+        return ReadFile(_recording_of_bag(source), None)
+    kind = _format_of(source)
+    if kind == RUN_FORMAT:
+        run = load_run(source)
+        return ReadFile(_recording_of_run(str(source), run), _deviation_of_run(run))
+    if kind != LOG_FORMAT:
+        raise InvalidFile(
+            f"{source}: must be a log ({LOG_FORMAT}), a run file ({RUN_FORMAT}) or a recording (.mcap, .db3)"
+        )
+    from optdock.executor.log_reader import read_log
+
+    log = read_log(source)
+    return ReadFile(recording_of_log(log), _deviation_of_log(log))
+
+
+def _format_of(source: Path) -> str:
+    """Format named in the first line or in the whole of a JSON file; empty if there is none."""
+    text = read_text(source, MostBytes.LOG)
+    for part in (text.partition("\n")[0], text):
+        try:
+            found = json.loads(part)
+        except ValueError:
+            continue
+        if isinstance(found, dict):
+            return str(found.get("format", ""))
+    return ""
+
+
+# Simulated runs: the true motion serves as odometry, the measured poses as localization.
+
+
+def _recording_of_run(source: str, run: RunColumns) -> Recording:
+    return Recording(
+        source=source,
+        times=run.times,
+        commands=run.commands,
+        twists=run.twists,
+        odometry=np.column_stack((run.times, run.poses)),
+        odometry_twists=run.twists,
+        localization=np.column_stack((run.times, run.measured)),
+        docked_at=float(run.times[-1]) if run.docked else None,
+    )
+
+
+def _deviation_of_run(run: RunColumns) -> tuple[float, float] | None:
+    if not run.docked:
+        return None
+    off = np.abs(pose_errors(run.poses, run.planned))
+    return float(np.max(off[:, 1])), float(np.max(off[:, 2]))
+
+
+# Logs of dockings.
 
 
 def recording_of_log(log: DockingLog) -> Recording:
-    """The drive of a docking log; its detections are those that its dock type took for its own.
+    """Return the drive of a docking log, with the detections accepted by its dock type.
 
     Raises:
-        PluginError: The dock type is not installed, or answers something else than it is asked.
-        InvalidValue: Its parameters are not those of the installed one.
+        PluginError: If the dock type is not installed or returns an invalid answer.
+        InvalidValue: If the installed dock type refuses its parameters.
     """
     cycles = [cycle for cycle in log.cycles if np.isfinite(cycle.measurements.stamp)]
     measured = [cycle.measurements for cycle in cycles]
     times = np.array([one.stamp for one in measured])
-    rising = np.concatenate(([True], times[1:] > np.maximum.accumulate(times)[:-1]))
-    commands = np.array([(cycle.command.linear, cycle.command.angular) for cycle in cycles]).reshape(-1, 2)
-    twists = np.array([(one.twist.linear, one.twist.angular) for one in measured]).reshape(-1, 2)
-    odometry, odometry_twists = _odometry(measured)
+    rising = _are_rising(times)
+    odometry_rows, odometry_twists = _log_odometry(measured)
     ages = [one.stamp - one.odometry.stamp for one in measured if one.odometry is not None]
-    ages = [age for age in ages if math.isfinite(age)]
     ending = log.cycles[-1].ending
     is_docked = log.task.task == "dock" and ending is not None and ending.kind.succeeded
     return Recording(
-        log.source,
-        times[rising],
-        commands[rising],
-        twists[rising],
-        odometry,
-        odometry_twists,
-        np.array(ages),
-        _localization(measured),
-        _detections(_of_dock(log, measured)),
-        log.task.problem.goal,
-        ending.stamp if is_docked and ending is not None else None,
-        log.task.problem.robot,
+        source=log.source,
+        times=times[rising],
+        commands=_rows([(cycle.command.linear, cycle.command.angular) for cycle in cycles], 2)[rising],
+        twists=_rows([(one.twist.linear, one.twist.angular) for one in measured], 2)[rising],
+        odometry=odometry_rows,
+        odometry_twists=odometry_twists,
+        odometry_ages=np.array([age for age in ages if math.isfinite(age)]),
+        localization=_log_localization(measured),
+        detections=_log_detections(log, measured),
+        stored=log.task.problem.goal,
+        docked_at=ending.stamp if is_docked and ending is not None else None,
+        robot=log.task.problem.robot,
     )
 
 
-def _odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]:
-    """Stamps and poses of the odometry, and the twists beside them, each once and in order."""
+def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]:
+    """Stamps and poses of the odometry, and the twists of the same cycles, each once and in order."""
     rows, twists, newest = [], [], -np.inf
     for one in measured:
         if one.odometry is not None and one.odometry.stamp > newest:
-            newest, pose = one.odometry.stamp, one.odometry.pose
-            rows.append((newest, pose.x, pose.y, pose.yaw))
+            newest = one.odometry.stamp
+            rows.append((newest, *one.odometry.pose.as_array()))
             twists.append((one.twist.linear, one.twist.angular))
-    return np.array(rows).reshape(-1, 4), np.array(twists).reshape(-1, 2)
+    return _rows(rows, 4), _rows(twists, 2)
 
 
-def _localization(measured: list[Measurements]) -> FloatArray:
-    """Every estimate of the localization once.
+def _log_localization(measured: list[Measurements]) -> FloatArray:
+    """Stamps and poses of the localization, each estimate once.
 
-    Where a pose is told in every cycle, it is the odometry's moved by a correction that changes now and then, as
-    transforms from map to odom to base are looked up: each change is an estimate.
+    Unstamped poses of every cycle are the odometry moved by a correction, as looked up from transforms; each change of
+    the correction is an estimate.
     """
-    stamped = [(one.pose_stamp, one.pose) for one in measured if one.pose is not None and one.pose_stamp is not None]
-    if stamped:
-        newest = {stamp: pose for stamp, pose in stamped if stamp is not None}
-        return np.array([(stamp, *pose.as_array()) for stamp, pose in sorted(newest.items())]).reshape(-1, 4)
-    told = [(one.stamp, one.pose, one.odometry) for one in measured if one.pose is not None]
-    if all(odometry is None for _, _, odometry in told):
-        return np.array([(stamp, *pose.as_array()) for stamp, pose, _ in told]).reshape(-1, 4)
+    newest = {one.pose_stamp: one.pose for one in measured if one.pose is not None and one.pose_stamp is not None}
+    if newest:
+        return _rows([(stamp, *at.as_array()) for stamp, at in sorted(newest.items())], 4)
+    poses = [(one.stamp, one.pose, one.odometry) for one in measured if one.pose is not None]
+    if all(from_wheels is None for _, _, from_wheels in poses):
+        return _rows([(stamp, *at.as_array()) for stamp, at, _ in poses], 4)
     rows, before = [], None
-    for _, pose, odometry in told:
-        if odometry is None:
+    for _, at, from_wheels in poses:
+        if from_wheels is None:
             continue
-        correction = pose @ odometry.pose.inverse()
+        correction = at @ from_wheels.pose.inverse()
         if before is None or not _is_same(correction, before):
-            rows.append((odometry.stamp, *pose.as_array()))
+            rows.append((from_wheels.stamp, *at.as_array()))
         before = correction
-    return np.array(rows).reshape(-1, 4)
+    return _rows(rows, 4)
 
 
 def _is_same(one: Pose2, other: Pose2) -> bool:
     return max(abs(one.x - other.x), abs(one.y - other.y), abs(normalize_angle(one.yaw - other.yaw))) < _SAME
 
 
-def _of_dock(log: DockingLog, measured: list[Measurements]) -> list[Measurements]:
-    """The measurements as the executor received them: a log keeps detections in their order."""
-    asked = log.task.dock_type
-    if asked is None:
-        return measured
-    kind = CheckedDockType(create_plugin(DockType, asked.name, asked.parameters))
-    return [one._replace(detections=kind.detections(one)) for one in measured]
-
-
-def _detections(measured: list[Measurements]) -> FloatArray:
-    """Detections in the order of their stamps, each once."""
+def _log_detections(log: DockingLog, measured: list[Measurements]) -> FloatArray:
+    """Detections as the dock type returned them to the executor, each once, in the order of their stamps."""
+    choice = log.task.dock_type
+    if choice is not None:
+        kind = CheckedDockType(create_plugin(DockType, choice.name, choice.parameters))
+        measured = [one._replace(detections=kind.detections(one)) for one in measured]
     rows = {
         (one.stamp, one.pose.x, one.pose.y): (one.stamp, *one.pose.as_array(), one.position_sigma, one.yaw_sigma)
         for each in measured
         for one in each.detections
     }
-    return np.array([rows[key] for key in sorted(rows)]).reshape(-1, 6)
+    return _rows([rows[key] for key in sorted(rows)], 6)
+
+
+def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
+    from optdock.executor.replay import replay
+
+    if log.task.task != "dock" or log.cycles[-1].ending is None:
+        return None
+    try:
+        again = replay(log)
+    except OptdockError:  # a plugin is not installed, or in another version
+        return None
+    return again.off_path if again and again.off_path != (0.0, 0.0) else None
+
+
+# Recordings of ROS 2.
+
+
+def _recording_of_bag(source: Path) -> Recording:
+    """The drive in a recording of ROS 2; detections must be in the robot's frame, as `optdock bag` writes them."""
+    with open_bag(source) as bag:
+        odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
+        cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")
+        measured = [one for _, one in _values(bag, odom, odometry)]
+        if len(measured) < 2:
+            raise InvalidFile(f"{source}: {odom}: must have at least two messages, has {len(measured)}")
+        begin, base = measured[0].stamp, measured[0].child_frame
+        commands = [(time - begin, one.twist.linear, one.twist.angular) for time, one in _values(bag, cmd, twist)]
+        seen = []
+        topic = bag.find(_DETECTED, ("geometry_msgs/msg/PoseStamped",))
+        for _, found in _values(bag, topic, pose):
+            if found.frame != base:
+                raise InvalidFile(f"{source}: {topic}: must be in frame {base}, is in {found.frame}")
+            seen.append((found.stamp - begin, *found.pose.as_array(), 0.0, 0.0))
+    rows = _rows([(one.stamp - begin, *one.pose.as_array()) for one in measured], 4)
+    rising = _are_rising(np.array([one.stamp for one in measured]))
+    rows, twists = rows[rising], _rows([(one.twist.linear, one.twist.angular) for one in measured], 2)[rising]
+    command_rows = _rows(commands, 3)
+    command_rows = command_rows[_are_rising(command_rows[:, 0])]
+    near = np.clip(np.searchsorted(rows[:, 0], command_rows[:, 0]), 0, len(rows) - 1)
+    return Recording(
+        source=str(source),
+        times=command_rows[:, 0],
+        commands=command_rows[:, 1:],
+        twists=twists[near],
+        odometry=rows,
+        odometry_twists=twists,
+        detections=_rows(sorted(seen), 6),
+    )
+
+
+def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], what: str) -> str:
+    found = bag.find(names, kinds)
+    if not found:
+        raise InvalidFile(f"{bag.source}: has no {what}: it contains none of {', '.join(names)}")
+    return found
+
+
+def _values(bag: BagRecording, topic: str, convert: Callable[[Message], _Value]) -> Iterator[tuple[float, _Value]]:
+    """Times of reception [s] and values of the messages of a topic; errors name file and topic."""
+    for time, message in bag.messages(topic, 0.0, math.inf):
+        try:
+            value = convert(message)
+        except InvalidMessage as error:
+            raise InvalidFile(f"{bag.source}: {topic}: {error}") from error
+        yield time, value
+
+
+def _rows(rows: object, columns: int) -> FloatArray:
+    """Rows as an array, Shape (n, columns); n may be 0."""
+    return np.array(rows, dtype=np.float64).reshape(-1, columns)
+
+
+def _are_rising(stamps: FloatArray) -> BoolArray:
+    """Whether each stamp is later than all before it, Shape (n,)."""
+    if not len(stamps):
+        return np.zeros(0, dtype=np.bool_)
+    return np.concatenate(([True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]))

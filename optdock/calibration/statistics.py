@@ -1,4 +1,4 @@
-"""Estimates with 95 % confidence intervals, and what to say where a log holds none."""
+"""Estimates with 95 % confidence intervals: robust fits, maximum likelihood, means, shares and rates."""
 
 from __future__ import annotations
 
@@ -14,37 +14,39 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = [
-    "CONFIDENCE",
     "LEAST_CLUSTERS",
     "Fit",
     "Quantity",
     "clusters_of",
     "fit",
+    "likelihood_covariance",
     "mean_of",
     "poisson_rate",
     "share_of",
+    "student",
     "unknown",
 ]
 
-CONFIDENCE = 0.95
-LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
-_EVALUATIONS = 60  # of problems with three parameters that are solved within ten
-_STEP = 1e-4  # of the spread of a parameter: where its central difference is exact to eight digits
+_CONFIDENCE = 0.95
+_TAIL = 0.5 * (1.0 - _CONFIDENCE)
+LEAST_CLUSTERS = 3  # two clusters leave one degree of freedom, which gives an interval of 13 standard deviations
+_EVALUATIONS = 60  # problems with three parameters converge within ten
+_STEP = 1e-4  # of the scale of a parameter, where its central difference is exact to eight digits
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A property of a robot, as some recordings tell it.
+    """A property of a robot as estimated from recordings; false if unknown.
 
     Args:
-        name: What it is.
-        unit: Of all three numbers.
-        value: The estimate; NaN where the recordings cannot tell.
-        low: Of its 95 % confidence interval.
-        high: Likewise.
-        samples: How many measurements it is of.
-        sources: How many recordings it is of.
-        reason: Why the recordings cannot tell; empty where they can.
+        name: Name in the report.
+        unit: Unit of `value`, `low` and `high`.
+        value: Estimate; NaN if unknown.
+        low: Lower bound of the 95 % confidence interval.
+        high: Upper bound.
+        samples: Number of measurements used.
+        sources: Number of recordings used.
+        reason: Reason why the quantity is unknown; empty if it is known.
     """
 
     name: str
@@ -57,58 +59,59 @@ class Quantity:
     reason: str = ""
 
     def __bool__(self) -> bool:
-        """Whether the recordings can tell it."""
+        """Whether the quantity is known."""
         return not self.reason
 
     @property
     def half_width(self) -> float:
-        """Half of the interval's length."""
+        """Half the length of the interval."""
         return 0.5 * (self.high - self.low)
 
 
 def unknown(name: str, unit: str, reason: str, samples: int = 0) -> Quantity:
-    """A quantity that the recordings cannot tell."""
+    """Return a quantity without an estimate, with the reason."""
     return Quantity(name, unit, samples=samples, reason=reason)
 
 
-class Fit(NamedTuple):
-    """Parameters that fit measurements best.
-
-    Attributes:
-        values: The parameters, Shape (p,).
-        covariance: Of them, Shape (p, p).
-        freedom: Degrees of freedom of Student's t in their intervals.
-        residuals: What is left, Shape (n,), in the units that were given.
-    """
-
-    values: FloatArray
-    covariance: FloatArray
-    freedom: float
-    residuals: FloatArray
-
-    def interval(self, index: int) -> tuple[float, float, float]:
-        """Value, lower and upper bound of a parameter."""
-        half = student(self.freedom) * math.sqrt(max(float(self.covariance[index, index]), 0.0))
-        value = float(self.values[index])
-        return value, value - half, value + half
-
-
 def student(freedom: float) -> float:
-    """How many standard deviations the 95 % interval extends to either side."""
+    """Half width of the 95 % interval of Student's t [standard deviations]."""
     from scipy.stats import t
 
-    return float(t.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
+    return float(t.ppf(0.5 + 0.5 * _CONFIDENCE, freedom))
+
+
+def mean_of(values: FloatArray) -> tuple[float, float, float]:
+    """Return the mean of two or more independent values and the bounds of its Student interval."""
+    mean, half = float(np.mean(values)), student(len(values) - 1.0) * float(np.std(values, ddof=1)) / len(values) ** 0.5
+    return mean, mean - half, mean + half
+
+
+def share_of(count: int, total: int) -> tuple[float, float, float]:
+    """Return the share `count / total` and its bounds by [Clopper1934]."""
+    from scipy.stats import beta
+
+    low = float(beta.ppf(_TAIL, count, total - count + 1)) if count > 0 else 0.0
+    high = float(beta.ppf(1.0 - _TAIL, count + 1, total - count)) if count < total else 1.0
+    return count / total, low, high
+
+
+def poisson_rate(count: int, exposure: float) -> tuple[float, float, float]:
+    """Return the number of events per unit of exposure and its exact bounds by [Garwood1936]."""
+    from scipy.stats import chi2
+
+    low = 0.5 * float(chi2.ppf(_TAIL, 2 * count)) if count > 0 else 0.0
+    return count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - _TAIL, 2 * count + 2)) / exposure
 
 
 def clusters_of(times: Iterable[FloatArray], length: float) -> list[IntArray]:
-    """Of each residual: which stretch of which recording it is of, numbered through all recordings.
+    """Assign samples to stretches of time, numbered consecutively over all recordings.
 
     Args:
-        times: Of the residuals of each recording, since it began, Shape (n,) [s].
-        length: Of a stretch [s].
+        times: For each recording, the sample times since its beginning, Shape (n,) [s].
+        length: Duration of a stretch [s].
 
     Returns:
-        An array for each recording, Shape (n,).
+        For each recording, the cluster index of every sample, Shape (n,).
     """
     found: list[IntArray] = []
     count = 0
@@ -119,6 +122,26 @@ def clusters_of(times: Iterable[FloatArray], length: float) -> list[IntArray]:
     return found
 
 
+class Fit(NamedTuple):
+    """Result of a robust least squares fit.
+
+    Attributes:
+        values: Parameters, Shape (p,).
+        covariance: Covariance of the parameters, Shape (p, p).
+        freedom: Degrees of freedom of Student's t for the intervals.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    freedom: float
+
+    def interval(self, index: int) -> tuple[float, float, float]:
+        """Return the value, the lower and the upper bound of a parameter."""
+        half = student(self.freedom) * math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        value = float(self.values[index])
+        return value, value - half, value + half
+
+
 def fit(
     residuals: Callable[[FloatArray], FloatArray],
     guess: Sequence[float],
@@ -127,17 +150,17 @@ def fit(
     *,
     bounds: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> Fit:
-    """Robust least squares whose intervals hold where residuals of a cluster depend on each other.
+    """Fit parameters by robust least squares, with intervals valid for residuals correlated within clusters.
 
-    The loss is the soft L1 one, beyond 2.5 robust standard deviations of the residuals. The covariance is the clustered
+    The loss is soft L1 beyond 2.5 robust standard deviations of the residuals. The covariance is the clustered
     sandwich of [Cameron2015], H^-1 (sum of g g') H^-1 times G / (G - 1), with g the gradient of one of G clusters.
 
     Args:
-        residuals: Of the parameters, Shape (n,).
-        guess: Where to begin, p numbers.
-        clusters: Which cluster each residual is of, Shape (n,).
-        scales: What a small change of each parameter is.
-        bounds: Lowest and highest values.
+        residuals: Function from the parameters, Shape (p,), to the residuals, Shape (n,).
+        guess: Initial parameters.
+        clusters: Cluster index of each residual, Shape (n,).
+        scales: Typical change of each parameter.
+        bounds: Lower and upper bounds of the parameters.
     """
     from scipy.optimize import least_squares
 
@@ -145,52 +168,61 @@ def fit(
     limits = bounds if bounds is not None else (-np.inf, np.inf)
 
     def solved(begin: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Parameters, residuals, and the size from which on a residual counts less."""
+        """Return the parameters, the residuals and the scale of the loss."""
         size = 2.5 * 1.4826 * float(np.median(np.abs(residuals(begin)))) + 1e-12
         found = least_squares(
             residuals, begin, x_scale=steps, loss="soft_l1", f_scale=size, bounds=limits, max_nfev=_EVALUATIONS
         )
         return found.x, residuals(found.x), size
 
-    # The size that the guess has left is of no use; that of the second solution changes by a tenth at most.
+    # The scale at the guess is meaningless; from the second solution on it changes by at most a tenth.
     values, left, size = solved(solved(solved(start)[0])[0])
     weights = 1.0 / np.sqrt(1.0 + (left / size) ** 2)
-    slopes = np.column_stack(
-        [
-            (residuals(values + step) - residuals(values - step)) / (2.0 * step[k])
-            for k, step in enumerate(np.diag(_STEP * steps))
-        ]
-    )
-    scored = slopes * (weights * left)[:, None]
+    slopes = _central_slopes(residuals, values, _STEP * steps)
     names, index = np.unique(clusters, return_inverse=True)
-    gradients = np.zeros((len(names), len(start)))
-    np.add.at(gradients, index, scored)
+    gradients = _cluster_sums(slopes * (weights * left)[:, None], index, len(names))
     inverse = np.linalg.pinv(slopes.T @ (weights[:, None] * slopes))
     count = max(len(names), 2)
     covariance = inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1.0))
-    return Fit(values, covariance, count - 1.0, left)
+    return Fit(values, covariance, count - 1.0)
 
 
-def mean_of(values: FloatArray) -> tuple[float, float, float]:
-    """Mean of two or more independent values, with the bounds of its Student interval."""
-    mean, half = float(np.mean(values)), student(len(values) - 1.0) * float(np.std(values, ddof=1)) / len(values) ** 0.5
-    return mean, mean - half, mean + half
+def likelihood_covariance(
+    log_densities: Callable[[FloatArray], FloatArray], values: FloatArray, clusters: IntArray
+) -> FloatArray:
+    """Return the clustered sandwich covariance [Cameron2015] of a maximum likelihood estimate, Shape (p, p).
+
+    Args:
+        log_densities: Function from the parameters, Shape (p,), to the log density of each sample, Shape (n,).
+        values: Estimate, Shape (p,).
+        clusters: Cluster index of each sample, Shape (n,).
+    """
+    step = 1e-3 * np.maximum(np.abs(values), 0.1)
+
+    def slopes(at: FloatArray) -> FloatArray:
+        return _central_slopes(log_densities, at, step)
+
+    curvature = np.array(
+        [
+            np.sum(slopes(values + row) - slopes(values - row), axis=0) / (2.0 * row[k])
+            for k, row in enumerate(np.diag(10.0 * step))
+        ]
+    )
+    scores = _cluster_sums(slopes(values), clusters, int(clusters.max()) + 1)
+    inverse = np.linalg.pinv(-0.5 * (curvature + curvature.T), rcond=1e-10)
+    covariance: FloatArray = inverse @ (scores.T @ scores) @ inverse
+    return covariance
 
 
-def share_of(count: int, total: int) -> tuple[float, float, float]:
-    """A share of so many, with the bounds of [Clopper1934]."""
-    from scipy.stats import beta
-
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = float(beta.ppf(tail, count, total - count + 1)) if count > 0 else 0.0
-    high = float(beta.ppf(1.0 - tail, count + 1, total - count)) if count < total else 1.0
-    return count / total, low, high
+def _central_slopes(function: Callable[[FloatArray], FloatArray], at: FloatArray, steps: FloatArray) -> FloatArray:
+    """Derivatives of `function` by central differences, Shape (n, p)."""
+    return np.column_stack(
+        [(function(at + row) - function(at - row)) / (2.0 * row[k]) for k, row in enumerate(np.diag(steps))]
+    )
 
 
-def poisson_rate(count: int, exposure: float) -> tuple[float, float, float]:
-    """Events per unit of exposure, with the exact bounds of [Garwood1936]."""
-    from scipy.stats import chi2
-
-    tail = 0.5 * (1.0 - CONFIDENCE)
-    low = 0.5 * float(chi2.ppf(tail, 2 * count)) if count > 0 else 0.0
-    return count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - tail, 2 * count + 2)) / exposure
+def _cluster_sums(rows: FloatArray, clusters: IntArray, count: int) -> FloatArray:
+    """Sum of the rows of each cluster, Shape (count, p)."""
+    sums = np.zeros((count, rows.shape[1]))
+    np.add.at(sums, clusters, rows)
+    return sums

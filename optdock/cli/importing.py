@@ -175,8 +175,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
     with reported(verbose=verbose):
         from optdock.reports.report import table
         from optdock.ros.bag import open_bag
-        from optdock.ros.field import FieldOptions, FieldTopics, field_docking
-        from optdock.ros.field_scenario import judged_poses, save_field_docking
+        from optdock.ros.field import FieldOptions, FieldTopics, field_docking, judged_poses, save_field_docking
 
         end = math.inf if until is None else until
         _check_stretch(since, end)

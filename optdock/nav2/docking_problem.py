@@ -1,4 +1,4 @@
-"""A docking problem from Nav2's own files: parameters, map and dock database."""
+"""Docking problem from Nav2's files: parameters, map and dock database."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from optdock.model.dock import Dock
 from optdock.model.limits import LIMIT_UNITS, MotionLimits, SpeedZone
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.nav2.docks import DockEntry, DockTypeParams, load_dock_database
+from optdock.nav2.docks import DockEntry, DockTypeParams, docked_pose, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
-from optdock.nav2.params import Nav2Params, load_nav2_params
+from optdock.nav2.params import load_nav2_params
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
-    from optdock.nav2.costmap_params import CostmapParams
+    from optdock.nav2.params import Nav2Params
 
 __all__ = ["Nav2Scenario", "nav2_limits", "nav2_scenario"]
 
-# Our limit, the velocity smoother's vector, which component of it, and that component's sign.
+# Motion limit, vector of the velocity smoother, component of the vector, sign of the component.
 _SMOOTHER_LIMITS = (
     ("max_speed", "max_velocity", "x", 1),
     ("max_reverse_speed", "min_velocity", "x", -1),
@@ -38,7 +38,7 @@ _SMOOTHER_LIMITS = (
     ("max_yaw_acceleration", "max_accel", "yaw", 1),
     ("max_yaw_acceleration", "max_decel", "yaw", -1),
 )
-# Units of components that are asked about where they are implausible.
+# Components that are checked for plausibility.
 _UNITS = {("max_velocity", "x"): "m/s", ("min_velocity", "x"): "m/s"}
 
 
@@ -47,7 +47,7 @@ class Nav2Scenario(Scenario):
     """A scenario from Nav2's files.
 
     Args:
-        costmap_rows: What became of every part of the file's costmaps: name and outcome.
+        costmap_rows: Name and outcome for every part of the file's costmaps.
     """
 
     costmap_rows: tuple[tuple[str, str], ...] = ()
@@ -61,37 +61,42 @@ def nav2_scenario(
     docks_source: str | Path | None = None,
     dock_name: str | None = None,
 ) -> Nav2Scenario:
-    """The problem of driving into a dock that Nav2's files describe.
+    """Return the problem of driving into a dock that Nav2's files describe.
 
-    The footprint, padded, is the global costmap's; speeds and accelerations are the velocity smoother's; approach
-    speed and gear are the docking server's and the dock type's. Nav2 knows no curvature limit, no outline of the dock
-    and no clearance in metres: there are none, but for `ClearanceRule`'s default.
-
-    The costmap is the file's global one, built over the map as `file_costmap` says.
+    The footprint, padded, is that of the global costmap; speeds and accelerations are those of the velocity smoother;
+    approach speed and gear are those of the docking server and the dock type. Nav2 has no curvature limit, no outline
+    of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is the file's global
+    one, built over the map by `file_costmap`.
 
     Args:
         params_source: Parameter file.
         map_source: Map (map_server YAML).
-        start: Where the robot is, in the map's frame; or `x,y,yaw` as the command line gives it [m, m, rad].
-        docks_source: Dock database; None: the docks in the parameter file.
-        dock_name: Which dock; may be None where there is exactly one.
+        start: Pose of the robot in the map's frame, or the text `x,y,yaw` [m, m, rad].
+        docks_source: Dock database; None for the docks in the parameter file.
+        dock_name: Name of the dock; optional if there is exactly one.
 
     Raises:
-        InvalidFile: A file breaks its format or names no costmap.
-        DockNotValid: The dock stands in another frame than the map, or it is of none of the parameter file's dock types
-            (a file without any says nothing: forward, as Nav2's default).
-        DockNotInDB: There is no dock of that name, or no name and several docks.
-        InvalidValue: The start is not a pose.
+        InvalidFile: If a file breaks its format or has no costmap.
+        DockNotValid: If the dock is in another frame than the map, or its type is not among the parameter file's dock
+            types. In a file without dock types every dock is entered forward, as by Nav2's default.
+        DockNotInDB: If there is no dock of that name, or several docks and no name.
+        InvalidValue: If the start is no pose.
     """
     params = load_nav2_params(params_source)
-    docks = params.docks if docks_source is None else load_dock_database(docks_source)
-    dock = _chosen(docks, dock_name, str(docks_source or params_source))
-    costmap_params = _global_costmap(params)
-    _check_frame(dock, costmap_params, str(docks_source or params_source))
+    source = str(docks_source or params_source)
+    dock = _selected(params.docks if docks_source is None else load_dock_database(docks_source), dock_name, source)
+    costmap_params = params.costmaps.get("global_costmap") or next(iter(params.costmaps.values()), None)
+    if costmap_params is None:
+        raise InvalidFile(f"{params.source}: names no costmap, so the robot has no footprint")
+    if dock.frame != costmap_params.global_frame:
+        raise DockNotValid(
+            f"{source}: {dock.name}.frame: must be the frame of {costmap_params.name}, "
+            f"{costmap_params.global_frame!r}, got {dock.frame!r}; transform the pose into it"
+        )
     dock_type, pose = _type_of(dock, params), _start(start)
     zone = _approach(params, dock_type)
     station = Dock(
-        dock_type.docked_pose(dock.pose),
+        docked_pose(dock.pose, dock_type.dock_direction),
         direction=dock_type.dock_direction,
         approach_speed=zone.speed,
         approach_distance=zone.distance,
@@ -112,7 +117,7 @@ def nav2_scenario(
     )
 
 
-def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
+def _selected(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
     if name is None and len(docks) == 1:
         return next(iter(docks.values()))
     if name in docks:
@@ -132,21 +137,6 @@ def _type_of(dock: DockEntry, params: Nav2Params) -> DockTypeParams:
     return known.get(dock.type, DockTypeParams(dock.type))
 
 
-def _global_costmap(params: Nav2Params) -> CostmapParams:
-    found = params.costmaps.get("global_costmap") or next(iter(params.costmaps.values()), None)
-    if found is None:
-        raise InvalidFile(f"{params.source}: names no costmap, so the robot has no footprint")
-    return found
-
-
-def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
-    if dock.frame != costmap.global_frame:
-        raise DockNotValid(
-            f"{source}: {dock.name}.frame: must be the frame of {costmap.name}, {costmap.global_frame!r}, "
-            f"got {dock.frame!r}; transform the pose into it"
-        )
-
-
 def _start(text: Pose2 | str) -> Pose2:
     if isinstance(text, Pose2):
         return text
@@ -161,12 +151,12 @@ def _start(text: Pose2 | str) -> Pose2:
 
 
 def nav2_limits(params: Nav2Params) -> MotionLimits:
-    """Motion limits as the velocity smoother has them; those of `MotionLimits` where it is silent.
+    """Return the motion limits of the velocity smoother, with the defaults of `MotionLimits`.
 
-    Of two yaw limits, to the left and to the right, the smaller holds for both.
+    The yaw limit is the smaller of those to the left and to the right.
 
     Raises:
-        InvalidFile: A limit is none, such as a largest velocity that is not > 0.
+        InvalidFile: If a limit is invalid, such as a maximum velocity that is not > 0.
     """
     try:
         return MotionLimits(**_given_limits(params))
@@ -175,7 +165,7 @@ def nav2_limits(params: Nav2Params) -> MotionLimits:
 
 
 def _given_limits(params: Nav2Params) -> dict[str, float]:
-    """Those of the motion limits that the velocity smoother has, by name."""
+    """Motion limits that the velocity smoother gives, by name."""
     smoother, found = params.node("velocity_smoother"), dict[str, float]()
     for limit, name, axis, sign in _SMOOTHER_LIMITS:
         value = _entry(smoother, name, axis, sign)
@@ -185,7 +175,7 @@ def _given_limits(params: Nav2Params) -> dict[str, float]:
 
 
 def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:
-    """The size of one component of a vector [x, y, yaw] (Nav2 also reads all six), or None without the vector."""
+    """Magnitude of one component of a vector of three or six numbers; None if there is no such vector."""
     vector = values.get(name)
     if vector is None:
         return None
@@ -193,7 +183,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
         raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
     value = float(vector[0 if axis == "x" else -1])
     if not (math.isfinite(value) and sign * value > 0.0):
-        no_reverse = "; a robot that cannot reverse is not known here" if name == "min_velocity" else ""
+        no_reverse = "; robots that cannot reverse are not supported" if name == "min_velocity" else ""
         raise InvalidValue(f"{name}: {axis} must be finite and {'>' if sign > 0 else '<'} 0, got {value}{no_reverse}")
     unit = _UNITS.get((name, axis))
     fault = unit_fault(value, unit) if unit else ""
@@ -203,7 +193,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
 
 
 def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
-    """The docking controller's speed, from the staging pose on."""
+    """Speed of the docking controller, from the staging pose on."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"
     if not isinstance(controller, Mapping):

@@ -1,34 +1,40 @@
-"""The global costmap that a parameter file describes, over a map: its layers in order, and what became of each."""
+"""Costmaps written by layers in order (Nav2: `LayeredCostmap`), and the global one of a Nav2 parameter file."""
 
 from __future__ import annotations
 
+import math
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.errors import InvalidFile
-from optdock.nav2.layered_costmap import LayeredCostmap
+from optdock.errors import InvalidFile, InvalidValue, PluginError
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE, NO_INFORMATION
 from optdock.nav2.layers.dock_layer import DockLayer
+from optdock.nav2.layers.nav2_layer import joined
 from optdock.nav2.layers.static import StaticLayer
-from optdock.nav2.provided_plugins import Nav2Plugin, provided
-from optdock.plugins.interfaces import Layer
+from optdock.nav2.provided_plugins import provided
+from optdock.plugins.interfaces import Bounds, Layer
+from optdock.plugins.lifecycle import LifecycleState, PluginContext
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
+    from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
-    from optdock.model.costmap import Costmap, OccupancyGrid
+    from optdock.model.costmap import OccupancyGrid
     from optdock.model.dock import Dock
-    from optdock.nav2.costmap_params import CostmapParams
-    from optdock.nav2.params import Nav2Params
+    from optdock.nav2.params import CostmapParams, Nav2Params
     from optdock.nav2.plugin_lists import PluginInstance
+    from optdock.nav2.provided_plugins import Nav2Plugin
 
-__all__ = ["FileCostmap", "file_costmap"]
+__all__ = ["FileCostmap", "file_costmap", "layered_costmap"]
 
 _ADDED = "static_layer"
-_NO_FILTERS = "optdock has no filters; what it forbids is not in the costmap"
+_EVERYWHERE = Bounds(-math.inf, -math.inf, math.inf, math.inf)
 
 
 class FileCostmap(NamedTuple):
-    """A costmap, and one row per part of the file's costmaps: its name, and what became of it."""
+    """A costmap, and one row for every part of the file's costmaps: name and outcome."""
 
     costmap: Costmap
     rows: tuple[tuple[str, str], ...]
@@ -37,42 +43,46 @@ class FileCostmap(NamedTuple):
 def file_costmap(
     params: Nav2Params, described: CostmapParams, grid: OccupancyGrid, start: Pose2, dock: Dock
 ) -> FileCostmap:
-    """The costmap `described`, in the place and size of the map, as it is before any sensor has seen anything.
+    """Return the costmap `described`, with the place and size of the map, before any sensor data.
 
-    The layers that optdock provides write it in the file's order with the file's parameters. Layers of sensors have
-    seen nothing yet, and inflation changes no plan here, since clearance is proven with the exact footprint: both are
-    left out. Without a static layer in the file one is put under the others, because the map was given.
+    The layers that optdock provides are applied in the order of the file with their parameters. Layers of sensors are
+    skipped as there is no data, inflation layers as the clearance is proven with the exact footprint. If the file has
+    no static layer, one is added below the others.
 
     Args:
         params: The parameter file.
-        described: Which of its costmaps.
+        described: One of its costmaps.
         grid: The map.
-        start: Where the robot is, for layers that free the cells under it.
+        start: Pose of the robot, for layers that clear the cells under it.
         dock: The dock, for a `DockLayer`.
 
     Raises:
-        InvalidFile: A layer that optdock provides refuses its parameters.
+        InvalidFile: If a layer that optdock provides refuses its parameters.
     """
-    node = _node_of(params, described)
+    node = next(path for path in params.nodes if (path.rsplit("/", 1)[-1] or params.source.stem) == described.name)
+    values = params.nodes[node]
+    rows, columns = grid.data.shape
+    size = f"{columns * grid.resolution:g} m x {rows * grid.resolution:g} m, cells of {grid.resolution:g} m"
+    rolls = "; it does not roll, as the whole map is known" * (values.get("rolling_window") is True)
     listed = [p for p in params.plugins if p.node == node and p.kind in ("layer", "filter")]
-    layers, rows = _layers(params, listed, grid, dock)
-    tracked = params.nodes[node].get("track_unknown_space")
-    built = LayeredCostmap.of_map(grid, layers, described.outline, track_unknown_space=tracked is not False)
-    known = built.update(start)
-    others = [(name, _why_not(name)) for name in params.costmaps if name != described.name]
-    head = (described.name, _place(grid, rolls=params.nodes[node].get("rolling_window") is True))
-    keeps = all(layer.parameters.track_unknown_space for layer in layers.values() if isinstance(layer, StaticLayer))
-    return FileCostmap(known, (head, ("unknown cells", _unknown(tracked, keeps=keeps)), *rows, *others))
-
-
-def _node_of(params: Nav2Params, described: CostmapParams) -> str:
-    """Path of the node that holds the costmap's parameters; a file without nodes is one costmap of the file's name."""
-    return next(path for path in params.nodes if (path.rsplit("/", 1)[-1] or params.source.stem) == described.name)
+    layers, outcomes = _layers(params, listed, grid, dock)
+    tracked = values.get("track_unknown_space")
+    costmap = layered_costmap(grid, layers, start, described.outline, track_unknown_space=tracked is not False)
+    return FileCostmap(
+        costmap,
+        (
+            (described.name, f"built with the place and size of the map: {size}{rolls}"),
+            ("unknown cells", _unknown_cells(tracked, layers)),
+            *outcomes,
+            *((name, _skipped_costmap(name)) for name in params.costmaps if name != described.name),
+        ),
+    )
 
 
 def _layers(
-    params: Nav2Params, listed: Sequence[PluginInstance], grid: OccupancyGrid, dock: Dock
+    params: Nav2Params, listed: list[PluginInstance], grid: OccupancyGrid, dock: Dock
 ) -> tuple[dict[str, Layer], list[tuple[str, str]]]:
+    """Layers by name with their map or dock, and the outcome for every listed layer."""
     layers: dict[str, Layer] = {}
     rows: list[tuple[str, str]] = []
     for instance in listed:
@@ -96,39 +106,99 @@ def _has_map(layers: Mapping[str, Layer]) -> bool:
 
 
 def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) -> tuple[Layer | None, str]:
-    """The layer with what it needs, or None; and what became of it."""
-    layer = found.plugin
+    """The layer with its map or dock, or None, and the outcome."""
+    layer, cleared = found.plugin, ""
+    if found.instance.kind == "filter":
+        return None, "skipped: optdock has no filters; its restrictions are not in the costmap"
     if not isinstance(layer, Layer):
-        return None, f"skipped: {_NO_FILTERS if found.instance.kind == 'filter' else found.reason}"
+        return None, f"skipped: {found.reason}"
     if not layer.is_enabled():
         return None, "skipped: enabled is false"
     if isinstance(layer, StaticLayer):
         if has_map:
             return None, "skipped: there is no second map"
         layer.set_map(grid)
+        cleared = "; it clears the cells under the robot at the start" * layer.parameters.footprint_clearing_enabled
     if isinstance(layer, DockLayer):
         layer.set_dock(dock)
-    clears = isinstance(layer, StaticLayer) and layer.parameters.footprint_clearing_enabled
-    return layer, f"used: {found.outcome}{'; it frees the cells under the robot at the start' * clears}"
+    return layer, f"used: {found.outcome}{cleared}"
 
 
-def _place(grid: OccupancyGrid, *, rolls: bool) -> str:
-    rows, columns = grid.data.shape
-    size = f"{columns * grid.resolution:g} m x {rows * grid.resolution:g} m, cells of {grid.resolution:g} m"
-    return f"built in the place and size of the map: {size}{'; it does not roll, the whole map is known' * rolls}"
-
-
-def _unknown(tracked: object, *, keeps: bool) -> str:
-    """What unknown cells count for, as the layer of the map has them, which may say otherwise than the costmap."""
-    if not keeps:
+def _unknown_cells(tracked: object, layers: Mapping[str, Layer]) -> str:
+    """Meaning of unknown cells; the parameter of the map's layer may differ from that of the costmap."""
+    if any(isinstance(one, StaticLayer) and not one.parameters.track_unknown_space for one in layers.values()):
         return "free: track_unknown_space is false"
     if tracked is False:
         return "obstacles: track_unknown_space is false, but not of the layer of the map"
-    silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would take them for free)"
+    silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would treat them as free)"
     return f"obstacles{silent}"
 
 
-def _why_not(name: str) -> str:
+def _skipped_costmap(name: str) -> str:
     if name.endswith("local_costmap"):
-        return "skipped: it holds what sensors see around the robot, and nothing has been seen yet"
-    return "skipped: planning looks at one costmap"
+        return "skipped: it contains only sensor data, of which there is none yet"
+    return "skipped: planning uses one costmap"
+
+
+def layered_costmap(
+    place: OccupancyGrid,
+    layers: Mapping[str, Layer],
+    robot: Pose2,
+    footprint: Footprint | None = None,
+    *,
+    track_unknown_space: bool = True,
+) -> Costmap:
+    """Return the costs that layers write into a grid with the place and size of a map.
+
+    Args:
+        place: The map; its occupancies are not used.
+        layers: Layers by name, from the bottom up. They are active during the call and unconfigured afterwards.
+        robot: Pose of the robot in the frame of the map.
+        footprint: Outline of the robot, for the layers.
+        track_unknown_space: Whether cells that no layer writes are unknown; otherwise they are free.
+
+    Raises:
+        InvalidValue: If an entry of `layers` is no Layer, or a layer is given twice or refuses the footprint.
+        LifecycleError: If a layer is in use already.
+        PluginError: If a layer shrinks the bounds or returns NaN.
+        OptdockError: If a layer raises an error.
+    """
+    _check_layers(layers)
+    fill = NO_INFORMATION if track_unknown_space else FREE_SPACE
+    master = Costmap.writable(place.data.shape, place.resolution, place.origin, fill)
+    with _active(layers, footprint):
+        enabled = {name: layer for name, layer in layers.items() if layer.is_enabled()}
+        for name, layer in enabled.items():
+            grown = layer.update_bounds(robot, _EVERYWHERE)
+            if joined(_EVERYWHERE, grown) != grown:  # also for NaN
+                raise PluginError(
+                    f"layer {name}: update_bounds must grow the bounds {tuple(_EVERYWHERE)}, got {tuple(grown)}"
+                )
+        for layer in enabled.values():
+            layer.update_costs(master, 0, 0, master.columns, master.rows)
+    return master.frozen()
+
+
+def _check_layers(layers: Mapping[str, Layer]) -> None:
+    for name, layer in layers.items():
+        if not isinstance(layer, Layer):
+            raise InvalidValue(f"costmap.layers.{name}: must be a Layer, got {layer!r}")
+    if len({id(layer) for layer in layers.values()}) != len(layers):
+        raise InvalidValue(f"costmap.layers: one layer is given twice among {', '.join(layers)}")
+
+
+@contextmanager
+def _active(layers: Mapping[str, Layer], footprint: Footprint | None) -> Iterator[None]:
+    """Configure and activate all layers; clean up those configured here at the end."""
+    started: list[Layer] = []
+    try:
+        for name, layer in layers.items():
+            layer.configure(PluginContext(name=name, footprint=footprint))
+            started.append(layer)
+            layer.activate()
+        yield
+    finally:
+        for layer in reversed(started):
+            if layer.state is LifecycleState.ACTIVE:
+                layer.deactivate()
+            layer.cleanup()

@@ -1,6 +1,6 @@
-"""Nav2's parameter files: which plugins they ask for, their costmaps, dock types and docks.
+"""Nav2's parameter files: plugins, costmaps, dock types and docks.
 
-Pure reading: no plugin is imported here. `optdock.nav2.provided_plugins` instantiates what optdock provides.
+No plugin is imported here; `optdock.nav2.provided_plugins` creates the plugins that optdock provides.
 """
 
 from __future__ import annotations
@@ -11,36 +11,69 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from optdock.errors import InvalidFile
+from optdock.errors import InvalidFile, InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.io.numbers import check_outline
 from optdock.io.yaml_lines import listed, load_yaml
-from optdock.nav2.costmap_params import CostmapParams, read_costmap
 from optdock.nav2.docks import DockEntry, DockTypeParams, read_dock, read_dock_type
-from optdock.nav2.plugin_lists import PARAMETERS, NodeBlock, PluginInstance, checked_names, plugin_instances
+from optdock.nav2.parameter_block import PARAMETERS, ParameterBlock
+from optdock.nav2.plugin_lists import PluginInstance, plugin_instances
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from optdock.io.yaml_lines import listed
-from optdock.io.yaml_lines import Document, Keys
+    from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["Nav2Params", "PluginInstance", "load_nav2_params", "with_nested_names"]
+__all__ = ["CostmapParams", "Nav2Params", "load_nav2_params"]
 
-N = TypeVar("N", CostmapParams, DockTypeParams, DockEntry)
+N = TypeVar("N", "CostmapParams", DockTypeParams, DockEntry)
 
 _COSTMAP_KEYS = ("footprint", "robot_radius", "rolling_window", "inflation_radius")
+_NO_FOOTPRINT = ("", "[]")
+
+
+@dataclass(frozen=True, eq=False)
+class CostmapParams:
+    """Parameters of a costmap.
+
+    Args:
+        name: Name, such as `global_costmap`.
+        footprint: Outline of the robot; None if `robot_radius` is used.
+        robot_radius: Radius of a round robot [m].
+        footprint_padding: Distance by which every vertex is moved outward [m].
+        resolution: Side of a cell [m].
+        global_frame: Name of the coordinate frame.
+        layers: Names of the layers, from the bottom up.
+        filters: Names of the filters.
+    """
+
+    name: str
+    footprint: Footprint | None = None
+    robot_radius: float = 0.1
+    footprint_padding: float = 0.01
+    resolution: float = 0.1
+    global_frame: str = "map"
+    layers: tuple[str, ...] = ()
+    filters: tuple[str, ...] = ()
+
+    @property
+    def outline(self) -> Footprint:
+        """Padded footprint."""
+        given = self.footprint if self.footprint is not None else Footprint.from_radius(self.robot_radius)
+        return given.padded(self.footprint_padding)
 
 
 @dataclass(frozen=True, eq=False)
 class Nav2Params:
-    """What a parameter file says.
+    """Content of a parameter file.
 
     Args:
         source: The file.
-        nodes: All parameters of every node, by the node's path.
-        plugins: The plugins asked for, in the order of the file.
+        nodes: Parameters of every node, by the path of the node.
+        plugins: Plugins in the order of the file.
         costmaps: Costmaps by name, such as `local_costmap`.
         dock_types: Dock plugin instances by name.
-        docks: Docks listed in the file itself, by name.
+        docks: Docks listed in the file, by name.
     """
 
     source: Path
@@ -51,30 +84,30 @@ class Nav2Params:
     docks: Mapping[str, DockEntry]
 
     def node(self, name: str) -> Mapping[str, object]:
-        """Parameters of the first node whose path ends in `name`; empty when there is none."""
+        """Return the parameters of the first node whose path ends in `name`; empty if there is none."""
         found = (values for path, values in self.nodes.items() if path.rsplit("/", 1)[-1] == name)
         return next(found, {})
 
 
 def load_nav2_params(source: str | Path) -> Nav2Params:
-    """Read a Nav2 parameter file; a bare costmap file, without nodes, counts as one costmap.
+    """Read a Nav2 parameter file, or a bare costmap file without nodes.
 
-    Parameters that nothing reads are kept, not refused. Dotted names count as nested blocks. Where several namespaces
-    hold a costmap, dock type or dock of one name, the first counts.
+    Unknown parameters are kept. Dotted names are nested blocks. If several namespaces contain a costmap, dock type or
+    dock of one name, the first is used.
 
     Raises:
-        InvalidFile: The file cannot be read, holds no parameters, has a plugin list that is empty, repeats a name or
-            names a plugin without a class, or has a footprint, a dock or a dock type that breaks its rules; the
-            message lists every fault.
+        InvalidFile: If the file cannot be read, holds no parameters, has a plugin list that is empty, repeats a name or
+            names a plugin without a class, or has an invalid footprint, dock or dock type; the message lists all
+            faults.
     """
-    document = with_nested_names(load_yaml(source), PARAMETERS)
-    blocks = list(_blocks(document.value, ())) or _bare_costmap(document)
+    document = _with_nested_names(load_yaml(source))
     faults: list[str] = []
-    plugins = [plugin for block in blocks for plugin in plugin_instances(document, block, faults)]
-    costmaps = [_costmap(document, block, faults) for block in blocks if _is_costmap(block)]
-    docks = [dock for block in blocks for dock in _docks(document, block, faults)]
+    blocks = [ParameterBlock(document, keys, values, faults) for keys, values in _nodes(document)]
+    plugins = [plugin for block in blocks for plugin in plugin_instances(block)]
+    costmaps = [_read_costmap(block) for block in blocks if not block.keys or block.path.endswith("costmap")]
+    docks = [dock for block in blocks if "docks" in block.values for dock in _read_docks(block)]
     types = [
-        read_dock_type(document, plugin.keys, plugin.name, plugin.parameters, faults)
+        read_dock_type(plugin.name, ParameterBlock(document, plugin.keys, plugin.parameters, faults))
         for plugin in plugins
         if plugin.kind == "dock"
     ]
@@ -90,71 +123,99 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
     )
 
 
-def _blocks(value: object, keys: Keys) -> Iterator[NodeBlock]:
-    """Every `ros__parameters` mapping, however deep its namespaces nest."""
+def _nodes(document: Document) -> list[tuple[Keys, Mapping[str, object]]]:
+    """Position and content of every `ros__parameters` mapping, or of the bare costmap."""
+    found = list(_parameter_mappings(document.value, ()))
+    value = document.value
+    if found:
+        return found
+    if isinstance(value, Mapping) and any(key in value for key in _COSTMAP_KEYS):
+        return [((), value)]
+    raise InvalidFile(f"{document.path}: holds no {PARAMETERS} and no costmap parameters")
+
+
+def _parameter_mappings(value: object, keys: Keys) -> Iterator[tuple[Keys, Mapping[str, object]]]:
     if not isinstance(value, Mapping):
         return
     for key, inner in value.items():
         if key != PARAMETERS:
-            yield from _blocks(inner, (*keys, key))
+            yield from _parameter_mappings(inner, (*keys, key))
         elif isinstance(inner, Mapping):
-            yield NodeBlock((*keys, key), inner)
+            yield (*keys, key), inner
 
 
-def _bare_costmap(document: Document) -> list[NodeBlock]:
-    value = document.value
-    if isinstance(value, Mapping) and any(key in value for key in _COSTMAP_KEYS):
-        return [NodeBlock((), value)]
-    raise InvalidFile(f"{document.path}: holds no {PARAMETERS} and no costmap parameters")
+def _read_costmap(block: ParameterBlock) -> CostmapParams:
+    costmap = CostmapParams(
+        name=block.path.rsplit("/", 1)[-1] or block.document.path.stem,
+        footprint=_read_footprint(block),
+        robot_radius=block.number("robot_radius", 0.1, positive=True, unit="m"),
+        footprint_padding=block.number("footprint_padding", 0.01, unit="m"),
+        resolution=block.number("resolution", 0.1, positive=True),
+        global_frame=block.text("global_frame", "map"),
+        layers=_names(block.values.get("plugins")),
+        filters=_names(block.values.get("filters")),
+    )
+    try:
+        _ = costmap.outline
+    except InvalidValue as error:
+        block.fault("footprint_padding", message=f"leaves no outline: {error}")
+    return costmap
 
 
-def _is_costmap(block: NodeBlock) -> bool:
-    return not block.keys or block.path.endswith("costmap")
+def _read_footprint(block: ParameterBlock) -> Footprint | None:
+    """The footprint; None if it is empty. Nav2 falls back to the radius also for an invalid text."""
+    value = block.values.get("footprint", "[]")
+    text = value.strip() if isinstance(value, str) else str(value)
+    if text in _NO_FOOTPRINT:
+        return None
+    try:
+        footprint = Footprint.from_string(text)
+        check_outline(footprint)
+    except InvalidValue as error:
+        block.fault("footprint", message=str(error).removeprefix("footprint: "))
+        return None
+    return footprint
 
 
-def _costmap(document: Document, block: NodeBlock, faults: list[str]) -> CostmapParams:
-    name = block.path.rsplit("/", 1)[-1] or document.path.stem
-    return read_costmap(document, block.keys, name, block.values, faults)
+def _names(value: object) -> tuple[str, ...]:
+    return tuple(str(name) for name in value) if isinstance(value, list) else ()
 
 
-def _docks(document: Document, block: NodeBlock, faults: list[str]) -> Iterator[DockEntry]:
-    if "docks" not in block.values:
-        return
-    for name in checked_names(document, (*block.keys, "docks"), block.values["docks"], faults):
-        dock = read_dock(document, (*block.keys, name), faults)
+def _read_docks(block: ParameterBlock) -> Iterator[DockEntry]:
+    for name in block.names("docks"):
+        dock = read_dock(block.document, (*block.keys, name), block.faults)
         if dock is not None:
             yield dock
 
 
 def _first_of_name(named: Iterable[N]) -> dict[str, N]:
-    """By name; of several namespaces the first counts, as in `Nav2Params.node`."""
     found: dict[str, N] = {}
     for item in named:
         found.setdefault(item.name, item)
     return found
 
 
-def with_nested_names(document: Document, below: str) -> Document:
-    """The document with every dotted name under a key `below` taken apart; line numbers follow.
+def _with_nested_names(document: Document) -> Document:
+    """The document with every dotted name of a parameter split into nested blocks, and the line numbers of these.
 
-    A name that stands there both ways keeps its first value, and a repetition is not looked for.
+    If a name is given both ways, its first value is used.
     """
     lines = dict(document.lines)
-    value = _nested(document.value, (), (), lines, below)
+    value = _nested(document.value, (), (), lines)
     return dataclasses.replace(document, value=value, lines=lines)
 
 
-def _nested(value: object, old: Keys, new: Keys, lines: dict[Keys, int], below: str) -> object:
-    """`value`, found at `old` and put at `new`; names are taken apart once `below` has been passed."""
+def _nested(value: object, old: Keys, new: Keys, lines: dict[Keys, int]) -> object:
+    """`value` at the position `old`, moved to `new`, with its names split inside of parameter blocks."""
     if not isinstance(value, Mapping):
         return value
     result: dict[object, object] = {}
     for key, inner in value.items():
-        parts = _parts(key) if below in new else (key,)
+        parts = _parts(key) if PARAMETERS in new else (key,)
         place = new + parts
         for n in range(len(new) + 1, len(place) + 1):
             lines.setdefault(place[:n], lines.get((*old, key), 1))
-        _put(result, parts, _nested(inner, (*old, key), place, lines, below))
+        _put(result, parts, _nested(inner, (*old, key), place, lines))
     return result
 
 

@@ -1,4 +1,4 @@
-"""What of a Nav2 parameter file optdock provides, and why not the rest."""
+"""Plugins of a Nav2 parameter file that optdock provides, and the reasons for the others."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.errors import InvalidValue, PluginError
-from optdock.nav2.layers.base import LayerParameters
 from optdock.nav2.plugin_lists import UNLISTED
 from optdock.plugins.parameters import closest, parse_parameters
 from optdock.plugins.registry import INTERFACES, create_plugin, load_plugin
 
 if TYPE_CHECKING:
-    from optdock.nav2.costmap_params import CostmapParams
-    from optdock.nav2.params import Nav2Params, PluginInstance
+    from optdock.nav2.params import Nav2Params
+    from optdock.nav2.plugin_lists import PluginInstance
     from optdock.plugins.lifecycle import Plugin
 
 __all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins", "provided"]
 
-# Nav2's kinds of plugins that have an interface here.
+# Nav2's kinds of plugins and the groups of their interfaces.
 _KINDS: Mapping[str, str] = {
     "planner": "planners",
     "smoother": "smoothers",
@@ -30,7 +29,7 @@ _KINDS: Mapping[str, str] = {
     "behavior": "behaviors",
     "layer": "layers",
 }
-# Parameters that Nav2's plugins of a kind read from their node instead of their own block.
+# Parameters that Nav2's plugins of a kind read from their node.
 _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
     "behavior": ("cycle_frequency", "simulate_ahead_time"),
     "layer": (
@@ -39,28 +38,28 @@ _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _REASONS: Mapping[str, str] = {
-    "dock": "its staging offsets, direction and threshold are read, the plugin talks to sensors",
+    "dock": "its staging offsets, direction and threshold are read; the plugin itself needs sensors",
     UNLISTED: "no list of plugins names it",
 }
-_UNSEEN = "nothing has been seen yet"
+_UNSEEN = "there is no sensor data yet"
 _CLASS_REASONS: Mapping[str, str] = {
-    "InflationLayer": "clearance is proven with the exact footprint, inflated costs change no plan",
+    "InflationLayer": "the clearance is proven with the exact footprint, so inflated costs change no plan",
     **dict.fromkeys(("ObstacleLayer", "VoxelLayer", "RangeSensorLayer", "NonPersistentVoxelLayer"), _UNSEEN),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Nav2Plugin:
-    """One plugin that a Nav2 file asks for, and what became of it.
+    """One plugin of a Nav2 file, and the outcome.
 
     Args:
-        instance: What the file says.
-        plugin: The plugin, built with the parameters it knows; None when it is not provided.
-        taken: The parameters of the file that count.
-        reason: Why it is not provided; empty when it is.
-        unknown: Parameters that the plugin here does not read: those it does not have, each with the nearest one that
-            it has, if any, and those that mean something on a ROS graph only.
-        refused: Whether there is such a plugin here, but it refuses its parameters.
+        instance: Entry of the file.
+        plugin: Plugin created with its known parameters; None if it is not provided.
+        taken: Parameters of the file that are used.
+        reason: Reason why the plugin is not provided; empty if it is.
+        unknown: Parameters that are not used: unknown ones, each with the closest known name, and those with a meaning
+            on a ROS graph only.
+        refused: Whether optdock has the plugin, but it refuses its parameters.
     """
 
     instance: PluginInstance
@@ -72,7 +71,7 @@ class Nav2Plugin:
 
     @property
     def outcome(self) -> str:
-        """What became of it, on one line: the plugin with the parameters taken, or why there is none."""
+        """The plugin with the parameters used, or the reason why it is not provided, in one line."""
         if self.plugin is None:
             return f"not provided: {self.reason}"
         taken = ", ".join(f"{name}={value}" for name, value in self.taken.items())
@@ -81,16 +80,15 @@ class Nav2Plugin:
 
 
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
-    """Every plugin of the file, instantiated where optdock provides it; nothing here is an error.
+    """Return all plugins of the file, created if optdock provides them.
 
-    Nav2's files carry many parameters that a plugin here does not have: they are listed, not refused. Behaviors and
-    layers take what their own block leaves out from their node, where Nav2 keeps it.
+    Unknown parameters are listed, not refused. Behaviors and layers inherit some parameters of their node, as in Nav2.
     """
     return tuple(provided(instance, params) for instance in params.plugins)
 
 
 def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
-    """One plugin of the file; see `nav2_plugins`."""
+    """Return one plugin of the file; see `nav2_plugins`."""
     node, kind = params.nodes.get(instance.node, {}), _KINDS.get(instance.kind)
     if kind is None:
         reason = _REASONS.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
@@ -98,10 +96,10 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
     try:
         plugin_class = load_plugin(INTERFACES[kind], instance.nav2_class)
     except PluginError as error:
-        unknown_class = error.__cause__ is None  # otherwise a plugin of ours cannot be imported
-        known_reason = _CLASS_REASONS.get(instance.nav2_class.rsplit(":", 1)[-1].rsplit("/", 1)[-1])
-        reason = known_reason or f"optdock has no {instance.kind.replace('_', ' ')} of this class"
-        reason = reason if unknown_class else str(error)
+        if error.__cause__ is not None:  # an installed plugin cannot be imported
+            return Nav2Plugin(instance, reason=str(error))
+        default = f"optdock has no {instance.kind.replace('_', ' ')} of this class"
+        reason = _CLASS_REASONS.get(instance.nav2_class.rsplit(":", 1)[-1].rsplit("/", 1)[-1], default)
         return Nav2Plugin(instance, reason=reason)
     fields = plugin_class.Parameters.model_fields
     shared = [name for name in _OF_THE_NODE.get(instance.kind, ()) if name in node and name in fields]
@@ -113,12 +111,13 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
         plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)
     except (InvalidValue, PluginError) as error:
         return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown, refused=True)
-    dropped = _of_the_graph(plugin_class, known)
+    graph_names = getattr(plugin_class.Parameters, "graph_names", ())  # accepted and dropped
+    dropped = tuple(name for name in known if name in graph_names)
     return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
 
 
 def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:
-    """Names that the plugin's own model does not accept, however it takes a block apart."""
+    """Names that the plugin's model forbids, in nested blocks too."""
     try:
         parse_parameters(plugin_class.Parameters, parameters, "")
     except InvalidValue as error:
@@ -128,44 +127,30 @@ def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tu
     return ()
 
 
-def _of_the_graph(plugin_class: type[Plugin], values: Mapping[str, object]) -> tuple[str, ...]:
-    """Names in the block and the blocks in it that the plugin accepts and drops."""
-    model = plugin_class.Parameters
-    if not issubclass(model, LayerParameters):
-        return ()
-    here = [name for name in values if name in model.graph_names]
-    inner = [
-        name for value in values.values() if isinstance(value, Mapping) for name in _of_the_graph(plugin_class, value)
-    ]
-    return tuple(dict.fromkeys((*here, *inner)))
-
-
 def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, object]:
-    """The block and the blocks in it without these names."""
+    """The block and its nested blocks without these names."""
     kept = {str(name): value for name, value in values.items() if str(name) not in names}
     return {name: _without(value, names) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 
 def nav2_plugin_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
-    """Node, instance, Nav2's class, and what became of it with which parameters: one row per plugin."""
+    """Return one row per plugin: node, instance, Nav2's class, outcome."""
     return [(p.instance.node, p.instance.name, p.instance.nav2_class, p.outcome) for p in nav2_plugins(params)]
 
 
 def nav2_costmap_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
-    """Name, resolution, outline and layers: one row per costmap."""
-    return [
-        (
-            costmap.name,
-            f"{costmap.resolution:g} m",
-            f"{'radius' if costmap.footprint is None else 'footprint'} {_outline(costmap)}",
-            f"layers: {', '.join(costmap.layers) or 'none'}; filters: {', '.join(costmap.filters) or 'none'}",
+    """Return one row per costmap: name, resolution, outline, layers and filters."""
+    rows = []
+    for costmap in params.costmaps.values():
+        outline = f"radius {costmap.robot_radius:g} m"
+        if costmap.footprint is not None:
+            outline = f"footprint {costmap.footprint.length:g} m x {costmap.footprint.width:g} m"
+        rows.append(
+            (
+                costmap.name,
+                f"{costmap.resolution:g} m",
+                f"{outline}, padded by {costmap.footprint_padding:g} m",
+                f"layers: {', '.join(costmap.layers) or 'none'}; filters: {', '.join(costmap.filters) or 'none'}",
+            )
         )
-        for costmap in params.costmaps.values()
-    ]
-
-
-def _outline(costmap: CostmapParams) -> str:
-    padding = f"padded by {costmap.footprint_padding:g} m"
-    if costmap.footprint is None:
-        return f"{costmap.robot_radius:g} m, {padding}"
-    return f"{costmap.footprint.length:g} m x {costmap.footprint.width:g} m, {padding}"
+    return rows

@@ -1,9 +1,9 @@
-"""ROS 2 messages from and to values of this library, without ROS.
+"""Conversion between ROS 2 messages and values of this library, without ROS.
 
-Nothing here imports a ROS package. Reading takes any object with a message's fields: those of `rclpy`, of `rosbags`, or
-a stand-in. Writing takes the classes from the caller as `MessageTypes`, a function from names such as
-`"nav_msgs/msg/Path"` to classes. Every value that is read is checked: times, frames, numbers, quaternions, sizes; what
-is wrong is an `InvalidMessage` that names message, field, index, value and rule.
+Nothing here imports a ROS package. Messages to read are any objects with the fields of the message, such as those of
+`rclpy` and `rosbags`. For writing the caller passes `MessageTypes`, a function from names such as
+`"nav_msgs/msg/Path"` to classes. Times, frames, numbers, quaternions and sizes are checked: an `InvalidMessage` names
+message, field, index, value and rule.
 """
 
 from __future__ import annotations

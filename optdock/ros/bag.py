@@ -1,4 +1,4 @@
-"""Recordings of ROS 2, read and written by `rosbags` (extra `bag`), without ROS."""
+"""Recordings of ROS 2, read and written with `rosbags` (extra `bag`), without ROS."""
 
 from __future__ import annotations
 
@@ -28,38 +28,23 @@ if TYPE_CHECKING:
 
 __all__ = ["BagMessage", "BagRecording", "bag_types", "open_bag", "write_bag"]
 
-# What rosbags does not bring: the fields of Nav2's costmap messages in their order, for recordings of releases that
-# wrote no definitions into them.
+# Fields of Nav2's costmap messages, which rosbags does not contain, for recordings without message definitions.
 _NAV2_FIELDS = {
-    "CostmapMetaData": (
-        "builtin_interfaces/Time map_load_time",
-        "builtin_interfaces/Time update_time",
-        "string layer",
-        "float32 resolution",
-        "uint32 size_x",
-        "uint32 size_y",
-        "geometry_msgs/Pose origin",
-    ),
-    "Costmap": ("std_msgs/Header header", "CostmapMetaData metadata", "uint8[] data"),
-    "CostmapUpdate": (
-        "std_msgs/Header header",
-        "uint32 x",
-        "uint32 y",
-        "uint32 size_x",
-        "uint32 size_y",
-        "uint8[] data",
-    ),
+    "CostmapMetaData": "builtin_interfaces/Time map_load_time; builtin_interfaces/Time update_time; string layer; "
+    "float32 resolution; uint32 size_x; uint32 size_y; geometry_msgs/Pose origin",
+    "Costmap": "std_msgs/Header header; CostmapMetaData metadata; uint8[] data",
+    "CostmapUpdate": "std_msgs/Header header; uint32 x; uint32 y; uint32 size_x; uint32 size_y; uint8[] data",
 }
-_VERSION: Literal[9] = 9  # of rosbag2's format, what Jazzy and Kilted write
-_LISTED = 20  # topics that a message lists
+_VERSION: Literal[9] = 9  # of rosbag2's format, as written by Jazzy and Kilted
+_LISTED = 20  # topics in an error message
 
 
 class BagMessage(NamedTuple):
     """A message to write.
 
     Attributes:
-        topic: Its topic.
-        time: When it was received [s].
+        topic: Topic.
+        time: Time of reception [s].
         message: The message, of a class of `bag_types`.
     """
 
@@ -70,27 +55,20 @@ class BagMessage(NamedTuple):
 
 @functools.lru_cache(maxsize=1)
 def _store() -> Typestore:
-    """The message classes of a ROS distribution, and those of Nav2's costmaps.
-
-    Raises:
-        MissingExtra: rosbags is not installed.
-    """
+    """Message classes of a ROS distribution, and those of Nav2's costmaps."""
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise MissingExtra("recordings need rosbags: pip install 'optdock[bag]'") from error
     store = get_typestore(Stores.ROS2_KILTED)
     for name, fields in _NAV2_FIELDS.items():
-        store.register(get_types_from_msg("\n".join(fields), f"nav2_msgs/msg/{name}"))
+        store.register(get_types_from_msg(fields.replace("; ", "\n"), f"nav2_msgs/msg/{name}"))
     return store
 
 
 @functools.lru_cache(maxsize=64)
 def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
-    """The classes that a type of message needs, as a recording defines them.
-
-    Of every type for itself: a definition that cannot be read does not keep the others from being read.
-    """
+    """Classes of one message type as defined in a recording; one store per type, so that invalid ones do no harm."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -106,29 +84,29 @@ def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
 
 
 def bag_types(name: str) -> type:
-    """The class of a message in recordings, `MessageTypes` of rosbags.
+    """Return a message class for recordings: the `MessageTypes` of rosbags.
 
     Args:
-        name: Such as `nav_msgs/msg/Path`.
+        name: Name such as `nav_msgs/msg/Path`.
 
     Raises:
-        MissingExtra: rosbags is not installed.
+        MissingExtra: If rosbags is not installed.
     """
     return _store().types[name]
 
 
 def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Collection[str] = ()) -> None:
-    """Write a recording, whole or not at all: one file where the name ends in `.mcap`, else a folder as rosbag2's.
+    """Write a recording atomically: one file if the name ends in `.mcap`, else a folder of rosbag2.
 
     Args:
-        target: A file, which is replaced, or a folder that does not exist.
-        messages: What to write, in any order.
-        latched: Topics whose last message late subscribers get.
+        target: File, which is replaced, or a folder that does not exist.
+        messages: Messages in any order.
+        latched: Topics whose last message is sent to late subscribers.
 
     Raises:
-        InvalidFile: The folder exists, or the target cannot be written.
-        InvalidValue: The name ends in something else, or a message was received before 1970.
-        MissingExtra: rosbags is not installed.
+        InvalidFile: If the folder exists, or the target cannot be written.
+        InvalidValue: If the name has another suffix, or a time is negative.
+        MissingExtra: If rosbags is not installed.
     """
     target = Path(target)
     if target.suffix not in (".mcap", ""):
@@ -141,10 +119,10 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
         raise InvalidValue(f"{rows[0].topic}: time must be >= 0 s, got {rows[0].time}")
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}"
+    scratch = target.parent / f".{target.stem}.{secrets.token_hex(4)}"
     try:
-        beside.mkdir(parents=True)
-        inner = beside / target.stem
+        scratch.mkdir(parents=True)
+        inner = scratch / target.stem
         with Writer(inner, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             known: dict[str, Connection] = {}
             for topic, time, message in rows:
@@ -160,41 +138,38 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
     except OSError as error:
         raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _latched() -> Any:  # noqa: ANN401 - a tuple of rosbags
-    """Quality of service of a topic whose last message late subscribers get."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+    """Quality of service of a latched topic."""
+    from rosbags import interfaces as r
 
-    never = QosTime(0, 0)
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL,
-        never,
-        never,
-        QosLiveliness.SYSTEM_DEFAULT,
-        never,
-        avoid_ros_namespace_conventions=False,
+    history, reliability, durability = (
+        r.QosHistory.KEEP_LAST,
+        r.QosReliability.RELIABLE,
+        r.QosDurability.TRANSIENT_LOCAL,
+    )
+    never, liveliness = r.QosTime(0, 0), r.QosLiveliness.SYSTEM_DEFAULT
+    return r.Qos(
+        history, 1, reliability, durability, never, never, liveliness, never, avoid_ros_namespace_conventions=False
     )
 
 
 @contextmanager
 def open_bag(source: str | Path) -> Iterator[BagRecording]:
-    """A recording to read: an `.mcap` or `.db3` file, or the folder of one.
+    """Open a recording for reading: an `.mcap` or `.db3` file, or its folder.
 
     Raises:
-        InvalidFile: It cannot be read, is damaged, or holds no message.
-        MissingExtra: rosbags is not installed.
+        InvalidFile: If the recording cannot be read, is damaged, or contains no message.
+        MissingExtra: If rosbags is not installed.
     """
     source = Path(source)
     _store()
     from rosbags.rosbag2 import Reader
 
     _check_recording(source)
-    with _told(source):
+    with _reading(source):
         reader = Reader(source)
         reader.open()
     try:
@@ -206,12 +181,8 @@ def open_bag(source: str | Path) -> Iterator[BagRecording]:
 
 
 def _check_recording(source: Path) -> None:
-    """Refuse what rosbags would wait for, or what its reader of YAML would expand without end.
-
-    Raises:
-        InvalidFile: A file is none, or the metadata break the limits of `load_yaml`.
-    """
-    if not os.path.isdir(source):  # noqa: PTH112 - of a name that is too long this one says no
+    """Refuse devices and pipes, for which rosbags would wait, and metadata that break the limits of `load_yaml`."""
+    if not os.path.isdir(source):  # noqa: PTH112 - False also for a name that is too long
         check_regular(source, MostBytes.RECORDING)
         return
     for path in sorted(source.iterdir()):
@@ -222,8 +193,8 @@ def _check_recording(source: Path) -> None:
 
 
 @contextmanager
-def _told(source: Path, topic: str = "") -> Iterator[None]:
-    """Raise the errors of a reader with file and topic."""
+def _reading(source: Path, topic: str = "") -> Iterator[None]:
+    """Add file and topic to the errors of rosbags."""
     try:
         yield
     except InvalidFile:
@@ -238,8 +209,8 @@ class BagRecording:
     """An open recording.
 
     Args:
-        source: Its file, for messages.
-        reader: Of rosbags.
+        source: File name for error messages.
+        reader: Open reader of rosbags.
     """
 
     def __init__(self, source: Path, reader: Reader) -> None:
@@ -248,15 +219,15 @@ class BagRecording:
         self.end = 1e-9 * reader.end_time
 
     def find(self, topics: Sequence[str], kinds: Collection[str], option: str = "") -> str:
-        """The first of some topics that is there; empty where none is.
+        """Return the first existing topic; empty if there is none.
 
         Args:
-            topics: What to look for, in this order.
-            kinds: Types of message that it may have.
-            option: Of the command, for messages; empty where there is none.
+            topics: Candidates in order.
+            kinds: Allowed message types.
+            option: Option of the command for error messages; may be empty.
 
         Raises:
-            InvalidFile: It is of another type.
+            InvalidFile: If the topic is of another type.
         """
         known = {connection.topic: connection.msgtype for connection in self._reader.connections}
         for topic in topics:
@@ -270,25 +241,25 @@ class BagRecording:
         return ""
 
     def of_kind(self, kinds: Collection[str]) -> str:
-        """Which topics there are of some types of message, in words."""
+        """Return a text that lists the topics of some message types."""
         found = sorted({c.topic for c in self._reader.connections if c.msgtype in kinds})
         some = ", ".join(found[:_LISTED]) or "none"
         return f"its topics of type {' or '.join(kinds)}: {some}"
 
     def messages(self, topic: str, since: float, until: float) -> Iterator[tuple[float, Message]]:
-        """Times of reception [s] and messages of a topic, in order; nothing of an empty name.
+        """Yield the times of reception [s] and the messages of a topic, in order; nothing for an empty name.
 
         Raises:
-            InvalidFile: One is damaged.
+            InvalidFile: If a message is damaged.
         """
         for time, kind, data in self._raw(topic, since, until):
             yield time, self._read(topic, kind, data)
 
     def last(self, topic: str, since: float, until: float) -> tuple[float, Message] | None:
-        """Time of reception [s] and message of the last one on a topic; None where there is none.
+        """Return the time of reception [s] and the last message of a topic; None if there is none.
 
         Raises:
-            InvalidFile: It is damaged.
+            InvalidFile: If the message is damaged.
         """
         found = deque(self._raw(topic, since, until), maxlen=1)
         return (found[0][0], self._read(topic, *found[0][1:])) if found else None
@@ -297,8 +268,8 @@ class BagRecording:
         connections = [c for c in self._reader.connections if c.topic == topic]
         if not connections:
             return
-        with _told(self.source, topic):
-            # A recording has an index; of nanoseconds as a float no more than 1,000 are lost.
+        with _reading(self.source, topic):
+            # Bounds for the index of the recording; the rounding of floats is less than 1,000 ns.
             begin = math.floor(since * 1e9) - 1_000 if math.isfinite(since) else None
             end = math.ceil(until * 1e9) + 1_000 if math.isfinite(until) else None
             for connection, time, data in self._reader.messages(connections, begin, end):
@@ -306,6 +277,6 @@ class BagRecording:
                     yield 1e-9 * time, connection.msgtype, data
 
     def _read(self, topic: str, kind: str, data: bytes) -> Message:
-        with _told(self.source, topic):
+        with _reading(self.source, topic):
             definition = next(c.msgdef for c in self._reader.connections if c.msgtype == kind)
             return _store_of(kind, definition).deserialize_cdr(data, kind)

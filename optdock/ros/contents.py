@@ -1,4 +1,4 @@
-"""What recordings of plans, simulated runs and docking logs hold: paths, motion, transforms, markers, diagnostics."""
+"""Messages for recordings of plans, simulated runs and docking logs."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _SPACING = 0.02  # [m] between poses of a path, as in plan files
 
 
 class Names(NamedTuple):
-    """What a recording calls things, and when it begins.
+    """Frames and start time of a recording.
 
     Attributes:
-        frame: What the coordinate frame is called; empty: as in the file, or in the problem.
-        base: The robot's frame.
-        start: Added to all times [s]: the moment at which a plan or a simulated run begins.
+        frame: Name of the coordinate frame; empty for that of the file or the problem.
+        base: Frame of the robot.
+        start: Offset of all times [s]: the start time of a plan or a simulated run.
         stamped: Whether commands are `TwistStamped`.
     """
 
@@ -60,18 +60,18 @@ class Names(NamedTuple):
 
 
 def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """A plan file: its paths at the beginning, then its motion as if driven exactly.
+    """Yield the messages of a plan file: its paths, then its motion as if driven without errors.
 
-    With the problem, its map, and markers of the outlines that are swept and of the closest point.
+    With the problem also its map, and markers of the swept outlines and the closest point.
 
     Raises:
-        InvalidFile: It holds no path and no motion.
-        InvalidValue: It stands in another frame than the problem.
+        InvalidFile: If the plan has no path and no motion.
+        InvalidValue: If the plan is in another frame than the problem.
     """
     if plan.path is None and plan.raw_path is None and plan.trajectory is None:
-        raise InvalidFile(f"the plan holds no path and no motion to record, its status is {plan.status}")
+        raise InvalidFile(f"the plan contains no path and no motion to record, its status is {plan.status}")
     if problem is not None and not may_be_one_frame(plan.frame, problem.frame):
-        raise InvalidValue(f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}")
+        raise InvalidValue(f"the plan is in frame {plan.frame!r}, the scenario in {problem.frame!r}")
     frame, start = names.frame or plan.frame, names.start
     yield from _world(problem, frame, start)
     for topic, path in ((_PLAN, plan.raw_path), (_TRAJECTORY, plan.path)):
@@ -79,7 +79,7 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
             yield BagMessage(topic, start, _path(path, frame, start))
     if plan.path is not None:
         yield BagMessage(_MARKERS, start, _markers(plan.path, problem, frame, start))
-    yield _diagnostics("plan", plan.status == "certified", plan.status, _claims(plan), start)
+    yield _diagnostics("plan", plan.status, _claims(plan), start, good=plan.status == "certified")
     if plan.trajectory is not None:
         motion = plan.trajectory
         poses = np.column_stack((motion.x, motion.y, motion.yaw))
@@ -89,7 +89,7 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
 
 
 def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """A simulated run: true, measured and planned poses, and commands."""
+    """Yield the messages of a simulated run: true, measured and planned poses, and commands."""
     frame = names.frame or ("map" if problem is None else problem.frame)
     named, times = names._replace(frame=frame), names.start + run.times
     yield from _world(problem, frame, names.start)
@@ -102,11 +102,11 @@ def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None =
         for time, pose in zip(times.tolist(), poses.tolist(), strict=True):
             yield BagMessage(topic, time, pose_message(bag_types, Pose2(*pose), frame, time))
     text = "docked" if run.docked else f"not docked: {run.reason}"
-    yield _diagnostics("run", run.docked, text, {"duration [s]": run.times[-1]}, float(times[-1]))
+    yield _diagnostics("run", text, {"duration [s]": run.times[-1]}, float(times[-1]), good=run.docked)
 
 
 def log_messages(log: DockingLog, names: Names) -> Iterator[BagMessage]:
-    """The log of a docking, on its own clock: what was measured, planned, commanded and said in every cycle."""
+    """Yield the messages of a docking log, on its own clock: measurements, plans, commands and events of all cycles."""
     problem = log.task.problem
     named = names._replace(frame=names.frame or problem.frame)
     yield from _world(problem, named.frame, names.start + log.cycles[0].measurements.stamp)
@@ -134,16 +134,12 @@ def _cycle_messages(cycle: Cycle, problem: DockingProblem, names: Names) -> Iter
     command = np.array([[cycle.command.linear, cycle.command.angular]])
     yield from _commanded(np.array([time]), command, names)
     for event in cycle.events:
-        said = {"state": cycle.state.value, "detail": event.detail}
-        yield _diagnostics("docking", True, event.name, said, time)  # noqa: FBT003
+        details = {"state": cycle.state.value, "detail": event.detail}
+        yield _diagnostics("docking", event.name, details, time)
     if cycle.ending is not None:
         ending = cycle.ending
-        values: dict[str, object] = {
-            "error code": ending.kind.code,
-            "retries": ending.num_retries,
-            "reason": ending.reason,
-        }
-        yield _diagnostics("docking", ending.kind.code == 0, ending.kind.value, values, time)
+        values = {"error code": ending.kind.code, "retries": ending.num_retries, "reason": ending.reason}
+        yield _diagnostics("docking", ending.kind.value, values, time, good=ending.kind.code == 0)
         yield BagMessage(_MARKERS, time, delete_markers(bag_types, frame, time))
 
 
@@ -160,7 +156,7 @@ def _path(path: Path, frame: str, time: float) -> object:
 
 
 def _markers(path: Path, problem: DockingProblem | None, frame: str, time: float, *, certified: bool = True) -> object:
-    nameless = Path(path.segments)  # the name of the frame is that of the recording
+    nameless = Path(path.segments)  # without the name of its frame, as the recording may rename it
     if problem is None:
         return path_markers(bag_types, nameless, frame, time)
     return path_markers(
@@ -189,19 +185,21 @@ def _commanded(times: FloatArray, commands: FloatArray, names: Names) -> Iterato
 
 
 def _claims(plan: PlanFile) -> Mapping[str, object]:
-    """What the file says of its certificate, and why there is none."""
+    """Values of the file's certificate, its error, and its computation times."""
     claimed = plan.certificate or {}
-    told: dict[str, object] = {
+    values: dict[str, object] = {
         name: claimed[name]
         for name in ("min_clearance", "required_clearance", "at_s", "max_curvature", "length")
         if isinstance(claimed.get(name), float | int)
     }
     nearest = claimed.get("nearest")
-    told |= {"nearest": in_words(nearest)} if isinstance(nearest, str) and nearest else {}
-    told |= {} if plan.error is None else {"error code": plan.error.code, "reason": plan.error.message}
-    return told | {f"{stage} [ms]": float(spent) for stage, spent in plan.timing_ms.items()}
+    if isinstance(nearest, str) and nearest:
+        values["nearest"] = in_words(nearest)
+    if plan.error is not None:
+        values |= {"error code": plan.error.code, "reason": plan.error.message}
+    return values | {f"{stage} [ms]": float(spent) for stage, spent in plan.timing_ms.items()}
 
 
-def _diagnostics(name: str, is_good: bool, text: str, values: Mapping[str, object], time: float) -> BagMessage:  # noqa: FBT001
-    message = diagnostics_message(bag_types, f"optdock: {name}", "ok" if is_good else "error", text, values, time)
+def _diagnostics(name: str, text: str, values: Mapping[str, object], time: float, *, good: bool = True) -> BagMessage:
+    message = diagnostics_message(bag_types, f"optdock: {name}", "ok" if good else "error", text, values, time)
     return BagMessage(_DIAGNOSTICS, time, message)

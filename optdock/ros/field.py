@@ -1,22 +1,36 @@
-"""A docking out of a recording from a robot: what was planned, what was driven, and among what, in one frame."""
+"""Recorded dockings: path, drive, costmap and outline of a recording, and their scenarios for the certificate."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import shapely
 
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.config.scenario import Scenario
+from optdock.config.writing import save_scenario
+from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2, transform_poses, unwrap_yaw
+from optdock.geometry.obstacles import in_words
+from optdock.geometry.pose import Pose2, transform_points, transform_poses, unwrap_yaw
+from optdock.io.maps import save_map
+from optdock.io.plan_file import PlanFile, save_plan
+from optdock.model.costs import FREE_SPACE, LETHAL
+from optdock.model.dock import Dock
+from optdock.model.limits import LIMIT_UNITS, MotionLimits
+from optdock.model.path import Path as DockPath
+from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.robot import Robot
 from optdock.ros.grids import costmap, patched
 from optdock.ros.messages import seconds
 from optdock.ros.motion import footprint, odometry, path_poses
 from optdock.ros.transforms import TransformError, TransformTree
+from optdock.verification.proximity import pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -26,7 +40,17 @@ if TYPE_CHECKING:
     from optdock.ros.bag import BagRecording
     from optdock.ros.messages import Message
 
-__all__ = ["FieldDocking", "FieldOptions", "FieldTopics", "RecordedDrive", "field_docking", "kept_poses"]
+__all__ = [
+    "FieldDocking",
+    "FieldOptions",
+    "FieldTopics",
+    "JudgedPoses",
+    "RecordedDrive",
+    "field_docking",
+    "judged_poses",
+    "kept_poses",
+    "save_field_docking",
+]
 
 _PATH = ("nav_msgs/msg/Path",)
 _GRID = ("nav2_msgs/msg/Costmap", "nav_msgs/msg/OccupancyGrid")
@@ -35,23 +59,20 @@ _POLYGON = ("geometry_msgs/msg/PolygonStamped",)
 _ODOMETRY = ("nav_msgs/msg/Odometry",)
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 
-# Poses of a drive that are kept: far enough apart that millimetres of noise are no turns, near enough that what lies
-# between them is straight to a millimetre.
+# Distances between the kept poses of a drive: noise of millimetres is no turn, and the path between two poses is
+# straight to a millimetre.
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
-_REVERSED = 0.01  # [m] that a robot comes back before that is a gear of its own
+_REVERSED = 0.01  # [m]: shorter motions back are noise
 _OUTLINES = 200  # footprint messages that are compared, and up to twice as many
-_AT_ONCE = 100  # updates of a costmap that cost one copy of it
-_AROUND = 1.0  # [s] of transforms beside the stretch, for times between them
-# [s] by which a transform may be asked for beyond what is known of it: localization sends one in ten control cycles.
-_REACH = 0.2
+_AT_ONCE = 100  # updates of a costmap per copy of it
+_AROUND = 1.0  # [s] of transforms before and after the interval, for interpolation
+_REACH = 0.2  # [s] before and after the known transforms: localization sends one in ten control cycles
 _BASE = "base_link"  # Nav2's default
+_BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Which topics to read: of each kind the first that is there; one alone must be there.
-
-    The defaults are the names of Nav2's nodes.
-    """
+    """Topics to read: the first existing one of each kind; a single one must exist. Defaults are those of Nav2."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (
@@ -66,15 +87,18 @@ class FieldTopics(NamedTuple):
     tf: str = "/tf"
     tf_static: str = "/tf_static"
 
-    def instead(self, asked: Mapping[str, str]) -> FieldTopics:
-        """The same with single topics where one is asked for by name; an empty name asks for nothing."""
-        return self._replace(**{kind: (topic,) for kind, topic in asked.items() if topic})  # type: ignore[arg-type]
+    def instead(self, topics: Mapping[str, str]) -> FieldTopics:
+        """Return a copy with single topics for the kinds whose name in `topics` is not empty."""
+        return self._replace(**{kind: (topic,) for kind, topic in topics.items() if topic})  # type: ignore[arg-type]
 
 
 class RecordedDrive(NamedTuple):
-    """Where the robot was: times, Shape (n,), since the beginning of the recording [s], and poses, Shape (n, 3).
+    """Driven poses.
 
-    `kept` are the rows that make a path of it.
+    Attributes:
+        times: Times since the beginning of the recording, Shape (n,) [s].
+        poses: Shape (n, 3).
+        kept: Rows that form a path.
     """
 
     times: FloatArray
@@ -83,15 +107,15 @@ class RecordedDrive(NamedTuple):
 
 
 class FieldDocking(NamedTuple):
-    """A docking out of a recording, all in `frame`.
+    """A docking from a recording, all in `frame`.
 
     Attributes:
-        frame: The costmap's.
-        costmap: What was known of the surroundings in the end.
-        footprint: The robot's outline, in its own frame.
-        path: The last path that was sent, Shape (n, 3); None where the recording has none.
-        drive: What was driven; None where the recording has no odometry.
-        rows: What was read where, in words.
+        frame: Frame of the costmap.
+        costmap: Last costmap.
+        footprint: Outline of the robot, in its own frame.
+        path: Last path, Shape (n, 3); None if the recording has none.
+        drive: Driven poses; None if the recording has no odometry.
+        rows: Description of everything that was read.
     """
 
     frame: str
@@ -103,14 +127,14 @@ class FieldDocking(NamedTuple):
 
 
 class FieldOptions(NamedTuple):
-    """What is known of a recording beside itself.
+    """Options for reading a recording.
 
     Attributes:
-        outline: The robot's; None: that of the recording, taken back from where the robot stood.
-        base_frame: The robot's frame; empty: the child frame of the odometry, or `base_link`.
-        rule: How occupancies become costs; None for the defaults.
-        since: Leave out what was received earlier, since the beginning of the recording [s].
-        until: Leave out what was received later, likewise.
+        outline: Outline of the robot; None for that of the recording.
+        base_frame: Frame of the robot; empty for the child frame of the odometry, or `base_link`.
+        rule: Conversion of occupancies to costs; None for the defaults.
+        since: Time since the beginning of the recording before which messages are ignored [s].
+        until: Time since the beginning of the recording after which messages are ignored [s].
     """
 
     outline: Footprint | None = None
@@ -121,93 +145,91 @@ class FieldOptions(NamedTuple):
 
 
 def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> FieldDocking:
-    """The content of a recording of a docking.
-
-    Path, costmap and outline are the last ones in the stretch that is asked for; the costmap with its updates.
+    """Return the docking of a recording, with the last path, costmap (with updates) and outline of the interval.
 
     Args:
         bag: The recording.
-        topics: Where to look.
-        options: What else is known.
+        topics: Topics to read.
+        options: Interval, frames and outline.
 
     Raises:
-        InvalidFile: A topic is missing, empty, of another type or damaged, a message breaks a rule, or frames are not
-            joined; the message names file and topic.
+        InvalidFile: If a topic is missing, empty, of another type or damaged, a message is invalid, or frames are not
+            connected; the message names file and topic.
     """
     return _RecordingReader(bag, topics, options).read()
 
 
 class _RecordingReader:
-    """Reads one recording; every error names file and topic."""
+    """Reader of one recording; every error names file and topic."""
 
     def __init__(self, bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> None:
         self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
-        self._stretch = bag.begin + options.since, bag.begin + options.until
+        self._interval = bag.begin + options.since, bag.begin + options.until
         self._rows: list[tuple[str, str]] = []
         self._transforms = TransformTree(reach=_REACH)
-        self._times: list[tuple[float, float]] = []  # of the odometry: received, stamp
-        self._out_of_reach = ""
+        self._times: list[tuple[float, float]] = []  # of the odometry: time of reception, stamp
+        self._out_of_reach = ""  # the last error of a transform
 
     def read(self) -> FieldDocking:
-        """Everything, in the frame of the costmap."""
         topics = self._topics
         odom = self._find(topics.odometry, _ODOMETRY, "--odom-topic")
         planned = self._find(topics.path, _PATH, "--path-topic")
         if not (odom or planned):
             names, option = (*topics.path, *topics.odometry), "--path-topic, --odom-topic"
-            raise InvalidFile(self._none_of(names, (*_PATH, *_ODOMETRY), option))
+            raise self._none_of(names, (*_PATH, *_ODOMETRY), option)
         grid = self._find(topics.costmap, _GRID, "--costmap-topic")
         if not grid:
-            raise InvalidFile(self._none_of(topics.costmap, _GRID, "--costmap-topic"))
-        self._note_transforms()
-        self._note_odometry(odom)
+            raise self._none_of(topics.costmap, _GRID, "--costmap-topic")
+        self._read_transforms()
+        self._read_odometry(odom)
         frame, known = self._costmap(grid)
         path = self._path(planned, frame) if planned else None
         drive = self._drive(odom, frame) if odom else None
-        found = self._options.outline or self._footprint()
-        return FieldDocking(frame, known, found, path, drive, tuple(self._rows))
+        outline = self._options.outline or self._footprint()
+        return FieldDocking(frame, known, outline, path, drive, tuple(self._rows))
 
     def _find(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str) -> str:
-        """The first topic that is there; empty where none is, and none was asked for by name."""
+        """First existing topic; empty if none of several exists."""
         found = self._bag.find(names, kinds, option)
         if not found and len(names) == 1:
             raise InvalidFile(f"{self._bag.source}: has no topic {names[0]} ({option}); {self._bag.of_kind(kinds)}")
         return found
 
-    def _none_of(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str) -> str:
-        return f"{self._bag.source}: has none of the topics {', '.join(names)} ({option}); {self._bag.of_kind(kinds)}"
+    def _none_of(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str, hint: str = "") -> InvalidFile:
+        listed = f"has none of the topics {', '.join(names)} ({option}); {self._bag.of_kind(kinds)}"
+        return InvalidFile(f"{self._bag.source}: {listed}{hint}")
 
     @contextmanager
-    def _said_of(self, topic: str) -> Iterator[None]:
-        """Raise errors of a message with file and topic."""
+    def _errors_of(self, topic: str) -> Iterator[None]:
+        """Add file and topic to the errors of a message."""
         try:
             yield
         except (InvalidValue, TransformError) as error:
             raise InvalidFile(f"{self._bag.source}: {topic}: {error}") from error
 
     def _nothing(self, topic: str, what: str = "no message") -> InvalidFile:
-        first, last = (f"{max(time - self._bag.begin, 0.0):.3f}" for time in self._stretch)
+        first, last = (f"{max(time - self._bag.begin, 0.0):.3f}" for time in self._interval)
         length = f"{self._bag.end - self._bag.begin:.3f}"
         return InvalidFile(
             f"{self._bag.source}: {topic}: holds {what} from {first} s to {last} s of {length} s (--since, --until)"
         )
 
-    def _ago(self, time: float) -> str:
-        return f"{time - self._bag.begin:.3f} s"
+    def _received(self, time: float) -> str:
+        return f"received at {time - self._bag.begin:.3f} s"
 
-    def _note_transforms(self) -> None:
-        begin, end = self._stretch
+    def _read_transforms(self) -> None:
+        begin, end = self._interval
         for topic, since, always in ((self._topics.tf_static, 0.0, True), (self._topics.tf, begin - _AROUND, False)):
             if self._bag.find((topic,), _TRANSFORMS):
                 for _, message in self._bag.messages(topic, since, end + _AROUND):
                     for one in message.transforms:
                         self._transforms.insert(one, is_static=always)
 
-    def _note_odometry(self, topic: str) -> None:
-        """Its times; and its poses where no transform says the same."""
+    def _read_odometry(self, topic: str) -> None:
+        """Read the times of the odometry, and its poses if there is no transform of its child frame."""
         is_needed = None
-        for received, message in self._bag.messages(topic, *self._stretch) if topic else ():
-            with self._said_of(topic):
+        for received, message in self._bag.messages(topic, *self._interval) if topic else ():
+            with self._errors_of(topic):
                 found = odometry(message)
             child = found.child_frame.lstrip("/") or self._base or _BASE
             if is_needed is None:
@@ -222,45 +244,47 @@ class _RecordingReader:
         self._base = self._base or _BASE
 
     def _costmap(self, topic: str) -> tuple[str, Costmap]:
-        """The last whole costmap with every update after it, and its frame."""
-        last = self._bag.last(topic, *self._stretch)
+        """Frame and last complete costmap with all later updates."""
+        last = self._bag.last(topic, *self._interval)
         if last is None:
             raise self._nothing(topic)
         received, message = last
-        with self._said_of(topic):
+        with self._errors_of(topic):
             known = costmap(message, self._options.rule)
         updates, count = f"{topic}_updates", 0
         if self._bag.find((updates,), _UPDATE):
-            parts = (update for _, update in self._bag.messages(updates, received, self._stretch[1]))
+            parts = (update for _, update in self._bag.messages(updates, received, self._interval[1]))
             while some := tuple(itertools.islice(parts, _AT_ONCE)):
-                with self._said_of(updates):
+                with self._errors_of(updates):
                     known, count = patched(known, *some, rule=self._options.rule), count + len(some)
         grid, frame = known.costmap, known.frame.lstrip("/")
         more = f" and {count} updates" if count else ""
         cells = f"{grid.columns} x {grid.rows} cells of {grid.resolution:g} m in {frame!r}"
-        self._rows.append(("costmap", f"{topic}: {cells}, received at {self._ago(received)}{more}"))
+        self._rows.append(("costmap", f"{topic}: {cells}, {self._received(received)}{more}"))
         return frame, grid
 
     def _path(self, topic: str, frame: str) -> FloatArray:
-        """The last path that has poses, in a frame."""
+        """Last path with poses, in a frame."""
         last = None
-        for received, message in self._bag.messages(topic, *self._stretch):
+        for received, message in self._bag.messages(topic, *self._interval):
             last = (received, message) if len(message.poses) else last
         if last is None:
             raise self._nothing(topic, "no path with poses")
-        with self._said_of(topic):
+        with self._errors_of(topic):
             found = path_poses(last[1])
-            # A stamp of zero stands for the newest transform.
-            stamp = found.stamp or (self._times[-1][1] if self._times else 0.0)
-            moved = self._in_frame(frame, found.frame.lstrip("/"), stamp)
-        self._rows.append(("path", f"{topic}: {len(found.poses)} poses, received at {self._ago(last[0])}"))
+            source, moved = found.frame.lstrip("/"), Pose2(0.0, 0.0, 0.0)
+            if source != frame:
+                # A stamp of zero means the newest transform.
+                stamp = found.stamp or (self._times[-1][1] if self._times else 0.0)
+                moved = self._transforms.lookup(frame, source, stamp).planar()
+        self._rows.append(("path", f"{topic}: {len(found.poses)} poses, {self._received(last[0])}"))
         return readonly(transform_poses(moved, found.poses))
 
     def _drive(self, topic: str, frame: str) -> RecordedDrive:
-        """Where the robot was at the times of the odometry, as far as transforms reach."""
+        """Poses of the robot at the times of the odometry for which there are transforms."""
         rows, length = list[tuple[float, ...]](), len(self._times)
         for received, stamp in self._times:
-            stood = self._placed(frame, self._base, stamp)
+            stood = self._robot_in(frame, stamp)
             if stood is not None:
                 rows.append((received, stood.x, stood.y, stood.yaw))
         if not rows:
@@ -272,64 +296,58 @@ class _RecordingReader:
         poses = readonly(np.array(table[:, 1:]))
         return RecordedDrive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
 
-    def _in_frame(self, target: str, source: str, stamp: float) -> Pose2:
-        if target == source:
-            return Pose2(0.0, 0.0, 0.0)
-        return self._transforms.lookup(target, source, stamp).planar()
-
-    def _placed(self, target: str, source: str, stamp: float) -> Pose2 | None:
-        """As `_in_frame`; None where transforms do not reach, and why is kept."""
+    def _robot_in(self, frame: str, stamp: float) -> Pose2 | None:
+        """Pose of the robot in a frame; None if there is no transform, and the error is kept."""
         try:
-            found = self._transforms.lookup(target, source, stamp)
+            found = self._transforms.lookup(frame, self._base, stamp)
         except TransformError as error:
             self._out_of_reach = f"{self._bag.source}: {self._topics.tf}: {error}"
             return None
-        with self._said_of(self._topics.tf):
+        with self._errors_of(self._topics.tf):
             return found.planar()
 
-    def _some(self, topic: str) -> list[Message]:
-        """Messages of a topic, evenly spread over the stretch: `_OUTLINES` to twice as many, or all of fewer."""
+    def _evenly_spaced(self, topic: str) -> list[Message]:
+        """Messages of a topic: all, or `_OUTLINES` to twice as many of them, evenly spaced."""
         found: list[Message] = []
         every = 1
-        for number, (_, message) in enumerate(self._bag.messages(topic, *self._stretch)):
+        for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
             if number % every == 0:
                 found.append(message)
             if len(found) == 2 * _OUTLINES:
                 found, every = found[::2], 2 * every
+        if not found:
+            raise self._nothing(topic)
         return found
 
     def _footprint(self) -> Footprint:
-        """The outline in the robot's frame: the median of many, as each is only where the robot was to a tick."""
-        topic = self._find(self._topics.footprint, _POLYGON, "--footprint-topic")
+        """Outline in the robot's frame: the median of many, as the pose of each is only known to a control cycle."""
+        names, option = self._topics.footprint, "--footprint-topic"
+        topic = self._find(names, _POLYGON, option)
         if not topic:
-            raise InvalidFile(
-                self._none_of(self._topics.footprint, _POLYGON, "--footprint-topic")
-                + "; or give the outline by --footprint or --radius"
-            )
-        messages = self._some(topic)
-        if not messages:
-            raise self._nothing(topic)
+            raise self._none_of(names, _POLYGON, option, "; or give the outline by --footprint or --radius")
         outlines = []
-        for message in messages:
-            with self._said_of(topic):
+        for message in self._evenly_spaced(topic):
+            with self._errors_of(topic):
                 stamp = seconds(message.header.stamp)
-            stood = self._placed(message.header.frame_id.lstrip("/"), self._base, stamp)
+            stood = self._robot_in(message.header.frame_id.lstrip("/"), stamp)
             if stood is not None:
-                with self._said_of(topic):
+                with self._errors_of(topic):
                     outlines.append(footprint(message, stood).footprint.vertices)
         if not outlines:
             raise InvalidFile(self._out_of_reach)
         alike = [outline for outline in outlines if len(outline) == len(outlines[-1])]
-        with self._said_of(topic):
+        with self._errors_of(topic):
             found = Footprint(np.median(np.array(alike), axis=0))
-        self._rows.append(
-            ("footprint", f"{topic}: {found.length:.3f} m x {found.width:.3f} m, of {len(alike)} messages")
-        )
+        size = f"{found.length:.3f} m x {found.width:.3f} m"
+        self._rows.append(("footprint", f"{topic}: {size}, of {len(alike)} messages"))
         return found
 
 
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
-    """Rows of measured poses, Shape (n, 3), that make a path: some centimetres apart, both ends, every reversal."""
+    """Return the rows of measured poses, Shape (n, 3), that form a path.
+
+    They are at least some centimetres or a turn apart, and include both ends and every reversal.
+    """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
     middle = 0.5 * (yaw[1:] + yaw[:-1])
@@ -347,7 +365,7 @@ def kept_poses(poses: FloatArray) -> tuple[int, ...]:
 
 
 def _reversals(ahead: FloatArray) -> list[int]:
-    """Rows at which the way driven forward, Shape (n,) [m], turns around by more than noise does."""
+    """Rows at which the distance driven forward, Shape (n,) [m], reverses by more than noise."""
     found, trend, low, high = list[int](), 0, 0, 0
     for row, way in enumerate(ahead.tolist()):
         high, low = (row if way > ahead[high] else high), (row if way < ahead[low] else low)
@@ -358,3 +376,127 @@ def _reversals(ahead: FloatArray) -> list[int]:
             found += [low] if trend else []
             trend, high = 1, row
     return found
+
+
+class JudgedPoses(NamedTuple):
+    """A planned or driven path, and the problem that it solves.
+
+    Attributes:
+        name: `path` or `drive`.
+        path: Path through the poses.
+        problem: Problem from the first pose to the last, with the costmap.
+        closest: Text with the smallest clearance of the poses, its pose and obstacle.
+    """
+
+    name: str
+    path: DockPath
+    problem: DockingProblem
+    closest: str
+
+
+def judged_poses(
+    found: FieldDocking, rule: ClearanceRule, contact: float | None = None
+) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
+    """Return the paths of a recorded docking with their problems, and rows of a report.
+
+    The limits are the defaults of `MotionLimits`, as a recording has none.
+
+    Args:
+        found: The docking.
+        rule: Required clearance of path and drive.
+        contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
+            edge of the outline, inside and outside, are free [m]. None for the diagonal of a cell.
+    """
+    judged, drive = list[JudgedPoses](), found.drive
+    known, rows = _without_contact(found, contact)
+    for name, poses in (("path", found.path), ("drive", None if drive is None else drive.poses)):
+        if poses is None:
+            rows.append((f"{name} to judge", "none"))
+            continue
+        problem = DockingProblem(
+            Pose2(*poses[0].tolist()),
+            Dock(Pose2(*poses[-1].tolist())),
+            Robot(found.footprint, MotionLimits()),
+            clearance=rule,
+            costmap=known,
+            frame=found.frame,
+        )
+        distance, worst, closest = _closest(poses, problem)
+        if drive is not None and name == "drive":
+            closest += f" at {drive.times[worst]:.3f} s"
+            # A colliding pose is judged even if it is not kept.
+            poses = poses[sorted({*drive.kept, worst} if distance < rule.required else drive.kept)]  # noqa: PLW2901
+        try:
+            path = DockPath.from_poses(poses, found.frame)
+        except InvalidPath as error:
+            rows.append((f"{name} to judge", f"none: {error}"))
+            continue
+        judged.append(JudgedPoses(name, path, problem, closest))
+        rows.append((f"{name} closest", closest))
+    return tuple(judged), tuple(rows)
+
+
+def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costmap, list[tuple[str, str]]]:
+    """Costmap without the cells that the robot touches at the end of the path, and rows of a report."""
+    grid, near = found.costmap, math.sqrt(2.0) * found.costmap.resolution if contact is None else contact
+    if found.path is None or near == 0.0:
+        return grid, []
+    outline = shapely.Polygon(transform_points(found.path[-1:], found.footprint.vertices)[0])
+    rows, columns = np.nonzero(grid.data >= LETHAL)
+    centres, half = grid.centre_of(np.column_stack((columns, rows))), 0.5 * grid.resolution
+    squares = shapely.box(*(centres - half).T, *(centres + half).T)
+    touched = shapely.intersects(squares, outline.buffer(near)) & ~shapely.intersects(squares, outline.buffer(-near))
+    if not touched.any():
+        return grid, []
+    data = grid.data.copy()
+    data[rows[touched], columns[touched]] = FREE_SPACE
+    count = np.count_nonzero(touched)
+    text = f"{count} occupied cells at the edge of the outline, to within {near:.3f} m, taken as free"
+    return grid.with_data(data), [("path's end", text)]
+
+
+def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
+    """Smallest clearance of the poses themselves [m], its row, and both as text."""
+    if not len(problem.all_obstacles):
+        return math.inf, 0, "there are no obstacles"
+    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+    blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
+    found = [pose_clearances(block, footprint, obstacles) for block in blocks]
+    distances, rows = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    worst = int(np.argmin(distances))
+    least, what = float(distances[worst]), in_words(obstacles.name_of(int(rows[worst])))
+    away = f"{least:.4f} m from {what}" if least >= 0.0 else f"{-least:.4f} m into {what}"
+    return least, worst, f"{away}, pose {worst} of {len(poses)}, {Pose2(*poses[worst].tolist()).brief}"
+
+
+def save_field_docking(
+    folder: str | Path, judged: tuple[JudgedPoses, ...], found: FieldDocking, note: str
+) -> tuple[Path, ...]:
+    """Write a plan file `NAME.json` and a scenario `NAME.yaml` for each path, and one map for all.
+
+    Args:
+        folder: Folder, created if necessary; existing files are replaced.
+        judged: Paths to write.
+        found: The docking.
+        note: Comment of one line for the scenarios.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidFile: If a file cannot be written.
+        InvalidValue: If there is nothing to write.
+    """
+    if not judged:
+        raise InvalidValue("neither path nor drive has two distinct poses")
+    folder = Path(folder)
+    written = [*save_map(folder / "map.yaml", judged[0].problem.costmap or found.costmap)]
+    for one in judged:
+        plan = folder / f"{one.name}.json"
+        save_plan(plan, PlanFile(status="recorded", completed=True, frame=found.frame, path=one.path))
+        scenario = Scenario(one.problem, default_limits=frozenset(LIMIT_UNITS))
+        files = save_scenario(
+            plan.with_suffix(".yaml"), scenario, map_source=written[0], note=f"{note}, as {one.name} recorded"
+        )
+        written += [plan, *files]
+    return tuple(written)

@@ -1,4 +1,4 @@
-"""Costmaps and occupancy grids, and the updates of parts of them."""
+"""Messages of costmaps and occupancy grids, and their updates."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.pose import Pose2
 from optdock.model.costmap import Costmap
 from optdock.model.costs import OccupancyRule
 from optdock.ros import messages
 from optdock.ros.messages import column, header, made, refuse, stamped_frame
-from optdock.ros.motion import plain_pose
+from optdock.ros.motion import plain_pose, plain_pose_message
 
 if TYPE_CHECKING:
     from optdock.model.costs import CostArray
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["StampedCostmap", "costmap", "costmap_message", "occupancy_message", "patched"]
 
-_TURNED = 1e-6  # [rad]: over a map of a kilometre a millimetre, far less than a cell
+_TURNED = 1e-6  # [rad]: a millimetre over a map of a kilometre, far less than a cell
 _UNKNOWN, _OCCUPIED = -1, 100
 
 
@@ -32,18 +33,17 @@ class StampedCostmap(NamedTuple):
 
 
 def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
-    """The costmap of a `nav2_msgs/Costmap` or a `nav_msgs/OccupancyGrid`.
+    """Return the costmap of a `nav2_msgs/Costmap` or a `nav_msgs/OccupancyGrid`.
 
-    A resolution is sent with seven digits; the shortest number that is sent as these is taken: 0.05 m, not
-    0.05000000074505806 m.
+    The resolution is the shortest number with the 32 bits of the message: 0.05 m, not 0.05000000074505806 m.
 
     Args:
-        message: Either of them.
-        rule: How occupancies become costs; None for the defaults, by which only 100 is lethal and 99 inscribed.
+        message: The message.
+        rule: Conversion of occupancies to costs; None for the defaults, by which 100 is lethal and 99 inscribed.
 
     Raises:
-        InvalidMessage: As many cells as width times height are not there, an occupancy is outside -1..100, the map is
-            turned, a number is not finite, there is no frame; or it is neither of the two messages.
+        InvalidMessage: If the number of cells is not width times height, an occupancy is outside -1..100, the map is
+            rotated, a number is not finite, there is no frame, or the message is of another type.
     """
     frame, time = stamped_frame(message)
     is_costmap = hasattr(message, "metadata")
@@ -56,23 +56,23 @@ def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostm
     corner = plain_pose(message, meta.origin, f"{field}.origin", _TURNED)
     if abs(corner.yaw) > _TURNED:
         refuse(message, f"{field}.origin.orientation", "must not be turned: rows go along x", f"{corner.yaw:.6g} rad")
-    resolution = _shortest(meta.resolution)
+    resolution = float(str(np.float32(meta.resolution)))
     if not (math.isfinite(resolution) and resolution > 0.0):
         refuse(message, f"{field}.resolution", "must be finite and > 0 m", meta.resolution)
     return StampedCostmap(frame, time, Costmap(costs, resolution, (corner.x, corner.y)))
 
 
 def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
-    """A costmap with parts of it new: `nav2_msgs/CostmapUpdate` or `map_msgs/OccupancyGridUpdate`.
+    """Return a costmap with `nav2_msgs/CostmapUpdate` or `map_msgs/OccupancyGridUpdate` messages applied.
 
     Args:
-        known: Of the last whole message.
-        *updates: What has changed, in order; the stamp of the last becomes that of the whole. Many cost one copy.
+        known: Costmap of the last complete message.
+        *updates: Updates in order; the stamp of the last one becomes that of the costmap.
         rule: As for `costmap`.
 
     Raises:
-        InvalidMessage: One is in another frame, reaches beyond the costmap, has another number of cells than it says,
-            or an occupancy is outside -1..100.
+        InvalidMessage: If an update is in another frame, reaches beyond the costmap, has a wrong number of cells, or an
+            occupancy outside -1..100.
     """
     frame, stamp, grid = known
     data = grid.data.copy() if updates else grid.data
@@ -85,20 +85,18 @@ def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None
         columns, rows = int(getattr(update, wide)), int(getattr(update, high))
         x, y = int(update.x), int(update.y)
         if not (0 <= x <= x + columns <= grid.columns and 0 <= y <= y + rows <= grid.rows):
-            told = f"{columns} x {rows} from ({x}, {y})"
-            refuse(update, wide, f"must lie within the {grid.columns} x {grid.rows} cells of the costmap", told)
+            rule_text = f"must lie within the {grid.columns} x {grid.rows} cells of the costmap"
+            refuse(update, wide, rule_text, f"{columns} x {rows} from ({x}, {y})")
         costs = _costs_of(update, columns, rows, None if is_costmap else rule or OccupancyRule())
         data[y : y + rows, x : x + columns] = costs
     return StampedCostmap(frame, stamp, grid.with_data(data)) if updates else known
 
 
-def costmap_message(
-    types: MessageTypes, costmap: Costmap, frame: str, stamp: float, *, layer: str = "master"
-) -> Message:
-    """A `nav2_msgs/Costmap`.
+def costmap_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: float) -> Message:
+    """Return a `nav2_msgs/Costmap`.
 
     Raises:
-        InvalidValue: No frame, or no time.
+        InvalidValue: If frame or time are invalid.
     """
     name = "nav2_msgs/msg/Costmap"
     metadata = made(
@@ -106,7 +104,7 @@ def costmap_message(
         "nav2_msgs/msg/CostmapMetaData",
         map_load_time=messages.stamp(types, stamp),
         update_time=messages.stamp(types, stamp),
-        layer=layer,
+        layer="master",
         resolution=costmap.resolution,
         size_x=costmap.columns,
         size_y=costmap.rows,
@@ -117,10 +115,10 @@ def costmap_message(
 
 
 def occupancy_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: float) -> Message:
-    """A `nav_msgs/OccupancyGrid` with the occupancies that Nav2 publishes of costs.
+    """Return a `nav_msgs/OccupancyGrid` with the occupancies that Nav2 publishes for costs.
 
     Raises:
-        InvalidValue: No frame, or no time.
+        InvalidValue: If frame or time are invalid.
     """
     name = "nav_msgs/msg/OccupancyGrid"
     info = made(
@@ -137,16 +135,13 @@ def occupancy_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: 
 
 
 def _origin(types: MessageTypes, grid: Costmap) -> Message:
-    x, y = grid.origin
-    place = made(types, "geometry_msgs/msg/Point", x=x, y=y, z=0.0)
-    turn = made(types, "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    return made(types, "geometry_msgs/msg/Pose", position=place, orientation=turn)
+    return plain_pose_message(types, Pose2(*grid.origin, 0.0))
 
 
 def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
-    """The costs of a message, Shape (rows, columns); its cells are occupancies where there is a rule for them."""
+    """Costs of a message, Shape (rows, columns); with a rule its cells are occupancies."""
     given = message.data
-    if isinstance(given, list | tuple):  # of a stand-in, or where a field of rclpy was set to one
+    if isinstance(given, list | tuple):  # rclpy's fields accept lists too
         given = bytes(value % 256 for value in given)
     cells = np.frombuffer(given, dtype=np.uint8)
     if cells.size != columns * rows or cells.size == 0:
@@ -157,13 +152,8 @@ def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | N
     if signed.min() < _UNKNOWN or signed.max() > _OCCUPIED:
         row = int(np.flatnonzero((signed < _UNKNOWN) | (signed > _OCCUPIED))[0])
         refuse(message, f"data[{row}]", "must be -1 (unknown) or 0..100", int(signed[row]))
-    # By a table of all bytes, -1 the last: a grid may have millions of cells.
+    # Lookup table of all bytes, with -1 as the last, for grids of millions of cells.
     table, known = np.zeros(256, dtype=np.uint8), rule.table()
     table[: _OCCUPIED + 1], table[_UNKNOWN] = known[:-1], known[-1]
     costs: CostArray = np.take(table, cells).reshape(rows, columns)
     return costs
-
-
-def _shortest(value: float) -> float:
-    """The shortest number that a field of 32 bits holds as this value."""
-    return float(str(np.float32(value)))

@@ -1,4 +1,4 @@
-"""A plan as markers: its path coloured by gear, the outlines that it sweeps, the goal, the closest point."""
+"""Markers of a plan: path coloured by gear, swept outlines, goal, closest point."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import shapely
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
-from optdock.geometry.checked import sampling_step
 from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.path import may_be_one_frame
@@ -28,19 +27,20 @@ if TYPE_CHECKING:
     from optdock.ros.messages import Message, MessageTypes
     from optdock.verification import Certificate
 
-__all__ = ["SWEPT_EVERY", "delete_markers", "path_markers", "plan_markers"]
+__all__ = ["delete_markers", "path_markers", "plan_markers"]
 
-SWEPT_EVERY = 0.1  # [m] between outlines: they overlap for any robot that docks, and 10 m are 100 of them
+_SWEPT_EVERY = 0.1  # [m] between outlines: they overlap for any robot that docks, and 10 m are 100 of them
 _SPACING = 0.02  # [m] between drawn points, as in pictures
-_WIDTH, _THIN = 0.02, 0.005  # [m] of lines: seen from above a whole room, and not hiding one another
+_WIDTH, _THIN = 0.02, 0.005  # [m] of lines: visible in a view of a whole room
 _TEXT = 0.1  # [m], height of letters
-# Kinds and actions by their numbers, as the message's definition has them.
+_ARROW_LENGTH = 0.3  # [m] without an outline
+# Values of the fields `type` and `action` in the message definition.
 _ARROW, _LINE_LIST, _TEXT_FACING = 0, 5, 9
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3
 
-_ARROW_LENGTH = 0.3  # [m], where no outline says how large the robot is
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
 _NO_BYTES = readonly(np.zeros(0, dtype=np.uint8))
+_NO_LINES = readonly(np.zeros((0, 2)))
 _Colour: TypeAlias = tuple[float, float, float, float]
 
 # Red, green, blue, alpha. Forward and reverse as in pictures.
@@ -48,10 +48,8 @@ _FORWARD, _REVERSE, _TURN = (0.12, 0.47, 0.71, 1.0), (0.84, 0.37, 0.0, 1.0), (0.
 _SWEPT, _GOAL, _HOT = (0.5, 0.5, 0.5, 0.5), (0.17, 0.63, 0.17, 0.9), (0.84, 0.15, 0.16, 1.0)
 
 
-def plan_markers(
-    types: MessageTypes, plan: DockPlan, frame: str, stamp: float, *, swept_every: float = SWEPT_EVERY
-) -> Message:
-    """A plan as a `visualization_msgs/MarkerArray`, as `path_markers`.
+def plan_markers(types: MessageTypes, plan: DockPlan, frame: str, stamp: float) -> Message:
+    """Return a plan as a `visualization_msgs/MarkerArray`; see `path_markers`.
 
     Raises:
         InvalidValue: As `path_markers`.
@@ -64,7 +62,6 @@ def plan_markers(
         footprint=plan.problem.robot.footprint,
         obstacles=plan.problem.all_obstacles,
         certificate=plan.certificate,
-        swept_every=swept_every,
     )
 
 
@@ -77,34 +74,32 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
     footprint: Footprint | None = None,
     obstacles: ObstacleSet | None = None,
     certificate: Certificate | None = None,
-    swept_every: float = SWEPT_EVERY,
 ) -> Message:
-    """A path as a `visualization_msgs/MarkerArray`.
+    """Return a path as a `visualization_msgs/MarkerArray`.
 
-    It always holds the same markers, by namespace and id, so that it takes the place of the one before it; what there
-    is nothing to say of is deleted.
+    The namespaces and ids of the markers are always the same, so that an array replaces the previous one. Markers
+    without content are deleted.
 
     Args:
-        types: Gives the classes.
-        path: Blue where driven forward, orange in reverse.
-        frame: In which it stands.
-        stamp: Of the markers [s].
-        footprint: The robot's outline, for what it sweeps, and at the goal.
-        obstacles: Among which the closest point is looked for.
-        certificate: Says where the path is closest to them.
-        swept_every: Distance of outlines along the path [m].
+        types: Message classes.
+        path: The path; blue if driven forward, orange in reverse.
+        frame: Frame of the path.
+        stamp: Stamp of the markers [s].
+        footprint: Outline of the robot, for the swept outlines and the goal.
+        obstacles: Obstacles for the closest point.
+        certificate: Certificate with the station of the closest point.
 
     Raises:
-        InvalidValue: The path stands in another frame, the frame is empty, there is no time, or the distance of
-            outlines is not > 0.
+        InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.
     """
     if not may_be_one_frame(path.frame, frame):
-        raise InvalidValue(f"frame: the path stands in {path.frame!r}, not in {frame!r}; transform it first")
-    step = sampling_step(swept_every, path.length, "swept_every")
+        raise InvalidValue(f"frame: the path is in {path.frame!r}, not in {frame!r}; transform it first")
+    count = max(1, math.ceil(path.length / _SWEPT_EVERY))
+    stations = np.unique(np.concatenate((np.linspace(0.0, path.length, count + 1), path.cusps)))
     size = _ARROW_LENGTH if footprint is None else footprint.circumscribed_radius
-    draw = _Pen(types, header(types, frame, stamp))
-    draw.lines("path", 0, *_gears(path), _WIDTH)
-    draw.lines("swept footprint", 0, _outlines(footprint, path.poses_at(_stations(path, step))), [_SWEPT], _THIN)
+    draw = _MarkerList(types, header(types, frame, stamp))
+    draw.lines("path", 0, *_coloured_path(path), _WIDTH)
+    draw.lines("swept footprint", 0, _outlines(footprint, path.poses_at(stations)), [_SWEPT], _THIN)
     draw.mark("goal", 0, kind=_ARROW, at=path.end, size=(size, 2.0 * _WIDTH, 2.0 * _WIDTH), colour=_GOAL)
     draw.lines("goal", 1, _outlines(footprint, path.end.as_array()[None]), [_GOAL], _WIDTH)
     found = _closest(path, footprint, obstacles, certificate)
@@ -119,33 +114,29 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
 
 
 def delete_markers(types: MessageTypes, frame: str, stamp: float) -> Message:
-    """A `visualization_msgs/MarkerArray` that takes away all markers of its topic.
+    """Return a `visualization_msgs/MarkerArray` that deletes all markers of its topic.
 
     Raises:
-        InvalidValue: The frame is empty, or there is no time.
+        InvalidValue: If the frame is empty, or the time is invalid.
     """
-    draw = _Pen(types, header(types, frame, stamp))
+    draw = _MarkerList(types, header(types, frame, stamp))
     draw.mark("", 0, action=_DELETE_ALL)
     return made(types, "visualization_msgs/msg/MarkerArray", markers=draw.markers)
 
 
 class _Closest(NamedTuple):
-    """Where a path is closest to an obstacle: edges of the outline, the line between the two, in words."""
+    """Closest point of a path to an obstacle: edges of the outline, line between the two, text."""
 
-    outline: FloatArray
-    line: FloatArray
-    text: str
-
-
-_NOTHING = readonly(np.zeros((0, 2)))
+    outline: FloatArray = _NO_LINES
+    line: FloatArray = _NO_LINES
+    text: str = ""
 
 
 def _closest(
     path: Path, footprint: Footprint | None, obstacles: ObstacleSet | None, certificate: Certificate | None
 ) -> _Closest:
-    """What a certificate says of it; nothing where it says nothing, or robot and obstacles are unknown."""
     if footprint is None or obstacles is None or certificate is None or not math.isfinite(certificate.min_clearance):
-        return _Closest(_NOTHING, _NOTHING, "")
+        return _Closest()
     pose = path.poses_at(certificate.at_s)
     _, rows = pose_clearances(pose, footprint, obstacles)
     body, obstacle = transform_points(pose, footprint.vertices)[0], obstacles.vertices[rows[0]]
@@ -154,47 +145,40 @@ def _closest(
     return _Closest(_outlines(footprint, pose), line, text)
 
 
-def _gears(path: Path) -> tuple[FloatArray, list[_Colour]]:
-    """Pieces of line by their ends, Shape (2 n, 2), and a colour for every end."""
+def _coloured_path(path: Path) -> tuple[FloatArray, list[_Colour]]:
+    """Ends of line segments, Shape (2 n, 2), and a colour for every end."""
     samples = path.sample(_SPACING)
     points = np.column_stack((samples.x, samples.y))
     ends = np.stack((points[:-1], points[1:]), axis=1).reshape(-1, 2)
     colours = {1: _FORWARD, -1: _REVERSE, 0: _TURN}
-    # Two samples stand at a cusp, one of each gear, so that a piece of line has the gear of its beginning.
+    # A cusp has two samples, one of each gear, so that a segment has the gear of its first sample.
     return ends, [colours[gear] for gear in np.repeat(samples.direction[:-1], 2).tolist()]
 
 
-def _stations(path: Path, step: float) -> FloatArray:
-    """Arc lengths at most `step` apart, ends and cusps among them."""
-    count = max(1, math.ceil(path.length / step))
-    stations: FloatArray = np.unique(np.concatenate((np.linspace(0.0, path.length, count + 1), path.cusps)))
-    return stations
-
-
 def _outlines(footprint: Footprint | None, poses: FloatArray) -> FloatArray:
-    """The edges of an outline at every pose by their ends, Shape (2 n, 2); none of no outline."""
+    """Ends of the edges of an outline at every pose, Shape (2 n, 2); empty without an outline."""
     if footprint is None:
-        return _NOTHING
+        return _NO_LINES
     corners = transform_points(poses, footprint.vertices)
     return np.stack((corners, np.roll(corners, -1, axis=1)), axis=2).reshape(-1, 2)
 
 
-class _Pen:
-    """Makes markers of one header."""
+class _MarkerList:
+    """Markers of one header."""
 
     def __init__(self, types: MessageTypes, head: Message) -> None:
         self._types, self._head = types, head
-        self._inks: dict[_Colour, Message] = {}
+        self._colours: dict[_Colour, Message] = {}
         self.markers: list[Message] = []
 
     def lines(self, name: str, number: int, ends: FloatArray, colours: Sequence[_Colour], width: float) -> None:
-        """Pieces of line by their ends, Shape (2 n, 2), in one colour or with one for every end; deleted where none."""
+        """Add line segments by their ends, Shape (2 n, 2), in one colour or one per end; delete the marker if empty."""
         if not len(ends):
             self.mark(name, number, action=_DELETE)
             return
         place = self._types("geometry_msgs/msg/Point")
         points = [place(x=x, y=y, z=0.0) for x, y in ends.tolist()]
-        each = [self._ink(colour) for colour in colours] if len(colours) > 1 else []
+        each = [self._colour(colour) for colour in colours] if len(colours) > 1 else []
         size = (width, 0.0, 0.0)
         self.mark(name, number, kind=_LINE_LIST, size=size, colour=colours[0], points=points, colours=each)
 
@@ -212,8 +196,8 @@ class _Pen:
         colours: Sequence[Message] = (),
         text: str = "",
     ) -> None:
-        """One more marker, every field of it: classes of rosbags have no defaults."""
-        types, none = self._types, "sensor_msgs/msg/CompressedImage"
+        """Add one marker with all fields, as classes of rosbags have no defaults."""
+        types, image, mesh = self._types, "sensor_msgs/msg/CompressedImage", "visualization_msgs/msg/MeshFile"
         self.markers.append(
             made(
                 types,
@@ -225,25 +209,23 @@ class _Pen:
                 action=action,
                 pose=plain_pose_message(types, at),
                 scale=made(types, "geometry_msgs/msg/Vector3", **dict(zip("xyz", size, strict=True))),
-                color=self._ink(colour),
+                color=self._colour(colour),
                 lifetime=made(types, "builtin_interfaces/msg/Duration", sec=0, nanosec=0),
                 frame_locked=False,
                 points=list(points),
                 colors=list(colours),
                 texture_resource="",
-                texture=made(types, none, header=self._head, format="", data=column(types, none, _NO_BYTES)),
+                texture=made(types, image, header=self._head, format="", data=column(types, image, _NO_BYTES)),
                 uv_coordinates=[],
                 text=text,
                 mesh_resource="",
-                mesh_file=made(
-                    types, "visualization_msgs/msg/MeshFile", filename="", data=column(types, none, _NO_BYTES)
-                ),
+                mesh_file=made(types, mesh, filename="", data=column(types, image, _NO_BYTES)),
                 mesh_use_embedded_materials=False,
             )
         )
 
-    def _ink(self, colour: _Colour) -> Message:
-        if colour not in self._inks:
+    def _colour(self, colour: _Colour) -> Message:
+        if colour not in self._colours:
             channels = dict(zip("rgba", colour, strict=True))
-            self._inks[colour] = made(self._types, "std_msgs/msg/ColorRGBA", **channels)
-        return self._inks[colour]
+            self._colours[colour] = made(self._types, "std_msgs/msg/ColorRGBA", **channels)
+        return self._colours[colour]

@@ -1,4 +1,4 @@
-"""What all messages share: their classes, headers and times, and how their errors are worded."""
+"""Common parts of all messages: classes, headers, times, errors."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ __all__ = [
     "type_name",
 ]
 
-# A message is whatever has its fields; which class that is only the caller knows.
-Message: TypeAlias = Any
+Message: TypeAlias = Any  # any object with the fields of the message
 MessageTypes: TypeAlias = Callable[[str], type]
 
 _NANOSECONDS = 1_000_000_000
@@ -40,13 +39,13 @@ _LATEST = 2**31  # [s]: the seconds of a time are 32 bits with a sign, and end i
 
 
 def imported(name: str) -> type:
-    """The class of a message in an environment with ROS, `MessageTypes` for `rclpy`.
+    """Return a message class of a ROS environment: the `MessageTypes` of `rclpy`.
 
     Args:
-        name: Such as `nav_msgs/msg/Path`.
+        name: Name such as `nav_msgs/msg/Path`.
 
     Raises:
-        ImportError: The package of the message is not installed.
+        ImportError: If the package of the message is not installed.
     """
     package, kind, message = name.split("/")
     found: type = getattr(importlib.import_module(f"{package}.{kind}"), message)
@@ -54,8 +53,8 @@ def imported(name: str) -> type:
 
 
 def type_name(message: Message) -> str:
-    """The ROS name of a message's type, such as `nav_msgs/msg/Path`."""
-    known = getattr(message, "__msgtype__", None)  # of rosbags
+    """Return the ROS name of a message's type, such as `nav_msgs/msg/Path`."""
+    known = getattr(message, "__msgtype__", None)  # rosbags
     if isinstance(known, str):
         return known
     kind = type(message)
@@ -64,13 +63,13 @@ def type_name(message: Message) -> str:
 
 
 def refuse(message: Message, field: str, rule: str, value: object) -> NoReturn:
-    """Say what is wrong with a message.
+    """Raise an error about a message.
 
     Args:
-        message: The whole of it.
-        field: Which part, with indices, as one would write it in Python.
-        rule: What that must be.
-        value: What it is.
+        message: The whole message.
+        field: Wrong field, with indices, in Python's syntax.
+        rule: Rule that the field breaks.
+        value: Value of the field.
 
     Raises:
         InvalidMessage: Always.
@@ -81,10 +80,10 @@ def refuse(message: Message, field: str, rule: str, value: object) -> NoReturn:
 
 
 def seconds(time: Message) -> float:
-    """A time, `builtin_interfaces/Time`, in seconds; a float tells moments of our days apart to 0.3 microseconds.
+    """Return a `builtin_interfaces/Time` in seconds; present times are rounded to 0.3 microseconds.
 
     Raises:
-        InvalidMessage: Negative, or nanoseconds that are a second or more.
+        InvalidMessage: If the time is negative, or the nanoseconds are a second or more.
     """
     whole, rest = time.sec, time.nanosec
     if whole < 0:
@@ -95,10 +94,10 @@ def seconds(time: Message) -> float:
 
 
 def stamp(types: MessageTypes, time: float) -> Message:
-    """Seconds as a `builtin_interfaces/Time`, rounded to nanoseconds.
+    """Return a time [s] as a `builtin_interfaces/Time`, rounded to nanoseconds.
 
     Raises:
-        InvalidValue: Not finite, negative, or too late for the message.
+        InvalidValue: If the time is not finite, negative, or too late for the message.
     """
     checked = finite_number(time, "stamp")
     nanoseconds = round(math.modf(checked)[0] * _NANOSECONDS) + int(checked) * _NANOSECONDS
@@ -109,19 +108,19 @@ def stamp(types: MessageTypes, time: float) -> Message:
 
 
 def header(types: MessageTypes, frame: str, time: float) -> Message:
-    """A `std_msgs/Header`.
+    """Return a `std_msgs/Header`.
 
     Raises:
-        InvalidValue: No frame, or a time that a message cannot hold.
+        InvalidValue: If the frame is empty, or the time does not fit into a message.
     """
     return made(types, "std_msgs/msg/Header", stamp=stamp(types, time), frame_id=checked_frame(frame))
 
 
 def checked_frame(frame: str, name: str = "frame") -> str:
-    """A frame that a message may be in.
+    """Return the name of a frame.
 
     Raises:
-        InvalidValue: It is empty.
+        InvalidValue: If the name is empty.
     """
     if not frame:
         raise InvalidValue(f"{name}: must be the name of a coordinate frame, got {frame!r}")
@@ -129,10 +128,10 @@ def checked_frame(frame: str, name: str = "frame") -> str:
 
 
 def stamped_frame(message: Message) -> tuple[str, float]:
-    """Frame and stamp [s] of a message's header.
+    """Return frame and stamp [s] of a message's header.
 
     Raises:
-        InvalidMessage: No frame, or no time.
+        InvalidMessage: If the frame is empty, or the stamp is invalid.
     """
     head = message.header
     if not head.frame_id:
@@ -148,15 +147,15 @@ def stamped_frame(message: Message) -> tuple[str, float]:
 
 
 def made(types: MessageTypes, name: str, /, **values: object) -> Message:
-    """A message of the values that its class has a field for: fields come and go from one distribution to the next."""
+    """Return a message with the values for the fields that its class has; fields differ between distributions."""
     kind: Any = types(name)
     fields = kind.__dataclass_fields__ if _is_dataclass(kind) else kind.get_fields_and_field_types()
     return kind(**{field: value for field, value in values.items() if field in fields})
 
 
 def column(types: MessageTypes, name: str, values: NDArray[np.uint8] | NDArray[np.int8]) -> array[int] | NDArray[Any]:
-    """Bytes as a message of this name holds them: `rclpy` an array of the standard library, `rosbags` one of numpy."""
-    flat = np.array(values).reshape(-1)  # a copy: the message is the caller's, to write into
+    """Return a copy of bytes for a field of the message `name`: an `array` for `rclpy`, a NumPy array for `rosbags`."""
+    flat = np.array(values).reshape(-1)
     if _is_dataclass(types(name)):
         return flat
     found = array("b" if flat.dtype == np.int8 else "B")
@@ -165,5 +164,5 @@ def column(types: MessageTypes, name: str, values: NDArray[np.uint8] | NDArray[n
 
 
 def _is_dataclass(kind: type) -> bool:
-    """Whether it is a class of rosbags, of which every field must be given; those of rclpy have defaults."""
+    """Whether the class is of rosbags, whose fields have no defaults."""
     return hasattr(kind, "__dataclass_fields__")

@@ -1,4 +1,4 @@
-"""Poses, paths, twists, odometry, outlines and diagnostics."""
+"""Messages of poses, paths, twists, odometry, outlines, transforms and diagnostics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ __all__ = [
     "StampedPose",
     "StampedPoses",
     "StampedTwist",
-    "checked_yaws",
     "diagnostics_message",
     "footprint",
     "odometry",
@@ -46,19 +45,17 @@ __all__ = [
     "twist_message",
 ]
 
-# [rad] of roll and pitch together. What localization in three dimensions says of a robot on a floor, ramps included,
-# is less; what is more comes from a frame whose z axis does not point up, and its yaw means nothing here.
+# [rad] of roll and pitch together. A larger tilt than that of ramps and of 3-D localization on a floor means a frame
+# whose z axis does not point up, and whose yaw is meaningless.
 MOST_TILTED = 0.1
-QUATERNION_NORM = (
-    0.01  # of a quaternion's length from 1: what ROS's own transforms accept; a zero quaternion is far outside
-)
+QUATERNION_NORM = 0.01  # deviation of a quaternion's length from 1, as accepted by ROS's own transforms
 
 _Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: Mapping[_Level, int] = {"ok": 0, "warn": 1, "error": 2, "stale": 3}
 
 
 class StampedPoses(NamedTuple):
-    """A path as it was sent: frame, stamp [s], poses of Shape (n, 3), read-only; n may be 0."""
+    """A path: frame, stamp [s], read-only poses of Shape (n, 3); n may be 0."""
 
     frame: str
     stamp: float
@@ -74,7 +71,7 @@ class StampedPose(NamedTuple):
 
 
 class StampedTwist(NamedTuple):
-    """A body velocity; frame and stamp [s] are those of its header, and empty and None where it has none."""
+    """A body velocity; frame and stamp [s] are empty and None without a header."""
 
     frame: str
     stamp: float | None
@@ -99,82 +96,84 @@ class StampedFootprint(NamedTuple):
     footprint: Footprint
 
 
+# From messages.
+
+
 def path_poses(message: Message) -> StampedPoses:
-    """The poses of a `nav_msgs/Path`; heights are left out.
+    """Return the poses of a `nav_msgs/Path` without heights.
 
     Raises:
-        InvalidMessage: A number is not finite, a quaternion is not of length 1 or tilted by more than `MOST_TILTED`,
-            there is no frame, or a pose has another one.
+        InvalidMessage: If a number is not finite, a quaternion does not have length 1 or is tilted by more than
+            `MOST_TILTED`, there is no frame, or a pose has another frame.
     """
     frame, stamp = stamped_frame(message)
     rows = []
-    for one in message.poses:
-        at, turn = one.pose.position, one.pose.orientation
-        rows.append((at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w))
     for index, one in enumerate(message.poses):
         if one.header.frame_id not in (frame, ""):
             refuse(
                 message, f"poses[{index}].header.frame_id", f"must be the path's, {frame!r}", repr(one.header.frame_id)
             )
+        at, turn = one.pose.position, one.pose.orientation
+        rows.append((at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    yaw = checked_yaws(message, table, "poses[{}].pose")
+    yaw = _checked_yaws(message, table, "poses[{}].pose", MOST_TILTED)
     return StampedPoses(frame, stamp, readonly(np.column_stack((table[:, :2], yaw))))
 
 
-def pose(message: Message, *, most_tilted: float = MOST_TILTED) -> StampedPose:
-    """The pose of a `geometry_msgs/PoseStamped`; its height is left out.
-
-    Args:
-        message: The pose.
-        most_tilted: How much its z axis may lean [rad]; pi for any.
+def pose(message: Message) -> StampedPose:
+    """Return the pose of a `geometry_msgs/PoseStamped` without its height.
 
     Raises:
-        InvalidMessage: A number is not finite, the quaternion is not of length 1 or tilted by more, there is no frame.
+        InvalidMessage: If a number is not finite, the quaternion does not have length 1 or is tilted by more than
+            `MOST_TILTED`, or there is no frame.
     """
-    frame, stamp = stamped_frame(message)
-    return StampedPose(frame, stamp, plain_pose(message, message.pose, "pose", most_tilted))
+    return StampedPose(*stamped_frame(message), plain_pose(message, message.pose, "pose"))
 
 
 def odometry(message: Message) -> StampedOdometry:
-    """A `nav_msgs/Odometry`; heights and what is not of the plane are left out, covariances too.
+    """Return the planar pose and twist of a `nav_msgs/Odometry`, without covariances.
 
     Raises:
-        InvalidMessage: A number is not finite, the quaternion is not of length 1 or tilted by more than `MOST_TILTED`,
-            there is no frame.
+        InvalidMessage: If a number is not finite, the quaternion does not have length 1 or is tilted by more than
+            `MOST_TILTED`, or there is no frame.
     """
     frame, stamp = stamped_frame(message)
-    at = plain_pose(message, message.pose.pose, "pose.pose")
-    moves = _plain_twist(message, message.twist.twist, "twist.twist")
-    return StampedOdometry(frame, str(message.child_frame_id), stamp, at, moves)
+    at, moves = message.pose.pose, message.twist.twist
+    return StampedOdometry(
+        frame,
+        str(message.child_frame_id),
+        stamp,
+        plain_pose(message, at, "pose.pose"),
+        _plain_twist(message, moves, "twist.twist"),
+    )
 
 
 def twist(message: Message) -> StampedTwist:
-    """A `geometry_msgs/Twist`, which has neither frame nor stamp, or a `geometry_msgs/TwistStamped`.
+    """Return the velocity of a `geometry_msgs/Twist` or a `geometry_msgs/TwistStamped`.
 
-    A stamped one may have an empty frame: it is the robot's.
+    The frame of a `TwistStamped` may be empty: it is then the robot's.
 
     Raises:
-        InvalidMessage: A number is not finite, or the stamp is not a time.
+        InvalidMessage: If a number is not finite, or the stamp is invalid.
     """
     if not hasattr(message, "header"):
         return StampedTwist("", None, _plain_twist(message, message, ""))
     found = _plain_twist(message, message.twist, "twist")
     if not message.header.frame_id:
         return StampedTwist("", seconds(message.header.stamp), found)
-    frame, stamp = stamped_frame(message)
-    return StampedTwist(frame, stamp, found)
+    return StampedTwist(*stamped_frame(message), found)
 
 
 def footprint(message: Message, at: Pose2 | None = None) -> StampedFootprint:
-    """The outline of a `geometry_msgs/PolygonStamped`.
+    """Return the outline of a `geometry_msgs/PolygonStamped`.
 
     Args:
-        message: The polygon.
-        at: Where the robot stands in the message's frame; the outline is taken back into the robot's frame then, as
-            that of `published_footprint` must be. None: left where it is.
+        message: The message.
+        at: Pose of the robot in the message's frame: the outline is transformed into the robot's frame, as is needed
+            for `published_footprint`. None for no transformation.
 
     Raises:
-        InvalidMessage: A number is not finite, there is no frame, or the points are no simple polygon.
+        InvalidMessage: If a number is not finite, there is no frame, or the points are no simple polygon.
     """
     frame, stamp = stamped_frame(message)
     points = message.polygon.points
@@ -192,7 +191,7 @@ def footprint(message: Message, at: Pose2 | None = None) -> StampedFootprint:
 
 
 def plain_pose(message: Message, value: Message, field: str, most_tilted: float = MOST_TILTED) -> Pose2:
-    """The `geometry_msgs/Pose` in a field of a message, checked.
+    """Return the pose of a `geometry_msgs/Pose` in a field of a message.
 
     Raises:
         InvalidMessage: As `pose`.
@@ -201,24 +200,22 @@ def plain_pose(message: Message, value: Message, field: str, most_tilted: float 
     x, y, z, w = turn.x, turn.y, turn.z, turn.w
     length = math.sqrt(x * x + y * y + z * z + w * w)
     finite = math.isfinite(at.x) and math.isfinite(at.y) and math.isfinite(at.z)
-    if finite and abs(length - 1.0) <= QUATERNION_NORM and _tilt(x, y, length) <= most_tilted:
-        return Pose2(float(at.x), float(at.y), math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
-    row = np.array([[at.x, at.y, at.z, x, y, z, w]], dtype=np.float64)
-    checked_yaws(message, row, field, most_tilted)
-    raise AssertionError  # the row is wrong, and that has been said
+    if finite and abs(length - 1.0) <= QUATERNION_NORM:
+        tilt = 2.0 * math.asin(min(math.hypot(x, y) / length, 1.0))
+        if tilt <= most_tilted:
+            return Pose2(float(at.x), float(at.y), math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    _checked_yaws(message, np.array([[at.x, at.y, at.z, x, y, z, w]], dtype=np.float64), field, most_tilted)
+    raise AssertionError  # unreachable: the row is invalid
 
 
-def checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: float = MOST_TILTED) -> FloatArray:
-    """The yaws of poses, Shape (n,), each the heading of the x axis seen from above.
+def _checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: float) -> FloatArray:
+    """Yaws of poses, Shape (n,): the headings of their x axes seen from above.
 
     Args:
-        message: That holds them.
+        message: Message with the poses.
         table: Positions and quaternions, Shape (n, 7): x, y, z, x, y, z, w.
-        field: Their field, `{}` for the index.
-        most_tilted: How much a z axis may lean [rad].
-
-    Raises:
-        InvalidMessage: A number is not finite, a quaternion not of length 1, or tilted by more.
+        field: Name of the field, with `{}` for the index.
+        most_tilted: Largest tilt of a z axis [rad].
     """
     bad = np.argwhere(~np.isfinite(table))
     if bad.size:
@@ -226,34 +223,27 @@ def checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: f
         names = *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw")
         refuse(message, f"{field.format(row)}.{names[part]}", "must be finite", table[row, part])
     x, y, z, w = table[:, 3:].T
-    length = np.hypot(np.hypot(x, y), np.hypot(z, w))  # which does not overflow
-    off = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_NORM))
-    if off.size:
-        row = int(off[0])
-        told = f"{length[row]:.4g} for {_listed(table[row, 3:])}"
-        refuse(message, f"{field.format(row)}.orientation", f"must be of length 1 within {QUATERNION_NORM}", told)
-    leans = 2.0 * np.arcsin(np.minimum(np.hypot(x, y) / length, 1.0))
-    off = np.flatnonzero(leans > most_tilted)
-    if off.size:
-        row = int(off[0])
-        told = f"{leans[row]:.4g} rad for {_listed(table[row, 3:])}"
-        rule = f"must turn about the vertical alone, tilted by at most {most_tilted:.4g} rad"
-        refuse(message, f"{field.format(row)}.orientation", rule, told)
+    length = np.hypot(np.hypot(x, y), np.hypot(z, w))  # does not overflow
+    tilt = 2.0 * np.arcsin(np.minimum(np.hypot(x, y) / np.where(length > 0.0, length, 1.0), 1.0))
+    for wrong, values, unit, rule in (
+        (~(np.abs(length - 1.0) <= QUATERNION_NORM), length, "", f"must be of length 1 within {QUATERNION_NORM}"),
+        (
+            tilt > most_tilted,
+            tilt,
+            " rad",
+            f"must turn about the vertical alone, tilted by at most {most_tilted:.4g} rad",
+        ),
+    ):
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            quaternion = ", ".join(f"{value:.4g}" for value in table[row, 3:])
+            refuse(message, f"{field.format(row)}.orientation", rule, f"{values[row]:.4g}{unit} for ({quaternion})")
     yaws: FloatArray = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return yaws
 
 
-def _tilt(x: float, y: float, length: float) -> float:
-    """How far the z axis leans [rad]."""
-    return 2.0 * math.asin(min(math.hypot(x, y) / length, 1.0))
-
-
-def _listed(values: FloatArray) -> str:
-    return f"({', '.join(f'{value:.4g}' for value in values)})"
-
-
 def _plain_twist(message: Message, value: Message, field: str) -> Twist2:
-    """The `geometry_msgs/Twist` in a field of a message; finite, also what is not of the plane."""
+    """Planar velocity of a `geometry_msgs/Twist` in a field of a message; all six numbers must be finite."""
     for part in ("linear", "angular"):
         vector = getattr(value, part)
         for axis in "xyz":
@@ -263,17 +253,14 @@ def _plain_twist(message: Message, value: Message, field: str) -> Twist2:
     return Twist2(float(value.linear.x), float(value.angular.z), float(value.linear.y))
 
 
-def path_message(types: MessageTypes, poses: ArrayLike, frame: str, stamp: float) -> Message:
-    """A `nav_msgs/Path`; its poses share one header.
+# To messages.
 
-    Args:
-        types: Gives the classes.
-        poses: Shape (n, 3).
-        frame: In which they stand.
-        stamp: Of all of them [s].
+
+def path_message(types: MessageTypes, poses: ArrayLike, frame: str, stamp: float) -> Message:
+    """Return a `nav_msgs/Path` of poses, Shape (n, 3), which share one header with the stamp [s].
 
     Raises:
-        InvalidValue: Another shape, a number that is not finite, no frame, or no time.
+        InvalidValue: If the shape is wrong, a number is not finite, or frame or time are invalid.
     """
     rows = frozen_array(poses, "poses", columns=3) if np.size(poses) else np.zeros((0, 3))
     head = header(types, frame, stamp)
@@ -282,36 +269,28 @@ def path_message(types: MessageTypes, poses: ArrayLike, frame: str, stamp: float
     )
     half = 0.5 * rows[:, 2]
     columns = (rows[:, 0], rows[:, 1], np.sin(half), np.cos(half))
-    made_of = [
+    parts = [
         stamped(header=head, pose=one(position=place(x=x, y=y, z=0.0), orientation=turn(x=0.0, y=0.0, z=z, w=w)))
         for x, y, z, w in zip(*(values.tolist() for values in columns), strict=True)
     ]
-    return made(types, "nav_msgs/msg/Path", header=head, poses=made_of)
+    return made(types, "nav_msgs/msg/Path", header=head, poses=parts)
 
 
 def pose_message(types: MessageTypes, pose: Pose2, frame: str, stamp: float) -> Message:
-    """A `geometry_msgs/PoseStamped`.
+    """Return a `geometry_msgs/PoseStamped`.
 
     Raises:
-        InvalidValue: No frame, or no time.
+        InvalidValue: If frame or time are invalid.
     """
-    return made(
-        types, "geometry_msgs/msg/PoseStamped", header=header(types, frame, stamp), pose=plain_pose_message(types, pose)
-    )
+    head = header(types, frame, stamp)
+    return made(types, "geometry_msgs/msg/PoseStamped", header=head, pose=plain_pose_message(types, pose))
 
 
 def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: float = 0.0, *, stamped: bool) -> Message:
-    """A `geometry_msgs/Twist`, or a `TwistStamped`, as `cmd_vel` is configured.
-
-    Args:
-        types: Gives the classes.
-        twist: Body velocity.
-        frame: The robot's; of a stamped one.
-        stamp: Of a stamped one [s].
-        stamped: Which of the two.
+    """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with frame and stamp [s].
 
     Raises:
-        InvalidValue: A stamped one has no frame, or no time.
+        InvalidValue: If frame or time of a `TwistStamped` are invalid.
     """
     value = _twist_value(types, twist)
     if not stamped:
@@ -322,41 +301,29 @@ def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: fl
 def odometry_message(
     types: MessageTypes, pose: Pose2, twist: Twist2, frame: str, child_frame: str, stamp: float
 ) -> Message:
-    """A `nav_msgs/Odometry` whose covariances are zero: not known.
+    """Return a `nav_msgs/Odometry`: pose of `child_frame` in `frame` and body velocity at `stamp` [s].
 
-    Args:
-        types: Gives the classes.
-        pose: Of `child_frame` in `frame`.
-        twist: Body velocity.
-        frame: Such as odom.
-        child_frame: Such as base_link.
-        stamp: When both were measured [s].
+    The covariances are zero, which means unknown.
 
     Raises:
-        InvalidValue: A frame is empty, or there is no time.
+        InvalidValue: If a frame is empty, or the time is invalid.
     """
-    unknown = np.zeros(36)
-    with_pose = made(
-        types, "geometry_msgs/msg/PoseWithCovariance", pose=plain_pose_message(types, pose), covariance=unknown.copy()
-    )
-    with_twist = made(
-        types, "geometry_msgs/msg/TwistWithCovariance", twist=_twist_value(types, twist), covariance=unknown.copy()
-    )
+    at, moves = plain_pose_message(types, pose), _twist_value(types, twist)
     return made(
         types,
         "nav_msgs/msg/Odometry",
         header=header(types, frame, stamp),
         child_frame_id=checked_frame(child_frame, "child_frame"),
-        pose=with_pose,
-        twist=with_twist,
+        pose=made(types, "geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=np.zeros(36)),
+        twist=made(types, "geometry_msgs/msg/TwistWithCovariance", twist=moves, covariance=np.zeros(36)),
     )
 
 
 def polygon_message(types: MessageTypes, vertices: ArrayLike, frame: str, stamp: float) -> Message:
-    """A `geometry_msgs/PolygonStamped` of corners, Shape (n, 2) [m]; its numbers have seven digits.
+    """Return a `geometry_msgs/PolygonStamped` of corners, Shape (n, 2) [m], rounded to 32 bits.
 
     Raises:
-        InvalidValue: Another shape, a number that is not finite, no frame, or no time.
+        InvalidValue: If the shape is wrong, a number is not finite, or frame or time are invalid.
     """
     corners = frozen_array(vertices, "vertices", columns=2).tolist()
     points = [made(types, "geometry_msgs/msg/Point32", x=x, y=y, z=0.0) for x, y in corners]
@@ -365,64 +332,50 @@ def polygon_message(types: MessageTypes, vertices: ArrayLike, frame: str, stamp:
 
 
 def transforms_message(types: MessageTypes, transforms: Sequence[tuple[str, str, Pose2]], stamp: float) -> Message:
-    """A `tf2_msgs/TFMessage`.
-
-    Args:
-        types: Gives the classes.
-        transforms: Frame, child frame, and the pose of the child in the frame.
-        stamp: Of all of them [s].
+    """Return a `tf2_msgs/TFMessage` of transforms with one stamp [s]: frame, child frame, pose of the child.
 
     Raises:
-        InvalidValue: A frame is empty, or there is no time.
+        InvalidValue: If a frame is empty, or the time is invalid.
     """
     found = []
     for frame, child, at in transforms:
-        value = plain_pose_message(types, at)
         place = made(types, "geometry_msgs/msg/Vector3", x=at.x, y=at.y, z=0.0)
-        move = made(types, "geometry_msgs/msg/Transform", translation=place, rotation=value.orientation)
+        turn = plain_pose_message(types, at).orientation
         found.append(
             made(
                 types,
                 "geometry_msgs/msg/TransformStamped",
                 header=header(types, frame, stamp),
                 child_frame_id=checked_frame(child, "child_frame"),
-                transform=move,
+                transform=made(types, "geometry_msgs/msg/Transform", translation=place, rotation=turn),
             )
         )
     return made(types, "tf2_msgs/msg/TFMessage", transforms=found)
 
 
-def diagnostics_message(  # noqa: PLR0913 - one parameter for each field
+def diagnostics_message(
     types: MessageTypes,
     name: str,
     level: _Level,
     text: str,
     values: Mapping[str, object],
     stamp: float,
-    *,
-    hardware: str = "optdock",
 ) -> Message:
-    """A `diagnostic_msgs/DiagnosticArray` with one status.
+    """Return a `diagnostic_msgs/DiagnosticArray` with one status at `stamp` [s].
 
-    Args:
-        types: Gives the classes.
-        name: Of what is told about, such as `docking_server: certificate`.
-        level: `ok`, `warn`, `error` or `stale`.
-        text: In a line.
-        values: What stands behind it; numbers are written with six digits.
-        stamp: When it was so [s].
-        hardware: The field `hardware_id`.
+    The level is `ok`, `warn`, `error` or `stale`. Floats among the values are written with six digits.
 
     Raises:
-        InvalidValue: There is no such level, or no time.
+        InvalidValue: If there is no such level, or the time is invalid.
     """
     if level not in _LEVELS:
         raise InvalidValue(f"level: must be one of {', '.join(_LEVELS)}, got {level!r}")
-    pairs = [
-        made(types, "diagnostic_msgs/msg/KeyValue", key=str(key), value=_told(value)) for key, value in values.items()
-    ]
+    pairs = []
+    for key, value in values.items():
+        shown = f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+        pairs.append(made(types, "diagnostic_msgs/msg/KeyValue", key=str(key), value=shown))
     kind = types("diagnostic_msgs/msg/DiagnosticStatus")
-    # A byte is one in rclpy, and a number in rosbags.
+    # The field is `bytes` in rclpy, and a number in rosbags.
     number: object = _LEVELS[level] if hasattr(kind, "__dataclass_fields__") else bytes([_LEVELS[level]])
     status = made(
         types,
@@ -430,19 +383,15 @@ def diagnostics_message(  # noqa: PLR0913 - one parameter for each field
         level=number,
         name=name,
         message=text,
-        hardware_id=hardware,
+        hardware_id="optdock",
         values=pairs,
     )
     head = made(types, "std_msgs/msg/Header", stamp=messages.stamp(types, stamp), frame_id="")
     return made(types, "diagnostic_msgs/msg/DiagnosticArray", header=head, status=[status])
 
 
-def _told(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
-
-
 def plain_pose_message(types: MessageTypes, at: Pose2) -> Message:
-    """A `geometry_msgs/Pose`."""
+    """Return a `geometry_msgs/Pose`."""
     half = 0.5 * at.yaw
     place = made(types, "geometry_msgs/msg/Point", x=at.x, y=at.y, z=0.0)
     turn = made(types, "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
@@ -450,6 +399,6 @@ def plain_pose_message(types: MessageTypes, at: Pose2) -> Message:
 
 
 def _twist_value(types: MessageTypes, moves: Twist2) -> Message:
-    ahead = made(types, "geometry_msgs/msg/Vector3", x=moves.linear, y=moves.lateral, z=0.0)
-    turning = made(types, "geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=moves.angular)
-    return made(types, "geometry_msgs/msg/Twist", linear=ahead, angular=turning)
+    linear = made(types, "geometry_msgs/msg/Vector3", x=moves.linear, y=moves.lateral, z=0.0)
+    angular = made(types, "geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=moves.angular)
+    return made(types, "geometry_msgs/msg/Twist", linear=linear, angular=angular)

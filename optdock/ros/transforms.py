@@ -1,7 +1,7 @@
-"""Where frames stand to each other, as messages tell it: live, or out of a recording.
+"""Transforms between frames over time, from live messages or recordings.
 
-A transform `target <- source` is the pose of the source frame seen from the target frame. Transforms are full 3-D,
-interpolated between two messages, and never carried on beyond what is known by more than was asked for.
+A transform `target <- source` is the pose of the source frame in the target frame. Transforms are 3-D, are interpolated
+between two messages, and are not extrapolated.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from optdock.errors import InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2
@@ -27,25 +27,25 @@ __all__ = ["Quaternion", "Transform", "TransformError", "TransformTree", "quater
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
-_LONGEST_CHAIN = 100  # frames: more than any robot has; frames in a circle are noticed
+_LONGEST_CHAIN = 100  # frames: more than any robot has; limits cycles
 # [s]: stamps are nanoseconds, and seconds since 1970 as a float resolve 2.4e-7 s.
 _SAME_TIME = 1e-6
-_WIDTH = 7  # numbers of a sample: place and turn
+_WIDTH = 7  # numbers of a sample: translation and quaternion
 
 
 class TransformError(OptdockError):
-    """There is no transform: a frame is unknown, two are not connected, or what is known is too old or too new."""
+    """There is no transform: a frame is unknown, two are not connected, or the known ones are too old or too new."""
 
 
 @dataclass(frozen=True)
 class Transform:
-    """The pose of one frame seen from another.
+    """The pose of one frame in another.
 
     Args:
-        target: The frame that looks.
-        source: The frame that is seen.
-        stamp: When that holds [s], on the clock of the messages; of frames that never move, when it was asked for, and
-            inf where no time was asked for.
+        target: Frame in which the pose is given.
+        source: Frame whose pose is given.
+        stamp: Time of the transform on the clock of the messages [s]; for static frames the requested time, or inf if
+            there was none.
         translation: Origin of the source frame in the target frame [m].
         rotation: Unit quaternion x, y, z, w.
     """
@@ -57,17 +57,16 @@ class Transform:
     rotation: Quaternion
 
     def planar(self) -> Pose2:
-        """The pose in the plane.
+        """Return the pose in the plane.
 
         Raises:
-            TransformError: The source frame leans by more than `MOST_TILTED`: a plane says nothing about it.
+            TransformError: If the source frame is tilted by more than `MOST_TILTED`.
         """
         x, y, z, w = self.rotation
-        # The angle between the two z axes.
         tilt = 2.0 * math.asin(min(math.hypot(x, y), 1.0))
         if tilt > MOST_TILTED:
             raise TransformError(
-                f"{self.target} <- {self.source}: leans by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
+                f"{self.target} <- {self.source}: is tilted by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
                 f"pitch; it is not a pose in the plane",
                 where={"target": self.target, "source": self.source, "tilt": tilt},
             )
@@ -82,23 +81,21 @@ class Transform:
         return Transform(self.target, other.source, stamp, (ax + bx, ay + by, az + bz), rotation)
 
     def inverse(self) -> Transform:
-        """The pose of the target frame seen from the source frame."""
+        """Return the pose of the target frame in the source frame."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
         tx, ty, tz = rotated(back, self.translation)
         return Transform(self.source, self.target, self.stamp, (-tx, -ty, -tz), back)
 
 
-class _Sample(NamedTuple):
-    translation: Vector
-    rotation: Quaternion
+_Sample: TypeAlias = tuple[Vector, Quaternion]
 
 
 class _Track:
-    """What is known of one frame: its parent, and where it stood when.
+    """Parent of one frame and its poses over time.
 
-    Samples are numbers in two arrays, 64 bytes each: recordings have millions. Both only grow, the times last, so that
-    readers in other threads see whole samples; whatever else changes makes a new track.
+    Samples take 64 bytes in two arrays, as recordings have millions. Both arrays only grow, the times last, so that
+    other threads read complete samples; any other change creates a new track.
     """
 
     __slots__ = ("is_static", "parent", "times", "values")
@@ -108,14 +105,10 @@ class _Track:
 
     def sample(self, row: int) -> _Sample:
         x, y, z, qx, qy, qz, qw = self.values[_WIDTH * row : _WIDTH * row + _WIDTH]
-        return _Sample((x, y, z), (qx, qy, qz, qw))
-
-    def append(self, time: float, sample: array[float]) -> None:
-        self.values.extend(sample)
-        self.times.append(time)
+        return (x, y, z), (qx, qy, qz, qw)
 
     def inserted(self, time: float, sample: array[float], first: int) -> _Track:
-        """A track with one more sample, and without those before `first`; of one time the last told counts."""
+        """Return a track with one more sample, without those before `first`; a sample of the same time is replaced."""
         row = bisect_left(self.times, time)
         after = row + (row < len(self.times) and self.times[row] == time)
         times = self.times[first:row] + array("d", [time]) + self.times[after:]
@@ -126,40 +119,31 @@ class _Track:
 class TransformTree:
     """Frames over time.
 
-    Messages are stored by one thread at a time; lookups from any thread take what is there and never wait. A frame
-    that gets another parent forgets what it was to the one before.
+    Only one thread at a time may store messages; lookups from any thread never block. A frame with a new parent loses
+    its previous transforms.
 
     Args:
-        history: How long transforms are kept [s].
-        reach: A frame is taken to stand still for this long before the first and after the last message about it [s].
-            0: it is not known then.
+        history: Duration for which transforms are kept [s].
+        reach: Duration before the first and after the last message of a frame for which it is taken as unmoved [s].
     """
 
     def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:
         self._history, self._reach = history, reach
         self._tracks: dict[str, _Track] = {}
         self.refused: dict[tuple[str, str], str] = {}
-        """Parent and child of transforms that could not be stored, and why the first of each was not."""
+        """Reason for the first transform of each parent and child that was refused."""
 
     @property
     def frames(self) -> Mapping[str, str]:
-        """The parent of every frame that is known."""
+        """Parent of every known frame."""
         return {name: track.parent for name, track in list(self._tracks.items())}
 
     def forget(self) -> None:
-        """Forget the frames that move."""
+        """Remove the moving frames."""
         self._tracks = {name: track for name, track in list(self._tracks.items()) if track.is_static}
 
     def insert(self, message: Message, *, is_static: bool = False) -> bool:
-        """Store a geometry_msgs/TransformStamped.
-
-        Args:
-            message: The message.
-            is_static: Whether it holds at all times.
-
-        Returns:
-            Whether it was stored; `refused` says why not.
-        """
+        """Store a geometry_msgs/TransformStamped; see `put`."""
         parent, child = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
         t, q = message.transform.translation, message.transform.rotation
         try:
@@ -171,18 +155,18 @@ class TransformTree:
     def put(
         self, parent: str, child: str, stamp: float, place: Vector, turn: Quaternion, *, is_static: bool = False
     ) -> bool:
-        """Store where a frame stands in another.
+        """Store the pose of a frame in its parent.
 
         Args:
-            parent: The frame in which it stands.
+            parent: Parent frame.
             child: The frame.
-            stamp: When [s].
-            place: Its origin [m].
-            turn: Its rotation, x, y, z, w.
-            is_static: Whether it holds at all times.
+            stamp: Time of the pose [s].
+            place: Origin of the frame [m].
+            turn: Quaternion x, y, z, w.
+            is_static: Whether the pose is valid at all times.
 
         Returns:
-            Whether it was stored; `refused` says why not.
+            Whether the pose was stored; otherwise the reason is in `refused`.
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
         norm = math.hypot(*turn)
@@ -206,31 +190,32 @@ class TransformTree:
         return True
 
     def _add(self, child: str, known: _Track, stamp: float, sample: array[float]) -> None:
-        """Store one more sample of a frame that moves."""
+        """Store one more sample of a moving frame."""
         first, last = known.times[0], known.times[-1]
-        if stamp > last and stamp - first <= 2.0 * self._history:  # what is too old goes a whole history at a time
-            known.append(stamp, sample)
+        if stamp > last and stamp - first <= 2.0 * self._history:  # old samples are dropped in batches
+            known.values.extend(sample)
+            known.times.append(stamp)  # last, for readers in other threads
         elif stamp >= last - self._history:
             oldest = bisect_left(known.times, max(stamp, last) - self._history)
             self._tracks[child] = known.inserted(stamp, sample, oldest)
 
     def refuse(self, parent: str, child: str, why: str) -> bool:
-        """Note that a transform is not stored, and why; False."""
+        """Record the reason for refusing a transform and return False."""
         self.refused.setdefault((parent, child), why)
         return False
 
     def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
-        """The pose of the frame `source` seen from the frame `target`.
+        """Return the pose of the frame `source` in the frame `target`.
 
         Args:
-            target: The frame that looks.
-            source: The frame that is seen.
-            stamp: When [s]; None: the newest time for which everything between the two is known.
-            tolerance: How much older than `stamp` the newest message may be [s]; the frames are then where they were
-                at that message, and the transform has its stamp. It is never guessed where they went.
+            target: Frame in which the pose is given.
+            source: Frame whose pose is given.
+            stamp: Time [s]; None for the newest time at which all frames between the two are known.
+            tolerance: Largest age of the newest message relative to `stamp` [s]; the result then has the pose and the
+                stamp of that message.
 
         Raises:
-            TransformError: One of them is unknown, they are not connected, or nothing is known for `stamp`.
+            TransformError: If a frame is unknown, the two are not connected, or nothing is known for `stamp`.
         """
         target, source = target.lstrip("/"), source.lstrip("/")
         tracks = self._tracks
@@ -239,18 +224,23 @@ class TransformTree:
         if common is None:
             raise self._unconnected(target, source)
         down, up = seen[: seen.index(common)], seeing[: seeing.index(common)]
-        newest = min(
-            ((tracks[f].times[-1], f) for f in (*down, *up) if not tracks[f].is_static), default=(math.inf, "")
-        )
-        at = newest[0] if stamp is None else stamp
-        if at > newest[0] + self._reach + _SAME_TIME:
-            at = _held(target, source, at, newest, tolerance)
+        moving = ((tracks[name].times[-1], name) for name in (*down, *up) if not tracks[name].is_static)
+        newest, frame = min(moving, default=(math.inf, ""))
+        at = newest if stamp is None else stamp
+        if at > newest + self._reach + _SAME_TIME:
+            if at - newest > tolerance:
+                raise TransformError(
+                    f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
+                    f"older, more than {tolerance:g} s",
+                    where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - newest},
+                )
+            at = newest
         from_source, from_target = self._along(tracks, down, source, at), self._along(tracks, up, target, at)
         found = from_target.inverse() @ from_source
         return Transform(target, source, at, found.translation, found.rotation)
 
     def _along(self, tracks: Mapping[str, _Track], chain: list[str], frame: str, at: float) -> Transform:
-        """The pose of `frame` seen from the end of the chain of its parents."""
+        """Pose of `frame` in the last frame of the chain of its parents."""
         found = Transform(frame, frame, at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for name in chain:
             place, turn = self._at(name, tracks[name], at)
@@ -258,7 +248,7 @@ class TransformTree:
         return found
 
     def _at(self, name: str, track: _Track, at: float) -> _Sample:
-        """Where a frame stood; later than the last time it is where it was then; callers check the time."""
+        """Pose of a frame in its parent; the last one for later times, which the caller checks."""
         times, count = track.times, len(track.times)
         if track.is_static or at >= times[count - 1]:
             return track.sample(count - 1)
@@ -275,13 +265,12 @@ class TransformTree:
                 where={"frame": name, "stamp": at, "before": times[first] - at},
             )
         share = (at - times[row - 1]) / (times[row] - times[row - 1])
-        before, after = track.sample(row - 1), track.sample(row)
-        (ax, ay, az), (bx, by, bz) = before.translation, after.translation
+        ((ax, ay, az), before), ((bx, by, bz), after) = track.sample(row - 1), track.sample(row)
         moved = (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az))
-        return _Sample(moved, _between(before.rotation, after.rotation, share))
+        return moved, _slerp(before, after, share)
 
-    def said_of(self, newest: float) -> str:
-        """How messages call the stamp of the newest transform of a frame."""
+    def stamp_text(self, newest: float) -> str:
+        """Return the text of error messages for the stamp of a frame's newest transform."""
         return f"until {newest:.3f} s"
 
     def _unconnected(self, target: str, source: str) -> TransformError:
@@ -290,7 +279,7 @@ class TransformTree:
         unknown = [frame for frame in dict.fromkeys((target, source)) if frame not in heard]
         what = f"there is no transform of {' or '.join(map(repr, unknown))}" if unknown else "they are not connected"
         known = [
-            f"{track.parent} <- {name} ({'static' if track.is_static else self.said_of(track.times[-1])})"
+            f"{track.parent} <- {name} ({'static' if track.is_static else self.stamp_text(track.times[-1])})"
             for name, track in sorted(tracks.items(), key=lambda item: (item[1].parent, item[0]))
         ]
         refused = [f"{parent} <- {child} ({why})" for (parent, child), why in list(self.refused.items())]
@@ -301,20 +290,8 @@ class TransformTree:
         )
 
 
-def _held(target: str, source: str, at: float, newest: tuple[float, str], tolerance: float) -> float:
-    """The stamp of the newest message where it is near enough."""
-    stamp, frame = newest
-    if at - stamp <= tolerance:
-        return stamp
-    raise TransformError(
-        f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - stamp:.3f} s older, more "
-        f"than {tolerance:g} s",
-        where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - stamp},
-    )
-
-
 def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
-    """The frame, its parent, the parent's parent..."""
+    """The frame, its parent, the parent of that..."""
     chain = [frame]
     while (track := tracks.get(chain[-1])) is not None and len(chain) < _LONGEST_CHAIN:
         chain.append(track.parent)
@@ -322,7 +299,7 @@ def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
 
 
 def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton's product of x, y, z, w: the rotation `b`, seen from the frame that `a` is seen from."""
+    """Return the product a b of two quaternions x, y, z, w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -334,17 +311,17 @@ def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def rotated(q: Quaternion, v: Vector) -> Vector:
-    """A vector, turned by a quaternion x, y, z, w."""
+    """Return a vector rotated by a quaternion x, y, z, w."""
     x, y, z, _w = quaternion_product(quaternion_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
     return x, y, z
 
 
-def _between(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """The rotation between two, the short way at constant speed."""
+def _slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
+    """Spherical linear interpolation of two quaternions, the short way."""
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if dot < 0.0 else 1.0
     angle = math.acos(min(1.0, abs(dot)))
-    if angle < 1e-6:  # [rad]: a straight line is as good and divides by nothing
+    if angle < 1e-6:  # [rad]: linear interpolation, without a division by zero
         first, second = 1.0 - share, sign * share
     else:
         first = math.sin((1.0 - share) * angle) / math.sin(angle)

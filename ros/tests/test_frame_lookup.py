@@ -188,7 +188,7 @@ def test_frames_in_a_circle_are_refused(buffer: TransformBuffer) -> None:
 
 def test_a_frame_that_leans_is_no_pose_in_the_plane(buffer: TransformBuffer) -> None:
     buffer.insert(told("base", "camera", turn=(-0.5, 0.5, -0.5, 0.5)), is_static=True)
-    with pytest.raises(TransformError, match=r"base <- camera: leans by 1\.571 rad"):
+    with pytest.raises(TransformError, match=r"base <- camera: is tilted by 1\.571 rad"):
         buffer.lookup("base", "camera").planar()
 
 

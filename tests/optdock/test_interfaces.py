@@ -11,7 +11,7 @@ import pytest
 
 from optdock import errors
 from optdock.errors import OptdockError
-from optdock.nav2.behaviors import results as codes
+from optdock.nav2.behaviors.drive import BackUp, DriveOnHeading
 from optdock.plugins import interfaces
 from optdock.plugins.interfaces import (
     Behavior,
@@ -255,13 +255,6 @@ def test_an_error_has_a_place():
 
 
 # Nav2: UNKNOWN, TIMEOUT, COLLISION_AHEAD, INVALID_INPUT; a code that Nav2 lacks is UNKNOWN's.
-BEHAVIOR_CODES = {
-    "BACK_UP": (710, 711, 714, 713),
-    "DRIVE_ON_HEADING": (720, 721, 723, 724),
-}
-
-
-@pytest.mark.parametrize("name", BEHAVIOR_CODES)
-def test_behaviors_have_nav2s_codes(name):
-    assert tuple(getattr(codes, name)) == BEHAVIOR_CODES[name]
-    assert codes.Codes._fields == ("unknown", "timeout", "collision_ahead", "invalid_input")
+def test_behaviors_have_nav2s_codes():
+    assert (BackUp.codes, DriveOnHeading.codes) == ((710, 711, 714, 713), (720, 721, 723, 724))
+    assert BackUp.codes._fields == ("unknown", "timeout", "collision_ahead", "invalid_input")

@@ -1,20 +1,22 @@
-"""BackUp and DriveOnHeading: straight motions, ramped, timed, and with a collision check ahead."""
+"""BackUp and DriveOnHeading: straight motions with ramps, a time limit and a collision check ahead."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
+from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Twist2
-from optdock.nav2.behaviors.collision import CollisionChecker
-from optdock.nav2.behaviors.results import BACK_UP, DRIVE_ON_HEADING, RUNNING, SUCCEEDED, Codes, failed, stopped
-from optdock.plugins.interfaces import Behavior, BehaviorResult, CostmapInfoType
+from optdock.plugins.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType
 from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,85 +25,54 @@ if TYPE_CHECKING:
 
 __all__ = ["BackUp", "DriveOnHeading"]
 
+_SUCCEEDED = BehaviorResult(BehaviorStatus.SUCCEEDED)
+
+
+class Codes(NamedTuple):
+    """Nav2's action error codes of a behavior."""
+
+    unknown: int
+    timeout: int
+    collision_ahead: int
+    invalid_input: int
+
 
 class DriveParameters(PluginParameters):
     """Nav2's parameters of BackUp and DriveOnHeading, and a clearance."""
 
     cycle_frequency: float = Field(default=10.0, gt=0.0, description="calls per second [Hz]")
-    simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="how far ahead to look [s]")
-    acceleration_limit: float = Field(default=2.5, gt=0.0, description="speeding up [m/s^2]")
-    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="slowing down, negative [m/s^2]")
-    minimum_speed: float = Field(default=0.10, gt=0.0, description="smallest speed on the way [m/s]")
-    clearance: float = Field(default=0.0, ge=0.0, description="distance to keep from obstacles [m]")
+    simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="duration of the collision check ahead [s]")
+    acceleration_limit: float = Field(default=2.5, gt=0.0, description="largest acceleration [m/s^2]")
+    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="largest deceleration, negative [m/s^2]")
+    minimum_speed: float = Field(default=0.10, gt=0.0, description="smallest speed before the target [m/s]")
+    clearance: float = Field(default=0.0, ge=0.0, description="required distance from obstacles [m]")
 
 
 class DriveCommand(PluginParameters):
-    """How far, how fast, how long."""
+    """Command of a straight motion."""
 
     target: float = Field(description="distance along the heading [m]")
-    speed: float = Field(description="largest speed on the way [m/s]")
-    time_allowance: float = Field(default=10.0, ge=0.0, description="time it may take [s]; 0: no limit")
-    disable_collision_checks: bool = Field(default=False, description="drive blind")
+    speed: float = Field(description="largest speed [m/s]")
+    time_allowance: float = Field(default=10.0, ge=0.0, description="time limit [s]; 0: none")
+    disable_collision_checks: bool = Field(default=False, description="skip the collision check")
 
 
-class StraightMotion:
-    """One run of a straight motion; the first cycle's pose is its origin.
+@dataclass
+class _Motion:
+    """State of one motion."""
 
-    Args:
-        codes: Error codes of the behavior.
-        parameters: Limits.
-        command: Target and speed of equal sign.
-        deadline: Running.
-        checker: Collision check, or None to drive blind.
-    """
-
-    def __init__(
-        self,
-        codes: Codes,
-        parameters: DriveParameters,
-        command: DriveCommand,
-        deadline: Deadline,
-        checker: CollisionChecker | None,
-    ) -> None:
-        self._codes, self._parameters, self._command = codes, parameters, command
-        self._deadline, self._checker = deadline, checker
-        self._origin: Pose2 | None = None
-        self._speed = 0.0
-
-    def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """How it stands, and the command to send."""
-        if self._deadline.passed():
-            return stopped(failed(self._codes.timeout, "time allowance exceeded before the target was reached"))
-        if self._origin is None:
-            self._origin = pose
-            self._speed = max(0.0, math.copysign(1.0, self._command.speed) * velocity.linear)
-        remaining = abs(self._command.target) - self._origin.distance_to(pose)
-        if remaining <= 0.0:
-            return stopped(SUCCEEDED)
-        self._speed = self._next_speed(remaining)
-        twist = Twist2(math.copysign(self._speed, self._command.speed))
-        refusal = self._checker.refusal(pose, twist, self._look_ahead(remaining)) if self._checker else ""
-        if refusal:
-            return stopped(failed(self._codes.collision_ahead, refusal))
-        return RUNNING, twist
-
-    def _next_speed(self, remaining: float) -> float:
-        """Towards the commanded speed, such that the braking distance fits into what remains."""
-        p = self._parameters
-        faster = self._speed + p.acceleration_limit / p.cycle_frequency
-        braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
-        arriving = remaining * p.cycle_frequency
-        wanted = min(abs(self._command.speed), faster, braking, arriving)
-        return max(wanted, min(p.minimum_speed, abs(self._command.speed)))
-
-    def _look_ahead(self, remaining: float) -> float:
-        """Seconds to look ahead: until the target, and the last cycle beyond it."""
-        p = self._parameters
-        return min(p.simulate_ahead_time, remaining / self._speed + 1.0 / p.cycle_frequency)
+    command: DriveCommand
+    deadline: Deadline
+    origin: Pose2 | None = None
+    speed: float = 0.0
 
 
 class _StraightBehavior(Behavior, ABC):
-    """What both have in common; a child says which commands it takes, and with which codes it fails."""
+    """Common part of both behaviors.
+
+    Unlike in Nav2, which checks the edges of the footprint on a grid at single poses, the whole footprint is swept
+    continuously in the collision check.
+    """
 
     Parameters = DriveParameters
     parameters: DriveParameters
@@ -109,52 +80,90 @@ class _StraightBehavior(Behavior, ABC):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
-        self._motion: StraightMotion | None = None
+        self._motion: _Motion | None = None
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """Needs the local costmap."""
+        """The local costmap."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """The command as it will be driven.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command with the signs of the motion.
 
         Raises:
-            InvalidValue: It cannot be.
+            InvalidValue: If target and speed are invalid.
         """
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin; the command is a `DriveCommand`."""
+        """Begin a motion; the command has the fields of `DriveCommand`."""
         self._motion = None
+        context = self.context
         try:
-            parsed = self.ruled(parse_parameters(DriveCommand, command, self.context.name))
+            parsed = self.directed(parse_parameters(DriveCommand, command, context.name))
         except InvalidValue as error:
-            return failed(self.codes.invalid_input, str(error))
-        try:
-            checker = None if parsed.disable_collision_checks else self._checker()
-        except BehaviorException as error:
-            return failed(self.codes.unknown, str(error))
-        deadline = Deadline.of_allowance(parsed.time_allowance, self.context.clock)
-        self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, checker)
-        return SUCCEEDED
+            return _failed(self.codes.invalid_input, str(error))
+        can_check = context.footprint is not None and (
+            context.problem is not None or context.costmaps(self.resource_info)
+        )
+        if not (parsed.disable_collision_checks or can_check):
+            return _failed(
+                self.codes.unknown,
+                f"{context.name}: cannot check for collisions: configure it with a problem or with a costmap and a "
+                "footprint, or set disable_collision_checks",
+            )
+        self._motion = _Motion(parsed, Deadline.of_allowance(parsed.time_allowance, context.clock))
+        return _SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
-        """One cycle.
+        """Return the result of one cycle and the command to send.
 
         Raises:
-            BehaviorException: `on_run` has not succeeded.
+            BehaviorException: If `on_run` has not succeeded.
         """
-        if self._motion is None:
+        p, motion = self.parameters, self._motion
+        if motion is None:
             raise BehaviorException(f"{type(self).__name__}: on_run must succeed before the cycles begin")
-        return self._motion.cycle(pose, velocity)
+        if motion.deadline.passed():
+            return _failed(self.codes.timeout, "time allowance exceeded before the target was reached"), Twist2()
+        if motion.origin is None:
+            motion.origin = pose
+            motion.speed = max(0.0, math.copysign(1.0, motion.command.speed) * velocity.linear)
+        remaining = abs(motion.command.target) - motion.origin.distance_to(pose)
+        if remaining <= 0.0:
+            return _SUCCEEDED, Twist2()
+        motion.speed = self._next_speed(motion, remaining)
+        twist = Twist2(math.copysign(motion.speed, motion.command.speed))
+        # One cycle beyond the target, as the command holds until the next cycle.
+        ahead = min(p.simulate_ahead_time, remaining / motion.speed + 1.0 / p.cycle_frequency)
+        refusal = "" if motion.command.disable_collision_checks else self._collision(pose, twist, ahead)
+        if refusal:
+            return _failed(self.codes.collision_ahead, refusal), Twist2()
+        return BehaviorResult(BehaviorStatus.RUNNING), twist
 
-    def _checker(self) -> CollisionChecker:
-        return CollisionChecker(self.context, self.parameters.clearance, self.resource_info)
+    def _next_speed(self, motion: _Motion, remaining: float) -> float:
+        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
+        p, highest = self.parameters, abs(motion.command.speed)
+        faster = motion.speed + p.acceleration_limit / p.cycle_frequency
+        braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
+        arriving = remaining * p.cycle_frequency
+        return max(min(highest, faster, braking, arriving), min(p.minimum_speed, highest))
+
+    def _collision(self, pose: Pose2, twist: Twist2, duration: float) -> str:
+        """Description of a collision within `duration` [s]; empty if there is none."""
+        footprint, clearance = self.context.footprint, self.parameters.clearance
+        assert footprint is not None
+        reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance
+        centre = np.array([pose.x, pose.y])
+        obstacles = self.context.obstacles_near(centre - reach, centre + reach, self.resource_info)
+        found = free_motion(footprint, obstacles, pose, twist, duration, clearance)
+        if found.row < 0:
+            return ""
+        return f"collision ahead: {in_words(obstacles.name_of(found.row))} in {found.free:.2f} s"
 
 
 class DriveOnHeading(_StraightBehavior):
-    """Drives `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
+    """Drive `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
 
     Codes: TIMEOUT 721, COLLISION_AHEAD 723, INVALID_INPUT 724, UNKNOWN 720.
 
@@ -162,13 +171,13 @@ class DriveOnHeading(_StraightBehavior):
         **parameters: Fields of `DriveParameters`.
     """
 
-    codes = DRIVE_ON_HEADING
+    codes = Codes(unknown=720, timeout=721, collision_ahead=723, invalid_input=724)
 
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """Target and speed have the same sign, which is the direction of travel.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command unchanged; the sign of target and speed is the direction of travel.
 
         Raises:
-            InvalidValue: They have not, or one is 0.
+            InvalidValue: If the signs differ, or one of the two is 0.
         """
         if not command.target * command.speed > 0.0:
             raise InvalidValue(
@@ -179,7 +188,7 @@ class DriveOnHeading(_StraightBehavior):
 
 
 class BackUp(_StraightBehavior):
-    """Reverses by `target` metres; the signs of target and speed do not matter, as in Nav2.
+    """Reverse by `target` metres; the signs of target and speed do not matter, as in Nav2.
 
     Codes: TIMEOUT 711, INVALID_INPUT 713, COLLISION_AHEAD 714, UNKNOWN 710.
 
@@ -187,14 +196,18 @@ class BackUp(_StraightBehavior):
         **parameters: Fields of `DriveParameters`.
     """
 
-    codes = BACK_UP
+    codes = Codes(unknown=710, timeout=711, collision_ahead=714, invalid_input=713)
 
-    def ruled(self, command: DriveCommand) -> DriveCommand:
-        """Both made negative.
+    def directed(self, command: DriveCommand) -> DriveCommand:
+        """Return the command with both signs negative.
 
         Raises:
-            InvalidValue: One is 0.
+            InvalidValue: If target or speed is 0.
         """
         if command.target == 0.0 or command.speed == 0.0:
             raise InvalidValue(f"BackUp: target and speed must not be 0, got {command.target} and {command.speed}")
         return command.model_copy(update={"target": -abs(command.target), "speed": -abs(command.speed)})
+
+
+def _failed(code: int, message: str) -> BehaviorResult:
+    return BehaviorResult(BehaviorStatus.FAILED, code, message)

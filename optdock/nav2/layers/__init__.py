@@ -1,1 +1,1 @@
-"""Costmap layers: plugins that write costs into the master grid of a `LayeredCostmap`, in order."""
+"""Costmap layers: plugins that write costs into a grid, in order."""

@@ -1,4 +1,4 @@
-"""Which cells a line, a convex polygon or a footprint meets, for many at once."""
+"""Rasterization: cells of lines, convex polygons and footprints."""
 
 from __future__ import annotations
 
@@ -9,32 +9,29 @@ import numpy as np
 from optdock.geometry.pose import transform_points
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
 
-__all__ = ["CellList", "cells_of_lines", "cells_of_polygons", "corners_of", "fill_footprint"]
+__all__ = ["CellList", "cells_of_lines", "cells_of_polygon", "fill_footprint"]
 
-_BLOCK = 2_000_000  # cells looked at together; bounds the memory
-_SLACK = 1e-9  # in cells; what touches counts as met in spite of rounding
+_SLACK = 1e-9  # in cells: polygons that touch a cell up to rounding meet it
 
 
 class CellList(NamedTuple):
-    """Cells (i, j), Shape (m, 2), and the index of the line or polygon each belongs to, Shape (m,), ascending."""
+    """Cells (i, j), Shape (m, 2), and the index of the line of each, ascending, Shape (m,)."""
 
     cells: IntArray
     owner: IntArray
 
 
 def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
-    """The cells of Bresenham lines, both ends included, from start to end (Nav2: `LineIterator`).
+    """Return the cells of Bresenham lines, both ends included, from start to end (Nav2: `LineIterator`).
 
     Args:
-        starts: Shape (n, 2), cells (i, j).
-        ends: Shape (n, 2).
+        starts: First cells (i, j), Shape (n, 2).
+        ends: Last cells, Shape (n, 2).
     """
     move = ends - starts
     size, sign = np.abs(move), np.sign(move)
@@ -49,64 +46,42 @@ def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
     return CellList(starts[owner] + sign[owner] * offset, owner)
 
 
-def cells_of_polygons(vertices: FloatArray) -> CellList:
-    """The cells that convex polygons meet, inside included.
+def cells_of_polygon(vertices: FloatArray) -> IntArray:
+    """Return the cells (i, j) that a convex polygon or its interior meets, Shape (m, 2).
 
-    A cell owns its lower and left sides: cell i spans [i, i + 1), as in `floor`. Exact by separating axes: a square
-    and a convex polygon are apart only along a side of either.
+    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: a square and a convex polygon are
+    separated only along a side of either.
 
     Args:
-        vertices: Shape (n, k, 2), counter-clockwise, in cells from the grid's origin.
+        vertices: Shape (k, 2), counter-clockwise, in cells from the grid's origin.
     """
-    low = np.floor(vertices.min(axis=1)).astype(np.int64)
-    spans = np.floor(vertices.max(axis=1)).astype(np.int64) - low + 1
-    cells, owners = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for block in _blocks(spans):
-        grid = spans[block].max(axis=0)
-        which, j, i = np.nonzero(_meets(vertices[block], low[block], spans[block], grid))
-        cells.append(low[block][which] + np.column_stack((i, j)))
-        owners.append(which + block.start)
-    return CellList(np.concatenate(cells), np.concatenate(owners))
-
-
-def _blocks(spans: IntArray) -> Iterator[slice]:
-    """Slices of the polygons that together need at most about `_BLOCK` cells."""
-    if not len(spans):
-        return
-    step = max(1, _BLOCK // int(np.prod(spans.max(axis=0))))
-    for start in range(0, len(spans), step):
-        yield slice(start, min(start + step, len(spans)))
-
-
-def _meets(vertices: FloatArray, low: IntArray, spans: IntArray, grid: IntArray) -> BoolArray:
-    """Whether polygon p meets cell low[p] + (i, j), Shape (p, rows, columns) of a common grid."""
-    i, j = np.arange(grid[0]), np.arange(grid[1])
-    meets: BoolArray = (i < spans[:, None, 0])[:, None, :] & (j < spans[:, None, 1])[:, :, None]
-    x, y = i + 0.5 + low[:, None, 0], j + 0.5 + low[:, None, 1]
-    edges = np.roll(vertices, -1, axis=1) - vertices
-    for k in range(vertices.shape[1]):
-        start, edge = vertices[:, k], edges[:, k]
-        # Outward normal (dy, -dx); the square's lowest point along it is half a cell per axis below its centre.
-        along_x = edge[:, 1, None] * (x - start[:, 0, None])
-        along_y = -edge[:, 0, None] * (y - start[:, 1, None])
-        reach = 0.5 * np.abs(edge).sum(axis=1) + _SLACK * np.hypot(edge[:, 0], edge[:, 1])
-        meets &= along_x[:, None, :] + along_y[:, :, None] <= reach[:, None, None]
-    return meets
-
-
-def corners_of(footprint: Footprint, pose: Pose2) -> FloatArray:
-    """Vertices of the footprint at a pose, Shape (n, 2) [m]."""
-    corners: FloatArray = transform_points(pose.as_array()[None], footprint.vertices)[0]
-    return corners
+    low, high = np.floor(vertices.min(axis=0)), np.floor(vertices.max(axis=0))
+    x, y = (np.arange(first, last + 1.0) + 0.5 for first, last in zip(low, high, strict=True))
+    meets: BoolArray = np.ones((len(y), len(x)), dtype=np.bool_)
+    for start, edge in zip(vertices, np.roll(vertices, -1, axis=0) - vertices, strict=True):
+        # Outward normal (dy, -dx); the lowest point of a square along it is half a cell per axis below the centre.
+        reach = 0.5 * np.abs(edge).sum() + _SLACK * np.hypot(*edge)
+        meets &= edge[1] * (x - start[0]) - edge[0] * (y[:, None] - start[1]) <= reach
+    rows, columns = np.nonzero(meets)
+    cells: IntArray = low.astype(np.int64) + np.column_stack((columns, rows))
+    return cells
 
 
 def fill_footprint(
     grid: Costmap, footprint: Footprint, pose: Pose2, cost: int, window: tuple[slice, slice] | None = None
 ) -> None:
-    """Write `cost` into every cell of a writable grid that the footprint meets, within `window` only."""
+    """Write `cost` into every cell of a writable grid that the footprint meets.
+
+    Args:
+        grid: Modified in place.
+        footprint: Outline.
+        pose: Pose of the footprint.
+        cost: Cost of the cells.
+        window: Rows and columns that may be written; None for all.
+    """
     rows, columns = window or (slice(0, grid.rows), slice(0, grid.columns))
     for body in footprint.bodies:
-        vertices = transform_points(pose.as_array()[None], body.vertices)
-        cells = cells_of_polygons((vertices - np.array(grid.origin)) / grid.resolution).cells
+        vertices = transform_points(pose.as_array()[None], body.vertices)[0]
+        cells = cells_of_polygon((vertices - np.array(grid.origin)) / grid.resolution)
         within = np.all((cells >= (columns.start, rows.start)) & (cells < (columns.stop, rows.stop)), axis=1)
         grid.data[cells[within, 1], cells[within, 0]] = cost

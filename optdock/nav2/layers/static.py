@@ -10,9 +10,8 @@ from pydantic import Field
 from optdock.errors import InvalidValue
 from optdock.model.costmap import OccupancyGrid
 from optdock.model.costs import FREE_SPACE, OccupancyRule
-from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
-from optdock.nav2.layers.raster import corners_of, fill_footprint
-from optdock.nav2.layers.window import NOWHERE, CellWindow, checked_window, grown_by_points, joined
+from optdock.nav2.layers.nav2_layer import LayerParameters, Nav2Layer, checked_window, joined, outline_bounds
+from optdock.nav2.layers.raster import fill_footprint
 from optdock.plugins.interfaces import Bounds
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ __all__ = ["StaticLayer", "StaticLayerParameters"]
 
 
 class StaticLayerParameters(LayerParameters):
-    """Nav2's parameters of the StaticLayer; `track_unknown_space` is True here, False in Nav2."""
+    """Nav2's parameters of the StaticLayer; the default of `track_unknown_space` is True instead of False."""
 
     track_unknown_space: bool = Field(default=True, description="unknown stays unknown; False makes it free")
     lethal_cost_threshold: int = Field(default=100, ge=1, le=100, description="occupancy from which a cell is lethal")
@@ -31,23 +30,23 @@ class StaticLayerParameters(LayerParameters):
     unknown_cost_value: int = Field(default=255, ge=0, le=255, description="occupancy, as a byte, that is unknown")
     inscribed_obstacle_cost_value: int = Field(default=99, ge=0, le=255, description="occupancy that is inscribed")
     use_maximum: bool = Field(default=False, description="keep higher costs of the layers below")
-    footprint_clearing_enabled: bool = Field(default=False, description="free the cells under the robot")
+    footprint_clearing_enabled: bool = Field(default=False, description="clear the cells under the robot")
 
     graph_names: ClassVar[frozenset[str]] = frozenset(
         {"map_topic", "map_subscribe_transient_local", "subscribe_to_updates", "transform_tolerance"}
     )
 
 
-class StaticLayer(SwitchedLayer):
-    """Writes a map into the master grid, cell by cell: each master cell takes the map's cell at its centre.
+class StaticLayer(Nav2Layer):
+    """Write a map into the master grid: each master cell takes the cost of the map's cell at its centre.
 
-    Master cells off the map keep what they have. The layer is not current before `set_map`.
+    Master cells outside of the map are unchanged. The layer is not current before `set_map`.
 
     Args:
         **parameters: Fields of `StaticLayerParameters`.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
 
     Parameters = StaticLayerParameters
@@ -56,84 +55,57 @@ class StaticLayer(SwitchedLayer):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._map: OccupancyGrid | None = None
-        self._costs: Costmap | None = None
-        self._costs_rule: OccupancyRule | None = None
         self._robot: Pose2 | None = None
-        self._pending = NOWHERE
-        self._last_footprint = NOWHERE
 
     def set_map(self, grid: OccupancyGrid) -> None:
-        """Take another map; the next update writes all of it.
+        """Replace the map.
 
         Raises:
-            InvalidValue: `grid` is no OccupancyGrid; the old map stays.
+            InvalidValue: If `grid` is no OccupancyGrid; the previous map is kept.
         """
         if not isinstance(grid, OccupancyGrid):
             raise InvalidValue(f"{self.context.name}: a map must be an OccupancyGrid, got {type(grid).__name__}")
-        self._pending = joined(self._pending, self._extent())
-        self._map, self._costs = grid, None
-        self._pending = joined(self._pending, self._extent())
+        self._map = grid
 
-    def reset(self) -> None:
-        """Write the whole map again; the map itself stays."""
-        self._pending = self._extent()
-
-    def match_size(self) -> None:
-        """Write the whole map again."""
-        self.reset()
+    def is_current(self) -> bool:
+        """Whether there is a map, and it was not declared out of date."""
+        return super().is_current() and self._map is not None
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:
-        """`bounds` grown to the map where it must be written, and to the footprint that is cleared."""
-        if self._rule() != self._costs_rule:
-            self._pending = joined(self._pending, self._extent())
-        grown = joined(bounds, self._pending)
+        """Return `bounds` grown to the map and to the footprint that is cleared."""
         self._robot = robot
+        if self._map is None:
+            return bounds
+        (x, y), side, (rows, columns) = self._map.origin, self._map.resolution, self._map.data.shape
+        grown = joined(bounds, Bounds(x, y, x + columns * side, y + rows * side))
         footprint = self.context.footprint
         if self.parameters.footprint_clearing_enabled and footprint is not None:
-            here = grown_by_points(NOWHERE, corners_of(footprint, robot))
-            grown = joined(grown, joined(here, self._last_footprint))
-            self._last_footprint = here
+            grown = joined(grown, outline_bounds(footprint, robot))
         return grown
 
     def update_costs(self, master: Costmap, min_i: int, min_j: int, max_i: int, max_j: int) -> None:
         """Write the map into the window.
 
         Raises:
-            InvalidValue: The window is not within the master grid.
+            InvalidValue: If the window is not within the master grid, or the grid is read-only.
         """
         window = checked_window(master, min_i, min_j, max_i, max_j)
-        costs = self._current_costs()
-        if costs is None:
+        if self._map is None:
             return
-        self._write(master, costs, window)
+        costs = self._map.costmap_by(self._rule)
+        centres = master.origin[0] + (np.arange(min_i, max_i) + 0.5) * master.resolution
+        i = np.floor((centres - costs.origin[0]) / costs.resolution).astype(np.int64)
+        centres = master.origin[1] + (np.arange(min_j, max_j) + 0.5) * master.resolution
+        j = np.floor((centres - costs.origin[1]) / costs.resolution).astype(np.int64)
+        on_i, on_j = (i >= 0) & (i < costs.columns), (j >= 0) & (j < costs.rows)
+        taken, target = costs.data[np.ix_(j[on_j], i[on_i])], np.ix_(on_j, on_i)
+        part = master.data[window]
+        part[target] = np.maximum(part[target], taken) if self.parameters.use_maximum else taken
         footprint = self.context.footprint
         if self.parameters.footprint_clearing_enabled and footprint is not None and self._robot is not None:
             fill_footprint(master, footprint, self._robot, FREE_SPACE, window)
-        self._pending = NOWHERE
 
-    def is_current(self) -> bool:
-        """Whether it has a map that was not declared out of date."""
-        return super().is_current() and self._map is not None
-
-    def _write(self, master: Costmap, costs: Costmap, window: CellWindow) -> None:
-        rows, columns = np.arange(window[0].start, window[0].stop), np.arange(window[1].start, window[1].stop)
-        x, y = (
-            master.origin[0] + (columns + 0.5) * master.resolution,
-            master.origin[1] + (rows + 0.5) * master.resolution,
-        )
-        i = np.floor((x - costs.origin[0]) / costs.resolution).astype(np.int64)
-        j = np.floor((y - costs.origin[1]) / costs.resolution).astype(np.int64)
-        on_i, on_j = (i >= 0) & (i < costs.columns), (j >= 0) & (j < costs.rows)
-        target = np.ix_(rows[on_j], columns[on_i])
-        taken = costs.data[np.ix_(j[on_j], i[on_i])]
-        master.data[target] = np.maximum(master.data[target], taken) if self.parameters.use_maximum else taken
-
-    def _extent(self) -> Bounds:
-        if self._map is None:
-            return NOWHERE
-        (x, y), side, (rows, columns) = self._map.origin, self._map.resolution, self._map.data.shape
-        return Bounds(x, y, x + columns * side, y + rows * side)
-
+    @property
     def _rule(self) -> OccupancyRule:
         p = self.parameters
         return OccupancyRule(
@@ -143,10 +115,3 @@ class StaticLayer(SwitchedLayer):
             unknown_cost_value=p.unknown_cost_value,
             inscribed_obstacle_cost_value=p.inscribed_obstacle_cost_value,
         )
-
-    def _current_costs(self) -> Costmap | None:
-        """The map's costs by today's parameters; None without a map."""
-        rule = self._rule()
-        if self._map is not None and (self._costs is None or rule != self._costs_rule):
-            self._costs, self._costs_rule = self._map.costmap_by(rule), rule
-        return self._costs

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optdock.model.costmap import Costmap
+from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.plugins.interfaces import Bounds, Layer
 from optdock.testing.contracts.contract_scene import ORIGIN
 from optdock.testing.contracts.plugin import PluginContract, require
@@ -106,7 +106,7 @@ class LayerContract(PluginContract[Layer]):
 
     def test_a_disabled_layer_writes_nothing(self) -> None:
         """`is_enabled`: a layered costmap of it alone stays empty; for layers with a parameter `enabled`."""
-        from optdock.nav2.layered_costmap import LayeredCostmap
+        from optdock.nav2.global_costmap import layered_costmap
 
         layer = self.make_plugin()
         if "enabled" not in type(layer.parameters).model_fields:
@@ -114,7 +114,8 @@ class LayerContract(PluginContract[Layer]):
         layer.set_parameters(enabled=False)
         require(layer.is_enabled() is False, "enabled: false disables the layer")
         self.feed(layer)
-        costs = LayeredCostmap({"layer": layer}, self.make_context().footprint).update(ORIGIN).data
+        place = OccupancyGrid(np.full((50, 50), -1), 0.1)
+        costs = layered_costmap(place, {"layer": layer}, ORIGIN, self.make_context().footprint).data
         require(np.all(costs == costs.flat[0]), "a disabled layer writes nothing")
 
     def _fed(self) -> Layer:

@@ -72,7 +72,7 @@ class TransformBuffer(ros.TransformTree):
             self._node.get_logger().error(f"{pair[0]} <- {pair[1]}: {self.refused[pair]}; not used")
         return is_stored
 
-    def said_of(self, newest: float) -> str:
+    def stamp_text(self, newest: float) -> str:
         """How old the newest transform of a frame is, in words."""
         return f"{self._now() - newest:.2f} s old"
 

@@ -53,7 +53,7 @@ def scenario(files, **options):
     return nav2_scenario(files / "params.yaml", files / "hall.yaml", "3.5, 1.5, 0.1", **options)
 
 
-def test_the_problem_carries_what_the_files_say(files):
+def test_the_problem_has_the_values_of_the_files(files):
     problem = scenario(files).problem
     assert problem.start == Pose2(3.5, 1.5, 0.1)
     assert nav2_scenario(files / "params.yaml", files / "hall.yaml", problem.start).problem.start == problem.start
@@ -70,14 +70,14 @@ def test_the_problem_carries_what_the_files_say(files):
     assert scenario(files).default_limits == LIMIT_UNITS.keys() - given - {"max_yaw_acceleration"}
 
 
-def test_a_dock_of_a_type_that_the_parameters_do_not_know_is_refused_not_entered_with_the_wrong_end(files):
+def test_a_dock_of_an_unknown_type_is_refused(files):
     with pytest.raises(DockNotValid) as caught:
         scenario(files, docks_source=files / "docks.yaml", dock_name="right")
     text = "params.yaml: has no dock type 'chargr', which right is of; did you mean charger?; its dock types: charger"
     assert str(caught.value).endswith(text)
 
 
-def test_without_any_dock_type_in_the_parameters_docks_are_entered_forward(files):
+def test_without_dock_types_docks_are_entered_forward(files):
     (files / "params.yaml").write_text(PARAMS.replace("    dock_plugins: [charger]\n", "").replace("plugin: ", "was: "))
     problem = scenario(files, docks_source=files / "docks.yaml", dock_name="right").problem
     assert problem.goal == Pose2(5.0, 2.0, 0.0)
@@ -116,7 +116,7 @@ def test_a_start_that_is_no_pose_is_refused(files, start):
         (
             "[-0.2, 0.0, -0.9]",
             "[0.0, 0.0, -0.9]",
-            "min_velocity: x must be finite and < 0, got 0.0; a robot that cannot",
+            "min_velocity: x must be finite and < 0, got 0.0; robots that cannot",
         ),
         ("[-0.8, 0.0, -1.1]", "[0.8, 0.0, 1.1]", "max_decel: x must be finite and < 0, got 0.8"),
         ("[0.7, 0.0, 1.1]", "[0.7, 0.0, .inf]", "max_accel: yaw must be finite and > 0, got inf"),
@@ -136,7 +136,7 @@ def test_impossible_numbers_in_the_parameters_are_refused(files, old, new, messa
         scenario(files)
 
 
-def test_of_two_yaw_limits_the_smaller_holds_and_six_components_are_read_as_nav2_does(files):
+def test_the_smaller_yaw_limit_is_used_and_vectors_may_have_six_components(files):
     text = PARAMS.replace("[-0.2, 0.0, -0.9]", "[-0.2, 0.0, -0.3]").replace("[0.7, 0.0, 1.1]", "[0.7, 0, 0, 0, 0, 5.0]")
     (files / "params.yaml").write_text(text)
     limits = scenario(files).problem.robot.limits
@@ -208,7 +208,7 @@ def test_a_scenario_and_nav2_files_exclude_each_other(arguments):
     assert result.stderr == "give either a scenario file, or --nav2-params with --map, --dock and --start\n"
 
 
-def test_plugins_lists_what_a_nav2_file_asks_for(files):
+def test_plugins_lists_the_plugins_of_a_nav2_file(files):
     result = CliRunner().invoke(app, ["plugins", "--nav2-params", str(files / "params.yaml")])
     assert result.exit_code == 0
     first, second = result.stdout.splitlines()

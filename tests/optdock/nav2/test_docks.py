@@ -51,7 +51,7 @@ def test_a_real_file_without_docks_is_refused(real):
         real("test_no_docks_file.yaml")
 
 
-def test_an_id_never_leaks_to_the_next_dock(tmp_path):
+def test_an_id_is_not_used_for_the_next_dock(tmp_path):
     text = "docks:\n  a: {type: t, pose: [0, 0, 0], id: tag7, frame: odom}\n  b: {type: t, pose: [1, 0, 0]}\n"
     docks = load_dock_database(written(tmp_path, text))
     assert (docks["a"].id, docks["a"].frame) == ("tag7", "odom")

@@ -50,10 +50,10 @@ def built(read, grid=None, described=NAME):
     [
         ("      track_unknown_space: true\n", 255, "obstacles"),
         ("      track_unknown_space: false\n", 0, "free: track_unknown_space is false"),
-        ("", 255, "obstacles (track_unknown_space is not given; Nav2 would take them for free)"),
+        ("", 255, "obstacles (track_unknown_space is not given; Nav2 would treat them as free)"),
     ],
 )
-def test_unknown_cells_are_what_the_file_says_and_obstacles_where_it_is_silent(tmp_path, node, cost, said):
+def test_unknown_cells_follow_the_file_and_are_obstacles_by_default(tmp_path, node, cost, said):
     costmap, rows = built(params(tmp_path, STATIC, node=node))
     assert set(costmap.data[30:, 34:].ravel().tolist()) == {cost}
     assert rows["unknown cells"] == said
@@ -71,7 +71,7 @@ FALSE, TRUE = "track_unknown_space: false", "track_unknown_space: true"
         (FALSE, INFLATION, 255, "obstacles: track_unknown_space is false, but not of the layer of the map"),
     ],
 )
-def test_what_is_said_of_unknown_cells_is_what_the_layer_of_the_map_makes_of_them(tmp_path, node, static, cost, said):
+def test_the_report_on_unknown_cells_follows_the_layer_of_the_map(tmp_path, node, static, cost, said):
     costmap, rows = built(params(tmp_path, static, node=f"      {node}\n"))
     assert set(costmap.data[34:, 36:].ravel().tolist()) == {cost}
     assert rows["unknown cells"].startswith(said)
@@ -85,14 +85,14 @@ def test_what_is_said_of_unknown_cells_is_what_the_layer_of_the_map_makes_of_the
         ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0}"], False),
     ],
 )
-def test_a_layer_that_frees_the_cells_under_the_robot_is_known_by_its_row(tmp_path, layers, frees):
+def test_a_layer_that_clears_the_cells_under_the_robot_is_reported(tmp_path, layers, frees):
     blocked = OccupancyGrid(np.full((60, 60), 100, dtype=np.int8), SIDE)
     costmap, rows = built(params(tmp_path, *layers), blocked)
     assert bool(np.any(costmap.data != 254)) is frees
-    assert any("frees the cells under the robot" in row for row in rows.values()) is frees
+    assert any("clears the cells under the robot" in row for row in rows.values()) is frees
 
 
-def test_the_map_is_in_the_costmap_also_where_the_file_lists_no_static_layer(tmp_path):
+def test_the_map_is_added_if_the_file_has_no_static_layer(tmp_path):
     added = "added: the file uses none, but a map was given"
     for layers in ([INFLATION], [STATIC[:-1] + ", enabled: false}", INFLATION]):
         costmap, rows = file_costmap(read := params(tmp_path, *layers), read.costmaps[NAME], hall(), START, DOCK)
@@ -101,7 +101,7 @@ def test_the_map_is_in_the_costmap_also_where_the_file_lists_no_static_layer(tmp
     assert ("static_layer", "skipped: enabled is false") in rows
 
 
-def test_what_is_skipped_is_said_with_its_reason(tmp_path):
+def test_skipped_parts_are_reported_with_their_reason(tmp_path):
     second = STATIC.replace("static_layer", "other_map")
     voxels = 'voxels: {plugin: "nav2_costmap_2d::VoxelLayer"}'
     seen = 'seen: {plugin: "nav2_costmap_2d::ObstacleLayer", observation_sources: scan, scan: {topic: /scan}}'
@@ -111,14 +111,17 @@ def test_what_is_skipped_is_said_with_its_reason(tmp_path):
     _, rows = built(
         params(tmp_path, STATIC, second, voxels, seen, INFLATION, clouds, node=keepout + rolling, local=True)
     )
-    assert rows[NAME].endswith("; it does not roll, the whole map is known")
+    assert rows[NAME].endswith("; it does not roll, as the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
-    assert rows["voxels"] == rows["seen"] == "skipped: nothing has been seen yet"
-    assert rows["inflation"] == "skipped: clearance is proven with the exact footprint, inflated costs change no plan"
+    assert rows["voxels"] == rows["seen"] == "skipped: there is no sensor data yet"
+    assert (
+        rows["inflation"]
+        == "skipped: the clearance is proven with the exact footprint, so inflated costs change no plan"
+    )
     assert rows["static_layer"] == "used: StaticLayer(); not read: map_topic"
     assert rows["clouds"] == "skipped: optdock has no layer of this class"
-    assert rows["keepout"] == "skipped: optdock has no filters; what it forbids is not in the costmap"
-    assert rows["local_costmap"].startswith("skipped: it holds what sensors see")
+    assert rows["keepout"] == "skipped: optdock has no filters; its restrictions are not in the costmap"
+    assert rows["local_costmap"].startswith("skipped: it contains only sensor data")
 
 
 def test_a_layer_that_refuses_its_parameters_is_a_fault_of_the_file(tmp_path):

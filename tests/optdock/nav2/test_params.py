@@ -1,12 +1,11 @@
 import math
 
-import numpy as np
 import pytest
 
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
-from optdock.nav2.docks import DockTypeParams
+from optdock.nav2.docks import docked_pose
 from optdock.nav2.params import load_nav2_params
 
 
@@ -92,23 +91,13 @@ def test_dock_types_and_docks_of_a_server_file_are_read(real):
     assert params.dock_types["test_dock_plugin"].dock_direction is DockDirection.FORWARD
 
 
-def test_the_staging_pose_lies_behind_the_dock_in_its_own_frame():
-    staging = DockTypeParams("d", staging_x_offset=-0.7, staging_yaw_offset=math.pi).staging_pose(
-        Pose2(1.0, 2.0, math.pi / 2)
-    )
-    np.testing.assert_allclose(staging.as_array(), [1.0, 1.3, 1.5 * math.pi], atol=1e-12)
-
-
 @pytest.mark.parametrize("direction", list(DockDirection)[:2])
-def test_a_robot_comes_into_its_dock_from_the_staging_pose_in_its_gear(direction):
-    """Nav2's docks look the way in, whichever end of the robot goes in first."""
-    kind = DockTypeParams("d", direction)
+def test_a_robot_that_backs_into_its_dock_looks_the_other_way(direction):
     dock = Pose2(1.0, 2.0, 0.4)
-    seen = kind.staging_pose(dock).in_frame_of(kind.docked_pose(dock))
-    gear = 1.0 if direction is DockDirection.FORWARD else -1.0
-    np.testing.assert_allclose((seen.x, seen.y), (-0.7 * gear, 0.0), atol=1e-12)
-    back = kind.docked_pose(kind.docked_pose(dock))
-    np.testing.assert_allclose((back.x, back.y, math.remainder(back.yaw, math.tau)), (1.0, 2.0, 0.4), atol=1e-12)
+    docked = docked_pose(dock, direction)
+    turned = 0.0 if direction is DockDirection.FORWARD else math.pi
+    assert (docked.x, docked.y, math.remainder(docked.yaw - 0.4 - turned, math.tau)) == pytest.approx((1.0, 2.0, 0.0))
+    assert docked_pose(docked, direction).distance_to(dock) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_namespace_before_the_node_is_kept(tmp_path):
@@ -217,7 +206,7 @@ docking_server:
     assert params.node("controller_server")["map..topic"] == "x"
 
 
-def test_of_several_namespaces_the_first_counts(tmp_path):
+def test_the_first_of_several_namespaces_is_used(tmp_path):
     robot = "  global_costmap:\n    global_costmap:\n      ros__parameters: {robot_radius: %s}\n"
     params = loaded(tmp_path, "r1:\n" + robot % 0.3 + "r2:\n" + robot % 0.6)
     assert params.costmaps["global_costmap"].robot_radius == params.node("global_costmap")["robot_radius"] == 0.3

@@ -1,4 +1,4 @@
-"""What of a Nav2 parameter file is built, with which parameters, and why not the rest."""
+"""Plugins of a Nav2 parameter file: parameters, and reasons if they are not provided."""
 
 import pytest
 
@@ -40,7 +40,7 @@ smoother_server:
     assert found["s"].unknown[0].startswith("w_smooth")
 
 
-def test_behaviors_and_layers_take_from_their_node_what_nav2s_do(tmp_path):
+def test_behaviors_and_layers_inherit_parameters_of_their_node(tmp_path):
     found = plugins_of(
         tmp_path,
         """
@@ -70,7 +70,7 @@ global_costmap:
 
 
 @pytest.mark.parametrize("value", ["'0.5'", "yes", "[0.5]", "{a: 1}"])
-def test_a_value_of_the_wrong_type_is_the_reason_why_a_plugin_is_not_built(tmp_path, value):
+def test_a_value_of_the_wrong_type_prevents_a_plugin(tmp_path, value):
     checker = f"{{plugin: 'n::SimpleGoalChecker', xy_goal_tolerance: {value}}}"
     text = f"controller_server:\n  ros__parameters:\n    goal_checker_plugins: [a]\n    a: {checker}\n"
     found = plugins_of(tmp_path, text)["a"]
@@ -89,8 +89,8 @@ def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
     assert rows["FollowPath.diff_drive"][3] == "not provided: no list of plugins names it"
-    assert rows["inflation_layer"][3].startswith("not provided: clearance is proven with the exact footprint")
-    assert rows["obstacle_layer"][3] == "not provided: nothing has been seen yet"
+    assert rows["inflation_layer"][3].startswith("not provided: the clearance is proven with the exact footprint")
+    assert rows["obstacle_layer"][3] == "not provided: there is no sensor data yet"
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"
     assert rows["simple_smoother"][3].startswith("SimpleSmoother(tolerance=1e-10, max_its=1000, refinement_num=2, ")
     assert nav2_costmap_rows(params) == [

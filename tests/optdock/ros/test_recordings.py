@@ -1,4 +1,4 @@
-"""Recordings: what is written reads back by rosbags; a recorded docking is judged by the certificate."""
+"""Recordings: written ones are read by rosbags, and a recorded docking is checked by the certificate."""
 
 import json
 import math
@@ -27,7 +27,7 @@ from optdock.ros.bag import BagMessage, bag_types, write_bag
 from optdock.ros.field import kept_poses
 
 FOOTPRINT = od.Footprint.rectangle(0.3, 0.3, 0.4)
-BEGIN = 1_700_000_000.0  # [s]: a moment of our days, of which a float tells microseconds
+BEGIN = 1_700_000_000.0  # [s]: a present time, with microseconds in a float
 
 
 @pytest.fixture(autouse=True)
@@ -60,7 +60,7 @@ def planned(tmp_path_factory):
         "dock: {pose: [2.0, 0.2, 0.0]}\nstart: {pose: [0.0, 0.0, 0.0]}\n"
     )
     problem = od.load_scenario(folder / "bay.yaml").problem
-    plan = od.plan_dock(problem, time_budget=5.0)
+    plan = od.plan_dock(problem, time_budget=2.0)
     plan.save(folder / "plan.json", period=0.1)
     motion = plan.trajectory.sampled(0.1)
     columns = {"t": motion.t}
@@ -146,11 +146,11 @@ def test_markers_keep_gears_apart_and_all_can_be_deleted():
     assert len({(colour.r, colour.g) for colour in colours}) == 2
     (delete,) = ros.delete_markers(bag_types, "map", 1.0).markers
     assert delete.action == 3
-    with pytest.raises(od.InvalidValue, match="stands in 'odom', not in 'map'"):
+    with pytest.raises(od.InvalidValue, match="is in 'odom', not in 'map'"):
         ros.path_markers(bag_types, path.with_frame("odom"), "map", 1.0)
 
 
-def test_a_run_is_recorded_with_what_was_true_measured_and_planned(planned):
+def test_a_run_is_recorded_with_true_measured_and_planned_poses(planned):
     folder, _ = planned
     assert run("bag", folder / "run.json", "run.mcap").exit_code == 0
     found = recorded("run.mcap")
@@ -191,7 +191,7 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
     Path("broken.json").write_text('{"format": "optdock-plan/1", "status": "GoalOccupied"}')
     refused = run("bag", "broken.json", "run.mcap")
     assert refused.stderr == (
-        "broken.json: the plan holds no path and no motion to record, its status is GoalOccupied\n"
+        "broken.json: the plan contains no path and no motion to record, its status is GoalOccupied\n"
     )
     assert refused.exit_code == 2
     assert Path("run.mcap").read_bytes() == before
@@ -211,12 +211,12 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
         (("dock.log", "a.mcap", "--scenario", "bay.yaml"), "--scenario: is for plans and runs; the log of a docking"),
         (
             ("plan.json", "a.mcap", "--scenario", "odom.yaml"),
-            "plan.json: the plan stands in frame 'map', the scenario in",
+            "plan.json: the plan is in frame 'map', the scenario in",
         ),
         (("plan.json", "file/a.mcap"), "file/a.mcap: cannot be written: Not a directory"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused(planned, arguments, message):
+def test_invalid_sources_targets_and_options_are_refused(planned, arguments, message):
     folder, _ = planned
     for name in ("plan.json", "dock.log", "bay.yaml"):
         Path(name).write_bytes((folder / name).read_bytes())
@@ -245,7 +245,7 @@ MAP_TO_ODOM = od.Pose2(5.0, 1.0, 0.7)
 
 
 def field_messages(*, blocked=False, frame="odom", static=True):
-    """What a robot records: local costmap, plan, footprint, odometry, transforms and commands."""
+    """Recording of a robot: local costmap, plan, footprint, odometry and transforms."""
     there = od.Pose2(0.0, 0.0, 0.0) if frame == "odom" else MAP_TO_ODOM
     costs = np.zeros((120, 160), dtype=np.uint8)
     low = there.x - 3.0, there.y - 3.0
@@ -270,21 +270,14 @@ def field_messages(*, blocked=False, frame="odom", static=True):
         pose, time = od.Pose2(0.05 * k, 0.0, 0.0), 0.05 * k
         add("/odom", time, ros.odometry_message, pose, od.Twist2(1.0), "odom", "base_link")
         add("/tf", time, ros.transforms_message, [("odom", "base_link", pose)])
-        add(
-            "/cmd_vel",
-            time,
-            lambda types, twist, stamp: ros.twist_message(types, twist, "b", stamp, stamped=True),
-            od.Twist2(1.0),
-        )
         if k % 10 == 0:
             corners = transform_points((there @ pose).as_array()[None], FOOTPRINT.vertices)[0]
             add("/local_costmap/published_footprint", time, ros.polygon_message, corners, frame)
     return found
 
 
-@pytest.mark.parametrize("frame", ["odom", "map"])
-@pytest.mark.parametrize("blocked", [True, False])
-def test_a_recorded_docking_is_judged_by_the_certificate(frame, blocked):
+@pytest.mark.parametrize(("frame", "blocked"), [("odom", False), ("map", True)])
+def test_a_recorded_docking_is_checked_by_the_certificate(frame, blocked):
     write_bag("field.mcap", field_messages(blocked=blocked, frame=frame))
     result = run("import", "bag", "field.mcap", "-o", "field")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -310,7 +303,7 @@ def test_a_recorded_docking_is_judged_by_the_certificate(frame, blocked):
         assert re.search(rf"{name} closest +0\.\d+ m into map, pose \d+ of \d+, \(\S+, \S+, \S+\)", result.stdout)
 
 
-def test_a_stretch_of_a_recording_is_taken():
+def test_an_interval_of_a_recording_is_read():
     write_bag("field.mcap", field_messages(blocked=True))
     result = run("import", "bag", "field.mcap", "-o", "field", "--since", "0.1", "--until", "1.0", "--radius", "0.2")
     assert (result.exit_code, result.stderr) == (0, "")
@@ -357,7 +350,11 @@ WRONG_RECORDINGS = [
     (without(), "--since 0.01 --until 0.04", "/odom: holds no message from 0.010 s to 0.040 s of 2.000 s (--since, "),
     (without(), "--since 0.11 --until 0.3", "/local_costmap/costmap_raw: holds no message from 0.110 s to 0.300 s"),
     (UNJOINED, "", "/plan: map <- odom: there is no transform of 'map'; known: odom <- base_link (until"),
-    ([*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)], "", "/plan: map <- odom: leans by 0.600 rad, more than"),
+    (
+        [*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)],
+        "",
+        "/plan: map <- odom: is tilted by 0.600 rad, more than",
+    ),
 ]
 WRONG_OPTIONS = [
     ("--since 2 --until 1", "--since: must be >= 0 s and before --until, got 2.0 and 1.0"),
@@ -375,7 +372,7 @@ WRONG_OPTIONS = [
         *((without(), options, message) for options, message in WRONG_OPTIONS),
     ],
 )
-def test_what_is_wrong_with_a_recording_is_said_with_file_and_topic(messages, options, message):
+def test_errors_of_a_recording_name_file_and_topic(messages, options, message):
     write_bag("field.mcap", messages)
     result = run("import", "bag", "field.mcap", "-o", "out", *options.split())
     assert result.stderr.startswith(message)
@@ -413,8 +410,8 @@ def test_a_message_that_is_cut_off_is_named():
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-def test_what_a_robot_records_beside_is_no_obstacle(storage):
-    """A type whose definition nobody can read, and a recording of the other kind."""
+def test_other_topics_of_a_recording_are_ignored(storage):
+    """An invalid message definition, in recordings of both storage formats."""
     store = ros.bag._store()
     with Writer("field", version=8, storage_plugin=storage) as writer:
         odd = writer.add_connection("/odd", "vendor_msgs/msg/Odd", msgdef="no definition !", rihs01="RIHS01_0")
@@ -429,7 +426,7 @@ def test_what_a_robot_records_beside_is_no_obstacle(storage):
     assert (result.exit_code, result.stderr) == (0, "")
 
 
-def test_a_collision_is_said_before_all_else():
+def test_a_collision_is_reported_before_other_violations():
     messages = field_messages(blocked=True)
     for message in messages:
         if message.topic == "/tf":
@@ -441,8 +438,8 @@ def test_a_collision_is_said_before_all_else():
     assert re.search("violation +the path slips sideways", verdict.stdout)
 
 
-def test_a_swing_between_the_poses_that_are_kept_is_judged():
-    """The robot turns by 0.09 rad and back where it stands, and a corner of it touches something meanwhile."""
+def test_a_collision_between_kept_poses_is_reported():
+    """The robot turns by 0.09 rad and back on the spot, and its corner collides."""
     messages = field_messages()
     grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
     turned = od.Pose2(1.0, 0.0, 0.09)
@@ -464,8 +461,8 @@ def test_a_swing_between_the_poses_that_are_kept_is_judged():
 @pytest.mark.parametrize(
     ("depth", "options", "refused"), [(0.04, (), False), (0.04, ("--contact", "0"), True), (0.2, (), True)]
 )
-def test_a_dock_that_is_touched_marks_whole_cells(depth, options, refused):
-    """Where the path ends, cells that reach into the outline by a cell's diagonal are the dock; deeper ones are not."""
+def test_occupied_cells_at_the_docked_outline_are_free(depth, options, refused):
+    """At the end of the path, cells up to a cell's diagonal inside the outline are the dock."""
     messages = field_messages()
     grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
     column = int((2.3 - depth + 3.0) / 0.05 + 1e-9)
@@ -478,7 +475,7 @@ def test_a_dock_that_is_touched_marks_whole_cells(depth, options, refused):
     assert (run("certify", "field/drive.json", "field/drive.yaml").exit_code != 0) == refused
 
 
-def test_a_costmap_is_taken_with_its_updates():
+def test_updates_of_the_costmap_are_applied():
     messages = field_messages()
     head = ros.messages.header(bag_types, "odom", BEGIN + 0.5)
     data = np.full(4, 254, dtype=np.uint8)
@@ -490,7 +487,7 @@ def test_a_costmap_is_taken_with_its_updates():
     assert "overlaps map" in run("certify", "field/path.json", "field/path.yaml").stderr
 
 
-def test_odometry_stands_for_a_transform_that_nobody_sends():
+def test_odometry_replaces_a_missing_transform():
     write_bag("field.mcap", without("/tf", "/tf_static"))
     result = run("import", "bag", "field.mcap", "-o", "field")
     assert "/odom: 41 poses of 'base_link'" in result.stdout

@@ -1,6 +1,7 @@
 """The contracts of controllers, behaviors, layers and dock types catch whatever breaks a sentence of theirs."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -11,7 +12,6 @@ from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costs import LETHAL
 from optdock.model.path import Path
-from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.drive import DriveOnHeading
 from optdock.plugins.interfaces import BehaviorResult, BehaviorStatus, Bounds, Contact, CostmapInfoType, Layer
 from optdock.plugins.parameters import PluginParameters
@@ -176,12 +176,18 @@ class Blind(DriveOnHeading):
 
 
 class Shortsighted(DriveOnHeading):
-    """Asks for the global costmap and looks at the local one."""
+    """Asks for the global costmap and checks the local one."""
 
     resource_info = CostmapInfoType.GLOBAL
 
-    def _checker(self):
-        return CollisionChecker(self.context, 0.0, CostmapInfoType.LOCAL)
+    def _collision(self, *motion):
+        return DriveOnHeading._collision(Local(self.context, self.parameters), *motion)
+
+
+class Local(NamedTuple):
+    context: object
+    parameters: object
+    resource_info: object = CostmapInfoType.LOCAL
 
 
 def test_every_gate_of_behaviors_can_fail(every_gate):

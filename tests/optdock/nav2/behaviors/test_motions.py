@@ -1,4 +1,4 @@
-"""BackUp and DriveOnHeading: codes, timeouts, ramps, and a collision check that sees everything ahead."""
+"""BackUp and DriveOnHeading: error codes, time limits, ramps and the collision check ahead."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ SUCCEEDED, FAILED, RUNNING = BehaviorStatus.SUCCEEDED, BehaviorStatus.FAILED, Be
 
 
 class World:
-    """A clock, a robot that does what it is told, and obstacles."""
+    """A clock, an ideal robot, and obstacles."""
 
     def __init__(self, *polygons, pose=ORIGIN):
         self.time, self.pose, self.twist = 100.0, pose, Twist2()
@@ -56,18 +56,12 @@ def box(x0, y0, x1, y1):
     return [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "resource"),
-    [
-        ("BackUp", BackUp, CostmapInfoType.LOCAL),
-        ("DriveOnHeading", DriveOnHeading, CostmapInfoType.LOCAL),
-    ],
-)
-def test_every_behavior_is_found_by_nav2s_name_and_says_what_it_needs(name, kind, resource):
-    behavior = create_plugin(Behavior, f"nav2_behaviors::{name}")
+@pytest.mark.parametrize("kind", [BackUp, DriveOnHeading])
+def test_a_behavior_is_found_by_nav2s_name_and_needs_the_local_costmap(kind):
+    behavior = create_plugin(Behavior, f"nav2_behaviors::{kind.__name__}")
     assert isinstance(behavior, kind)
-    assert behavior.resource_info is resource
-    with pytest.raises(BehaviorException, match=f"{name}: on_run must succeed"):
+    assert behavior.resource_info is CostmapInfoType.LOCAL
+    with pytest.raises(BehaviorException, match=f"{kind.__name__}: on_run must succeed"):
         behavior.on_cycle_update(ORIGIN, Twist2())
 
 
@@ -130,18 +124,18 @@ class TestDriveOnHeading:
         [box(0.8, 0.0, 0.8005, 0.0005), box(0.6, 0.2495, 3.0, 0.6), [[0.7, 0.0], [0.71, -0.01], [0.71, 0.01]]],
         ids=["a wire between the samples", "half a millimetre of wall", "smaller than the footprint"],
     )
-    def test_it_sees_what_samples_of_the_outline_miss(self, polygon):
+    def test_obstacles_between_samples_of_the_outline_are_found(self, polygon):
         result = World(polygon).run(DriveOnHeading(), {"target": 3.0, "speed": 0.3})
         assert result.error_code == 723
 
-    def test_it_drives_blind_only_when_told(self):
+    def test_the_collision_check_can_be_disabled(self):
         world = World(box(0.6, -0.5, 0.7, 0.5))
         command = {"target": 1.0, "speed": 0.3}
         assert world.run(DriveOnHeading(), command).error_code == 723
         blind = World(box(0.6, -0.5, 0.7, 0.5))
         assert blind.run(DriveOnHeading(), {**command, "disable_collision_checks": True}).status is SUCCEEDED
 
-    def test_with_nothing_to_check_against_it_refuses(self):
+    def test_without_obstacles_and_footprint_it_is_refused(self):
         behavior = DriveOnHeading()
         result = behavior.on_run({"target": 1.0, "speed": 0.2})
         assert (result.status, result.error_code) == (FAILED, 720)
@@ -156,7 +150,7 @@ class TestDriveOnHeading:
 
 class TestBackUp:
     @pytest.mark.parametrize("sign", [-1.0, 1.0])
-    def test_it_reverses_whatever_the_signs(self, sign):
+    def test_it_reverses_for_either_sign(self, sign):
         world = World(box(0.41, -0.5, 0.6, 0.5))
         assert world.run(BackUp(), {"target": sign * 0.3, "speed": 0.1}).status is SUCCEEDED
         assert world.pose.x == pytest.approx(-0.3, abs=0.011)
@@ -195,40 +189,30 @@ def grid(*columns):
 FREE, WALLS = grid(), grid(10, 45)  # at x = -1 and 0.75 m: within 1 m of the footprint either way
 
 
-def asking_for(kind, needs):
-    return type(kind.__name__, (kind,), {"resource_info": needs})()
-
-
 @pytest.mark.parametrize("needs", CostmapInfoType)
-@pytest.mark.parametrize(
-    ("kind", "command", "code"),
-    [
-        (BackUp, {"target": 1.0, "speed": 0.3}, 714),
-        (DriveOnHeading, {"target": 1.0, "speed": 0.3}, 723),
-    ],
-)
-def test_the_local_and_the_global_costmap_are_told_apart(kind, command, code, needs):
+def test_the_costmaps_that_a_behavior_needs_are_checked(needs):
     free, problem = FREE, DockingProblem(ORIGIN, Dock(ORIGIN), Robot(BOX, MotionLimits()))
 
     def outcome(local, around, known=None):
+        behavior = type("Asking", (DriveOnHeading,), {"resource_info": needs})()
         world = World()
         world.context = dataclasses.replace(
             world.context, problem=known, costmap=around, local_costmap=local, footprint=BOX
         )
-        return world.run(asking_for(kind, needs), command).error_code
+        return world.run(behavior, {"target": 1.0, "speed": 0.3}).error_code
 
-    blocked_by_local = code if needs in (CostmapInfoType.LOCAL, CostmapInfoType.BOTH) else 0
-    blocked_by_global = code if needs in (CostmapInfoType.GLOBAL, CostmapInfoType.BOTH) else 0
+    blocked_by_local = 723 if needs in (CostmapInfoType.LOCAL, CostmapInfoType.BOTH) else 0
+    blocked_by_global = 723 if needs in (CostmapInfoType.GLOBAL, CostmapInfoType.BOTH) else 0
     if needs is not CostmapInfoType.NONE:  # which needs something else to check against
         assert outcome(WALLS, free) == blocked_by_local
         assert outcome(free, WALLS) == blocked_by_global
         assert outcome(free, free) == 0
-        assert outcome(None, WALLS) == code  # where there is no local one the other serves both
+        assert outcome(None, WALLS) == 723  # without a local costmap the global one is used
     assert outcome(WALLS, None, problem) == blocked_by_local
-    # What a problem says must not be touched counts for everyone, and the global costmap is part of what it says.
+    # The obstacles of the problem are always checked, and the global costmap is one of them.
     in_the_way = dataclasses.replace(problem, obstacles=obstacles_from_costmap(WALLS))
-    assert outcome(free, None, in_the_way) == code
-    assert outcome(free, WALLS, problem) == code
+    assert outcome(free, None, in_the_way) == 723
+    assert outcome(free, WALLS, problem) == 723
 
 
 @pytest.mark.parametrize(("kind", "code"), [(BackUp, 713), (DriveOnHeading, 724)])
