@@ -49,8 +49,7 @@ def read_recording(source: str | Path) -> ReadFile:
     if kind == RUN_FORMAT:
         run = load_run(source)
         return ReadFile(recording_of_run(str(source), run), _deviation_of_run(run))
-    from optdock.executor.log import LOG_FORMAT
-    from optdock.executor.log_reader import read_log
+    from optdock.executor.log import LOG_FORMAT, read_log
 
     if kind != LOG_FORMAT:
         raise InvalidFile(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType
 from optdock.geometry.pose import Pose2, normalize_angle, unwrap_yaw
 from optdock.plugins.interfaces import DockType
 from optdock.plugins.registry import create_plugin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, ClassVar
 
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import AtDock, Detection, Measurements
 from optdock.plugins.interfaces import DockType

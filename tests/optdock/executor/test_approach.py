@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.executor.approach import (
+from optdock.executor.dock_estimate import (
     DECAY,
     SHORTEST_DECAY,
     can_be_planned_away,

@@ -11,9 +11,8 @@ from optdock.calibration import recording
 from optdock.calibration.recording import recording_of_log
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, SimpleDock, State
-from optdock.executor.checked_dock_type import CheckedDockType
-from optdock.executor.log import DockingLog, LogWriter
-from optdock.executor.log_reader import read_log
+from optdock.executor.checked_inputs import CheckedDockType
+from optdock.executor.log import DockingLog, LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import AtDock, Detection, Measurements
@@ -57,7 +56,7 @@ def test_the_standard_one_does_as_the_settings_say(settings):
 def test_what_the_dock_type_says_is_not_said_by_the_settings():
     for name, value in (("contact", "touch"), ("back_out_distance", 0.2), ("wait_for_charge", True)):
         chosen = ExecutorSettings(**{name: value})
-        with pytest.raises(InvalidValue, match=rf"settings\.{name}: is for the dock type to say"):
+        with pytest.raises(InvalidValue, match=rf"settings\.{name}: must be a parameter of the given dock type"):
             DockingExecutor(problem_with(), chosen, dock_type="SimpleDock")
     DockingExecutor(problem_with(), ExecutorSettings(staging_distance=0.9), dock_type="SimpleDock")
     with pytest.raises(PluginError, match="unknown plugin 'SimpleDoc'; did you mean SimpleDock"):

@@ -8,8 +8,7 @@ import pytest
 
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
-from optdock.executor.log import LogWriter
-from optdock.executor.log_reader import read_log
+from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
@@ -46,7 +45,7 @@ def test_noisy_robot_docks_at_a_dock_that_is_stored_wrongly(lawful, tmp_path):
     assert abs(error.x) <= 0.01
     assert abs(error.y) <= 0.006
     assert abs(error.yaw) <= math.radians(0.8)
-    assert docking.said("plan asked for")
+    assert docking.said("plan requested")
     assert docking.said("plan new")[1:], "it was planned again on the way"
     assert State.STOPPING not in docking.states[20:-20], "in motion"
     states = [step.feedback.state for step in docking.steps]
@@ -111,7 +110,7 @@ def put_away(executor, world, measurements):
 def test_obstacle_on_the_path_is_driven_around(lawful):
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
-    assert docking.said("motion does not hold any more")
+    assert docking.said("motion no longer valid")
 
 
 @pytest.mark.parametrize("goes", [True, False])

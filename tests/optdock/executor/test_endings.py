@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
-from optdock.executor.log import RecordedPlanning
-from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costmap import Costmap
@@ -537,5 +536,5 @@ def test_a_motion_that_nobody_proved_is_not_driven(lawful):
     docking = run(perfect(), problem_with(), ExecutorSettings(**QUICK), planning=Unproven())
     ending = lawful(docking)
     assert ending.kind is EndingKind.UNKNOWN
-    assert "a motion that is not proven" in ending.reason
+    assert "a motion that is not certified" in ending.reason
     assert all(step.command == Twist2() for step in docking.steps)

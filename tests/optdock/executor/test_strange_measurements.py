@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings
-from optdock.executor.approach import staging_distance
-from optdock.executor.intake import usable
+from optdock.executor.checked_inputs import usable
+from optdock.executor.dock_estimate import staging_distance
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import Detection, Measurements, OdometryPose
 from tests.optdock.executor.conftest import BEFORE_DOCK, LIMITS, problem_with, run, simulated
