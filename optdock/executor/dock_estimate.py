@@ -34,8 +34,8 @@ DECAY, SHORTEST_DECAY = 0.25, 0.08
 _LEAST_STAGING, _MOST_STAGING = 0.7, 3.0  # [m]: Nav2's staging_x_offset; more than 3 m of space is rarely free
 _STORED_OFFSET = 0.15  # [m] to the side that an approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
 
-# Standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in 400 would be
-# off by more than one further standard deviation.
+# Standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in 400 is off
+# by more than one further standard deviation.
 _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that have no consequence
 _HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: one gap in 250 at 10 Hz, half of it lost

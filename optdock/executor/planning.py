@@ -283,12 +283,12 @@ class ThreadPlanning:
 
 
 class MotionStart(NamedTuple):
-    """Start of a planned motion: pose, speed and acceleration along the heading, and curvature; None: free."""
+    """Start of a planned motion, as the fields of a `DockingProblem`."""
 
-    pose: Pose2
-    speed: float
-    acceleration: float
-    curvature: float | None
+    start: Pose2
+    start_speed: float
+    start_acceleration: float
+    start_curvature: float | None
 
 
 class Planned(NamedTuple):
@@ -339,15 +339,8 @@ class RecordedPlanning:
         assert found.result is not None
         if found.trajectory is None or self._job is None:
             return found.result
-        start = found.start
-        assert start is not None
-        problem = dataclasses.replace(
-            self._job.problem,
-            start=start.pose,
-            start_speed=start.speed,
-            start_acceleration=start.acceleration,
-            start_curvature=start.curvature,
-        )
+        assert found.start is not None
+        problem = dataclasses.replace(self._job.problem, **found.start._asdict())
         return found.result._replace(motion=DrivenMotion(found.trajectory, problem, None, found.start_relief))
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface

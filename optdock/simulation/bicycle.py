@@ -87,7 +87,7 @@ class Bicycle:
     rate.
 
     Args:
-        robot: Robot with drive ackermann and a wheelbase; its limits apply to speed, curvature, steering angle and rate.
+        robot: Robot with drive ackermann and a wheelbase; its limits apply to speed, curvature and steering.
         actuation: Response of the speed; its angular values must be the defaults.
         period: Default duration of a step [s].
         steering: Response of the front wheels.
@@ -113,7 +113,9 @@ class Bicycle:
         perfect = Actuation()
         for name in ("angular_lag", "angular_dead_band", "angular_gain"):
             if getattr(self.actuation, name) != getattr(perfect, name):
-                raise InvalidValue(f"actuation.{name}: must be the default for a car; set lag, play, gain of its steering")
+                raise InvalidValue(
+                    f"actuation.{name}: must be the default for a car; set lag, play, gain of its steering"
+                )
 
     def at_rest(self, pose: Pose2) -> PlantState:
         """Return the state at rest at a pose, with the wheels at `Steering.start`."""
@@ -235,7 +237,9 @@ def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Stee
     actuation = actuation if actuation is not None else Actuation()
     if robot.drive is not Drive.ACKERMANN:
         if steering is not None:
-            raise InvalidValue(f"steering: must be None unless the drive is ackermann; the drive is {robot.drive.value}")
+            raise InvalidValue(
+                f"steering: must be None unless the drive is ackermann; the drive is {robot.drive.value}"
+            )
         return DifferentialDrive(robot, actuation)
     if steering is None:
         actuation, steering = replace(actuation, angular_lag=0.0), Steering(actuation.angular_lag)

@@ -30,6 +30,7 @@ __all__ = ["Actuation", "DifferentialDrive", "Plant", "PlantState", "Slip", "Stu
 _LONGEST_LATENCY = 10.0  # [s]; every command of it is stored
 _INSTANT = 1e-9  # [s]: commands that arrive within this time arrive at once
 _BLOCK = 512  # random numbers drawn per call, as a call of NumPy costs as much as a hundred of them
+_SLIP_CORRELATION = 0.3  # [s]: time constant of the noise of slip
 _Target = tuple[float, float]
 
 
@@ -116,7 +117,6 @@ class Wheels:
         track_width: Nominal track width [m].
         left_gain: True radius of the left wheel over the nominal one [1].
         right_gain: True radius of the right wheel over the nominal one [1].
-        track_gain: True track width over the nominal one [1].
         left_dead_band: Speeds of the left wheel below this have no effect.
         right_dead_band: Speeds of the right wheel below this have no effect.
         max_speed: Saturation of each wheel on its own, which changes the curvature.
@@ -129,7 +129,6 @@ class Wheels:
     track_width: float
     left_gain: float = 1.0
     right_gain: float = 1.0
-    track_gain: float = 1.0
     left_dead_band: float = 0.0
     right_dead_band: float = 0.0
     max_speed: float = math.inf
@@ -137,24 +136,19 @@ class Wheels:
 
     def __post_init__(self) -> None:
         check_not_negative(self, "wheels", ("left_dead_band", "right_dead_band"))
-        for name in ("track_width", "left_gain", "right_gain", "track_gain", "max_speed"):
+        for name in ("track_width", "left_gain", "right_gain", "max_speed"):
             value = number(getattr(self, name), f"wheels.{name}")
             object.__setattr__(self, name, value)
             if not (value > 0.0 and (math.isfinite(value) or name == "max_speed")):
                 raise InvalidValue(f"wheels.{name}: must be finite and > 0, got {value}")
         object.__setattr__(self, "stuck", tuple(self.stuck))
 
-    @property
-    def true_width(self) -> float:
-        """True track width [m]."""
-        return self.track_width * self.track_gain
-
     def target(self, linear: float, angular: float) -> _Target:
         """Return the speed and yaw rate of the wheels for commanded ones."""
         turn = 0.5 * self.track_width * angular
         left = self._rim(linear - turn, self.left_gain, self.left_dead_band)
         right = self._rim(linear + turn, self.right_gain, self.right_dead_band)
-        return 0.5 * (left + right), (right - left) / self.true_width
+        return 0.5 * (left + right), (right - left) / self.track_width
 
     def _rim(self, speed: float, gain: float, dead_band: float) -> float:
         if abs(speed) < dead_band:
@@ -165,15 +159,15 @@ class Wheels:
         """Return the speed and yaw rate after the faults at a time [s]."""
         for fault in self.stuck:
             if fault.start - _INSTANT <= time < fault.end - _INSTANT:
-                turn = 0.5 * self.true_width * angular
+                turn = 0.5 * self.track_width * angular
                 left, right = linear - turn, linear + turn
                 left, right = (0.0, right) if fault.wheel is Wheel.LEFT else (left, 0.0)
-                linear, angular = 0.5 * (left + right), (right - left) / self.true_width
+                linear, angular = 0.5 * (left + right), (right - left) / self.track_width
         return linear, angular
 
     def encoders(self, linear: float, angular: float) -> Twist2:
         """Return the body velocity that the base computes from the encoders with the nominal dimensions."""
-        turn = 0.5 * self.true_width * angular
+        turn = 0.5 * self.track_width * angular
         left, right = (linear - turn) / self.left_gain, (linear + turn) / self.right_gain
         return Twist2(0.5 * (left + right), (right - left) / self.track_width)
 
@@ -189,12 +183,11 @@ class Slip:
         lost_sigma: Standard deviation of the lost share [1].
         drift_sigma: Standard deviation of the drift [1].
         turn_sigma: Standard deviation of the turn [rad/m].
-        correlation_time: Time constant of the noise [s].
         seed: Seed of the noise.
 
     Raises:
-        InvalidValue: If a value is not a finite number, a sigma negative, the lost share not in [0, 1], the time not
-            > 0, or the seed no whole number >= 0.
+        InvalidValue: If a value is not a finite number, a sigma negative, the lost share not in [0, 1], or the
+            seed no whole number >= 0.
     """
 
     lost: float = 0.0
@@ -203,17 +196,14 @@ class Slip:
     lost_sigma: float = 0.0
     drift_sigma: float = 0.0
     turn_sigma: float = 0.0
-    correlation_time: float = 0.3
     seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("lost", "drift", "turn"):
             object.__setattr__(self, name, finite_number(getattr(self, name), f"slip.{name}"))
-        check_not_negative(self, "slip", ("lost_sigma", "drift_sigma", "turn_sigma", "correlation_time"))
+        check_not_negative(self, "slip", ("lost_sigma", "drift_sigma", "turn_sigma"))
         if not 0.0 <= self.lost <= 1.0:
             raise InvalidValue(f"slip.lost: must be a share from 0 to 1, got {self.lost}")
-        if self.correlation_time == 0.0:
-            raise InvalidValue("slip.correlation_time: must be > 0 s, got 0.0")
         check_seed(self.seed, "slip.seed")
 
     @functools.cached_property
@@ -230,7 +220,7 @@ class Slip:
         """Return the three standardized noises after `duration` [s], and the number of random numbers drawn."""
         if not self._noisy:
             return noise, drawn
-        keep = math.exp(-duration / self.correlation_time)
+        keep = math.exp(-duration / _SLIP_CORRELATION)
         fresh = math.sqrt(1.0 - keep * keep)
         a, b, c = self._drawn.three(drawn)
         return (keep * noise[0] + fresh * a, keep * noise[1] + fresh * b, keep * noise[2] + fresh * c), drawn + 3
@@ -295,8 +285,8 @@ class Plant(Protocol):
 class DifferentialDrive:
     """A robot on two driven wheels.
 
-    A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps while
-    there is lag. The result is exact for constant velocities. Accelerations are not limited, which is the duty of the
+    A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps with
+    lag. The result is exact for constant velocities. Accelerations are not limited, which is the duty of the
     controller. `step` is a pure function.
 
     Args:

@@ -134,7 +134,7 @@ def test_it_goes_on_as_it_began_until_a_command_arrives(v, angle):
     [
         (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits())), "drive: must be ackermann for a car"),
         (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits(), Drive.ACKERMANN)), "wheelbase: must be > 0"),
-        (lambda: car(actuation=Actuation(angular_lag=0.1)), "actuation.angular_lag: a car has none"),
+        (lambda: car(actuation=Actuation(angular_lag=0.1)), "actuation.angular_lag: must be the default for a car"),
         (lambda: car(gain=0.0), "steering.gain"),
         (lambda: car(at_rest="spin"), "steering.at_rest: must be one of straighten, hold"),
         (lambda: DifferentialDrive(car().robot, period=-1.0), "plant.period"),

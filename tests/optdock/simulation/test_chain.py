@@ -102,5 +102,5 @@ def test_a_scenario_that_names_no_checker_has_one_verdict(scenario, plan):
 
 
 def test_two_checkers_of_one_name_are_refused(plan, scenario):
-    with pytest.raises(InvalidValue, match="beside DockGoalChecker need names of their own"):
+    with pytest.raises(InvalidValue, match="goal checkers must have different names, got DockGoalChecker"):
         drive(plan.trajectory, scenario.problem, DockGoalChecker(), beside=[DockGoalChecker()])
