@@ -98,9 +98,6 @@ _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
 class CheckedDockType:
     """A dock type whose answers are validated; exceptions of the dock type are passed on.
 
-    Args:
-        dock_type: The dock type to call.
-
     Raises:
         PluginError: From every method and property, if the answer violates the contract of `DockType`.
     """

@@ -42,13 +42,6 @@ STOP = None
 class Situation:
     """The present state of robot, dock and surroundings, derived from the measurements.
 
-    Args:
-        problem: Robot, stored dock, obstacles and clearance; its start is not used.
-        settings: Settings of the executor.
-        perception: Estimates; updated before every cycle.
-        dock_type: Staging poses, contact and charge of the dock.
-        report: Callback with the event name and its detail.
-
     Attributes:
         estimate: Robot relative to the dock.
         scene: Obstacles and planning problems.
@@ -187,10 +180,6 @@ class Situation:
 
 class ControlCycles:
     """The progress of a task from cycle to cycle.
-
-    Args:
-        situation: Its `commanded` and `interruption` must be set before every cycle.
-        report: Callback with the event name and its detail.
 
     Attributes:
         state: State of the executor.

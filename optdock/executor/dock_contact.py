@@ -245,11 +245,7 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
 
 
 class Nudge:
-    """Short motions at rest at the dock that correct the remaining error, with compensation of the wheels' dead bands.
-
-    Args:
-        cycles: Cycles of the task.
-    """
+    """Short motions at the dock that correct the remaining error and compensate the dead bands of the wheels."""
 
     def __init__(self, cycles: ControlCycles) -> None:
         self._cycles, robot = cycles, cycles.situation.problem.robot

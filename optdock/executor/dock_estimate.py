@@ -112,11 +112,6 @@ def staging_distance(problem: DockingProblem) -> float:
 class DockEstimate:
     """The estimated pose of the robot in the frame of the dock, compared with tolerances and standard deviations.
 
-    Args:
-        problem: Robot and stored dock.
-        settings: Requirements on detections.
-        perception: Estimates; updated before every cycle.
-
     Attributes:
         approach_gear: Gear of the last segment of the last motion into the dock; None before.
     """

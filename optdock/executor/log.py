@@ -229,13 +229,7 @@ class LogWriter:
 
 
 class LoggedPlanning:
-    """Planning whose results are logged when they are polled.
-
-    Args:
-        planning: Runs the jobs.
-        log: The log.
-        frame: Name of the coordinate frame.
-    """
+    """Planning whose results are logged when they are polled."""
 
     def __init__(self, planning: Planning, log: LogWriter, frame: str) -> None:
         self._planning, self._log, self._frame = planning, log, frame

@@ -53,11 +53,6 @@ class Sigma(NamedTuple):
 class Perception:
     """Estimates of the robot, of the dock, and of one relative to the other.
 
-    Args:
-        stored: Stored docked pose in the fixed frame.
-        settings: Noise levels, and whether detections are used.
-        report: Callback with the event name and its detail.
-
     Attributes:
         stamp: Stamp of the last measurements on the monotonic clock [s].
         measurements: The last measurements.
@@ -263,12 +258,6 @@ def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
 
 class DockDetections:
     """Estimate of the robot in the frame of the dock, from detections.
-
-    Args:
-        stored: Stored docked pose in the fixed frame.
-        settings: Noise levels, and the largest distance of a detection from the stored dock.
-        robot: Filter of the robot in the fixed frame.
-        report: Callback with the event name and its detail.
 
     Attributes:
         filter: Pose of the robot in the frame of the dock.

@@ -167,9 +167,14 @@ class Planning(Protocol):
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """Return whether a motion keeps its clearance to the obstacles of a costmap from a time on [s]."""
+        if motion.plan is None:
+            return Verdict(holds=True)
+        found = still_holds(motion.plan, costmap, from_time)
+        return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
 
     def close(self) -> None:
-        """Release all resources."""
+        """Release all resources; by default there are none."""
+        return  # not abstract
 
 
 def planned(job: Job) -> PlanResult:
@@ -200,15 +205,7 @@ def _replanned(job: Job) -> PlanResult:
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
 
 
-def _verdict(motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-    """`Planning.still_holds`."""
-    if motion.plan is None:
-        return Verdict(holds=True)
-    found = still_holds(motion.plan, costmap, from_time)
-    return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
-
-
-class InlinePlanning:
+class InlinePlanning(Planning):
     """Planning within `submit`, with a simulated latency of the result.
 
     Args:
@@ -238,15 +235,8 @@ class InlinePlanning:
         result, self._ready = self._ready[1], None
         return result
 
-    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """`Planning.still_holds`."""
-        return _verdict(motion, costmap, from_time)
 
-    def close(self) -> None:
-        """Do nothing."""
-
-
-class ThreadPlanning:
+class ThreadPlanning(Planning):
     """Planning in a thread.
 
     A running job is not interrupted: its budget bounds it, and the next job begins after it.
@@ -272,10 +262,6 @@ class ThreadPlanning:
             return None
         future, self._result = self._result, None
         return future.result()
-
-    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """`Planning.still_holds`, in the caller's thread: it takes 1 to 2 ms."""
-        return _verdict(motion, costmap, from_time)
 
     def close(self) -> None:
         """Drop jobs that wait; the thread ends after the running job, without blocking the caller."""
@@ -309,7 +295,7 @@ class Planned(NamedTuple):
     verdict: Verdict | None = None
 
 
-class RecordedPlanning:
+class RecordedPlanning(Planning):
     """Planning from a log: every result is delivered in the cycle in which it was recorded; none is certified."""
 
     def __init__(self) -> None:
@@ -353,16 +339,9 @@ class RecordedPlanning:
             raise InvalidValue("replay: the log contains no verdict for this cycle")
         return self._verdicts.popleft()
 
-    def close(self) -> None:
-        """Do nothing."""
-
 
 class PlanRequests:
     """Numbers the jobs of a task and drops the results of outdated ones.
-
-    Args:
-        planning: Runs the jobs.
-        report: Callback with the event name and its detail.
 
     Attributes:
         pending: Whether a result is expected.

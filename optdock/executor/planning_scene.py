@@ -76,13 +76,7 @@ def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin
 
 
 class PlanningScene:
-    """Obstacles and planning problems, from the newest costmap and the newest pose of the dock.
-
-    Args:
-        problem: Robot, stored dock, obstacles and clearance; its start is not used.
-        settings: Width of the contact zone.
-        perception: Estimates; updated before every cycle.
-    """
+    """Obstacles and planning problems, from the newest costmap and the newest pose of the dock."""
 
     def __init__(self, problem: DockingProblem, settings: ExecutorSettings, perception: Perception) -> None:
         self.problem, self.settings, self.perception = problem, settings, perception
@@ -149,13 +143,7 @@ class PlanningScene:
 
 
 class StagingPoses:
-    """The staging poses of the estimated dock.
-
-    Args:
-        dock_type: Provides the staging poses relative to the dock.
-        estimate: Provides the gear of the approach.
-        scene: Provides problem, settings and the estimated dock.
-    """
+    """The staging poses of the estimated dock."""
 
     def __init__(self, dock_type: CheckedDockType, estimate: DockEstimate, scene: PlanningScene) -> None:
         self.dock_type, self.estimate, self.scene = dock_type, estimate, scene

@@ -62,16 +62,6 @@ _MOST_BLOCKS = 5  # stops in one approach or drive until it counts as failed
 class Procedure:
     """One docking or undocking task.
 
-    Args:
-        problem: Robot, stored dock, obstacles and clearance; its start is not used.
-        settings: Settings of the executor.
-        perception: Estimates; updated before every cycle.
-        controller: Drives the motions.
-        goal_checker: Decides whether the robot is docked.
-        dock_type: Staging poses, contact and charge of the dock.
-        planning: Plans the motions.
-        report: Callback with the event name and its detail.
-
     Attributes:
         cycles: Situation, state and cancellation of the task.
         num_retries: Number of approaches after the first one.
@@ -274,14 +264,7 @@ class Procedure:
 
 
 class Travel:
-    """Plans from rest and drives of a task.
-
-    Args:
-        cycles: Cycles of the task.
-        controller: Drives the motions.
-        goal_checker: Decides whether the robot is docked.
-        planning: Plans the motions.
-    """
+    """Plans from rest and drives of a task."""
 
     def __init__(
         self, cycles: ControlCycles, controller: Controller, goal_checker: GoalChecker, planning: Planning

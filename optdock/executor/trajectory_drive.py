@@ -79,15 +79,6 @@ _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: End
 class TrajectoryDrive:
     """Drive one motion and replace it when replanning gives a better one.
 
-    Args:
-        motion: Motion to drive, from rest.
-        state: Task state the motion is driven in; `State.APPROACHING` for a motion into the dock.
-        situation: Present state of the robot, updated before every cycle.
-        controller: Controller.
-        goal_checker: Decides whether the robot is docked.
-        requests: Planning jobs.
-        report: Callback with the event name and its detail.
-
     Raises:
         AttemptFailed: If the controller cannot follow the motion.
 
@@ -430,12 +421,6 @@ class TrajectoryDrive:
 class TubeMonitor:
     """The place of the robot on a path, and whether it is within the certified tube.
 
-    Args:
-        motion: Motion being driven.
-        robot: Footprint and certified tracking errors.
-        is_stop: Whether the motion only brakes, without a certified tube.
-        report: Callback with the event name and its detail.
-
     Attributes:
         deviation: Robot relative to the nearest pose of the path; None before the first update.
         time: Time at which the plan passes the place of the robot, on the trajectory's own clock; non-decreasing [s].
@@ -513,12 +498,7 @@ class _SampledPath:
 
 
 class ShorterWay:
-    """Search for a shorter motion from rest while a motion is driven around an obstacle that has gone.
-
-    Args:
-        situation: Present state of the robot.
-        planned_among: Costmap of the plan; None without one.
-    """
+    """Search for a shorter motion from rest while a motion is driven around an obstacle that has gone."""
 
     def __init__(self, situation: Situation, planned_among: Costmap | None) -> None:
         self._situation, self._planned_among = situation, planned_among
