@@ -176,11 +176,7 @@ class DockEstimate:
         return all(_CERTAINTY * found <= most for found, most in pairs)
 
     def is_within_tolerances(self, certainty: float) -> bool:
-        """Whether the robot is within the tolerances of the dock, less a margin for the uncertainty.
-
-        Args:
-            certainty: Margin in standard deviations; at most half of each tolerance is deducted.
-        """
+        """Whether the robot is within the tolerances less `certainty` standard deviations, at most half of each."""
         return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors())
 
     @property

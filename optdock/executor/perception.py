@@ -154,11 +154,7 @@ class Perception:
         return math.sqrt(max(float(place[0, 0]), float(place[1, 1]))), math.sqrt(float(spread[2, 2]))
 
     def sigma_after(self, way: float) -> Sigma:
-        """Return the standard deviations in the frame of the dock after a straight motion without detections.
-
-        Args:
-            way: Distance forward, negative in reverse [m].
-        """
+        """Return the standard deviations after a straight motion by `way` [m], < 0 in reverse, without detections."""
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
         if not self._settings.use_detections:  # independent of the orientation of the dock in the map
             found[0, 0] = found[1, 1] = max(found[0, 0], found[1, 1])
@@ -168,7 +164,7 @@ class Perception:
         """Process new measurements.
 
         Args:
-            measurements: The new measurements.
+            measurements: New measurements.
             stamp: Their stamp on the monotonic clock [s].
             offset: Monotonic clock minus the clock of the detections [s].
         """
@@ -309,11 +305,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """Return the distance of the robot from the place of the last or last but one accepted detection [m].
-
-        Args:
-            times: 1 for the last detection, 2 for the one before. The distance is infinite if it is not remembered.
-        """
+        """Return the distance from the place of the last or, with `times` 2, the previous detection [m], or inf."""
         seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
         if not seen >= self.filter.remembered_from:
             return math.inf

@@ -364,10 +364,7 @@ class PlanRequests:
         self.pending = False
 
     def result(self, now: float) -> PlanResult | None:
-        """Return the result of the last job once; None before and after.
-
-        Args:
-            now: Present time [s].
+        """Return the result of the last job once at a time [s]; None before and after.
 
         Raises:
             TaskFailed: If a new motion is not certified; recorded motions are exempt, as they drive no robot.

@@ -144,11 +144,7 @@ class Procedure:
     def _perceive_from_somewhere(self) -> Cycles:
         """Detect the dock from here, else from a staging pose, for docking in reverse also from one turned round.
 
-        A front camera cannot detect a dock that is entered in reverse; after detection from the turned pose, odometry
-        leads to the dock as far as it is accurate enough.
-
-        Raises:
-            TaskFailed: If the dock is not detected, or a staging pose not reached.
+        A front camera cannot detect a dock that is entered in reverse; odometry leads from the turned pose into it.
         """
         situation, staging = self._situation, self._situation.staging
         views = [staging.poses, *([staging.turned_round] if situation.estimate.gear < 0.0 else [])]
@@ -167,11 +163,7 @@ class Procedure:
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _approach(self) -> Generator[Target, None, EndingKind]:
-        """Plan from rest and drive; after an interruption plan again from there.
-
-        Raises:
-            AttemptFailed: If the robot is stopped too often.
-        """
+        """Plan from rest and drive; after an interruption plan again, or raise AttemptFailed after too many."""
         cycles, patience = self.cycles, self._situation.settings.obstacle_patience
         blocks, blocked_since = 0, cycles.now
         self._situation.dock_type.reset()
@@ -197,14 +189,7 @@ class Procedure:
                 yield from wait_for_detection(cycles)
 
     def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
-        """Plan into the dock; without a path, wait for the obstacle in the way.
-
-        Args:
-            since: Time of the last path [s].
-
-        Raises:
-            NoWay: If there has been no path for too long.
-        """
+        """Plan into the dock; without a path since a time [s], wait for the obstacle, or raise NoWay."""
         yield from self.cycles.locate()
         result = yield from self._travel.planned(self._situation.scene.to_dock())
         if result.motion is None:
@@ -214,12 +199,7 @@ class Procedure:
         return result
 
     def _attempt(self, motion: DrivenMotion) -> Generator[Target, None, EndingKind]:
-        """Drive a motion into the dock and confirm that the robot is docked.
-
-        Raises:
-            Interrupted: If it is not docked.
-            AttemptFailed: If its pose at the dock is unknown.
-        """
+        """Drive into the dock; raise Interrupted if the robot is not docked, AttemptFailed if that is unknown."""
         situation = self._situation
         docked = yield from self._travel.drive(motion, State.APPROACHING)
         if docked is None and situation.dock_type.is_pressed_on:
@@ -236,11 +216,7 @@ class Procedure:
         return docked or EndingKind.DOCKED_BY_DISTANCE
 
     def _return(self, *, is_blocked: bool) -> Cycles:
-        """Drive to a staging pose; after a blocked approach only to one from which there is a path into the dock.
-
-        Raises:
-            TaskFailed: If the robot does not arrive there.
-        """
+        """Drive to a staging pose; after a blocked approach only to one from which there is a path into the dock."""
         places = self._situation.staging.poses
         if is_blocked:
             found = yield from self._travel.staging_pose_on_a_path()
@@ -309,14 +285,10 @@ class Travel:
         return None
 
     def wait_for_obstacle(self, result: PlanResult, since: float) -> Cycles:
-        """Wait for a new costmap, at most for a second.
-
-        Args:
-            result: Result of planning, without a motion.
-            since: Time of the last path [s].
+        """Wait at most a second for a new costmap after a failed plan.
 
         Raises:
-            NoWay: If there has been no path for too long.
+            NoWay: If there has been no path since `since` [s] for longer than `obstacle_patience`.
         """
         cycles, perception = self._cycles, self._situation.perception
         patience = self._situation.settings.obstacle_patience

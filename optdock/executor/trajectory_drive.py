@@ -444,11 +444,7 @@ class TubeMonitor:
         return float(np.interp(s, *self._times_of_places))
 
     def update(self, robot: Pose2, time: float) -> bool:
-        """Update the place of the robot.
-
-        Args:
-            robot: Pose of the robot in the fixed frame.
-            time: Time of the reference on the trajectory's own clock, >= 0 [s].
+        """Update the place of the robot, with the time of the reference on the trajectory's own clock, >= 0 [s].
 
         Returns:
             Whether the robot has just left the tube at a place where a new plan is useful.
@@ -510,7 +506,7 @@ class ShorterWay:
         self._is_new = True
 
     def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
-        """Whether an obstacle has gone and a plan from rest may be shorter.
+        """Whether an obstacle has gone in the newest costmap and a plan from rest may be shorter than the motion.
 
         Args:
             motion: Motion being driven.
@@ -531,14 +527,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return the job that plans from the place at which the robot would stop.
-
-        Args:
-            motion: Motion being driven.
-            time: Time of the reference on the motion's own clock [s].
-            here: The problem; start and costmap are replaced.
-            costmap: The newest one.
-        """
+        """Return the job that plans from the place of a stop; `here` is the problem except for start and costmap."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)

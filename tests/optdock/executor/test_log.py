@@ -67,7 +67,7 @@ def test_another_command_is_found(written, tmp_path):
     assert f"changed.log:{at + 1}: the command is" in result.output
 
 
-def test_command_line_says_what_happened(written, tmp_path):
+def test_command_line(written, tmp_path):
     result = CliRunner().invoke(app, ["replay", str(written[0]), "--plot", str(tmp_path / "docking.png")])
     assert result.exit_code == 0, result.output
     for said in ("ending", "cancelled", "bit for bit", "largest deviation", "plan new"):
