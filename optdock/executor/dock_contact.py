@@ -172,11 +172,11 @@ def _require_certainty(cycles: ControlCycles) -> None:
             f"the dock has not been detected since",
         )
     if not situation.estimate.will_know(0.0):
-        sigma = perception.sigma_after(0.0)
+        along, cross, yaw = perception.sigma_after(0.0)
         raise AttemptFailed(
             kind,
-            f"{unknown}: not detected for {perception.detection_age:.1f} s, standard deviations {sigma.along:.4f} m "
-            f"along, {sigma.cross:.4f} m across, {sigma.yaw:.4f} rad",
+            f"{unknown}: not detected for {perception.detection_age:.1f} s, standard deviations {along:.4f} m "
+            f"along, {cross:.4f} m across, {yaw:.4f} rad",
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
@@ -54,13 +54,6 @@ _LATE = 1.5  # factor on the usual period above which a cycle is late
 _FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, so that no command changes too fast
 
 
-class _Tick(NamedTuple):
-    """Time since the last cycle, and time over which commands may change [s]."""
-
-    passed: float
-    of_commands: float
-
-
 class DockingExecutor:
     """Dock or undock a robot, cycle by cycle; the caller provides clock and thread.
 
@@ -69,8 +62,8 @@ class DockingExecutor:
         settings: Settings; None: the defaults.
         task: `dock` or `undock`.
         controller: Name, name with parameters, or plugin that is not configured.
-        goal_checker: Decides whether the robot is docked; likewise.
-        dock_type: Kind of dock, likewise; None: a `SimpleDock` with parameters from the settings.
+        goal_checker: Decides whether the robot is docked; given as the controller.
+        dock_type: Kind of dock, given as the controller; None: a `SimpleDock` with parameters from the settings.
         planning: Runs planning jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
         log: Log to write; None: no log.
         last_command: Last command before the task, for a robot in motion; None: the first measured velocity.
@@ -174,12 +167,12 @@ class DockingExecutor:
             if self._limiter.command == Twist2():
                 self._limiter.stop(_FIRST_PERIOD)
         self._watch_log()
-        tick = self._tick(measurements.stamp)
-        if tick.passed > tick.of_commands:  # bases stop by themselves without commands
+        passed, period = self._tick(measurements.stamp)
+        if passed > period:  # bases stop by themselves without commands
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
         now = max(self._perception.stamp, measurements.stamp + self._offset)  # against rounding of large stamps
         self._perception.update(self._with_dock_detections(measurements), now, self._offset)
-        command = self._command(tick.of_commands)
+        command = self._command(period)
         state = self.state
         deviation = self._procedure.cycles.deviation if self._ending is None else None
         step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
@@ -224,36 +217,36 @@ class DockingExecutor:
     def _report(self, name: str, detail: str = "") -> None:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
-    def _tick(self, stamp: float) -> _Tick:
-        """Time since the last cycle on the monotonic clock, which makes no leaps."""
+    def _tick(self, stamp: float) -> tuple[float, float]:
+        """Time since the last cycle on a monotonic clock without leaps, and time over which commands may change [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1
         if self._began is None:
             self._began = stamp
-            return _Tick(0.0, 0.0)
+            return 0.0, 0.0
         period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
         self._repeats = self._repeats + 1 if period == 0.0 else 0
         if self._repeats > _MOST_REPEATS:
             self._offset += usual
             self._interrupt("clock stands still", f"the same stamp {self._repeats} times; the clock goes on")
-            return _Tick(usual, usual)
+            return usual, usual
         if period < 0.0:
             self._offset += usual - period
             self._interrupt("clock went back", f"by {-period:.3f} s; the task continues on its own clock")
-            return _Tick(usual, usual)
+            return usual, usual
         if period > longest:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
-            return _Tick(longest, usual)
+            return longest, usual
         if period == 0.0:
-            return _Tick(0.0, 0.0)
+            return 0.0, 0.0
         if self._cycle_count == 1:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):
             self._report("late cycle", f"{period:.3f} s passed since the last one")
         self._usual_period = min(period, _LATE * self._usual_period)  # one late cycle does not change the rate
-        return _Tick(period, period)
+        return period, period
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)

@@ -178,31 +178,6 @@ _SLIP_MEMORY = 2.0  # [m] after which the expectation of another slip has decaye
 _DOUBT = 3.0  # factor on the prior of the systematic errors after innovations with a persistent sign
 
 
-class _SeenErrors:
-    """The errors of an odometry, increased for a while after wheel slip; `now` applies to the next step."""
-
-    def __init__(self, usual: OdometryErrors) -> None:
-        self._usual, self.now = usual, usual
-
-    def expect(self, jump: Pose2, driven: float) -> None:
-        """Increase the errors to those of an observed slip."""
-        errors, root = self.now, math.sqrt(driven)
-        self.now = errors._replace(
-            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
-            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
-        )
-
-    def forget(self, driven: float) -> None:
-        """Decay towards the usual errors."""
-        errors, seen, left = self._usual, self.now, math.exp(-driven / _SLIP_MEMORY)
-        if seen is errors:
-            return
-        self.now = errors._replace(
-            along=errors.along + left * (seen.along - errors.along),
-            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
-        )
-
-
 class PoseFilter:
     """Pose of the robot in a fixed frame, from dead reckoning and measured poses at any rates.
 
@@ -230,7 +205,7 @@ class PoseFilter:
             if not finite_number(value, f"pose filter: {name}") >= 0.0:
                 raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
         self._errors, self._confirmations, self._fewer_when_close = errors, confirmations, fewer_when_close
-        self._seen_errors = _SeenErrors(errors)
+        self._expected = errors  # of the next step: increased for a while after wheel slip
         self.covariance: FloatArray = np.zeros((6, 6))
         self.systematic: FloatArray = np.zeros(3)
         self.jump: Pose2 | None = None
@@ -310,8 +285,13 @@ class PoseFilter:
         scale, drift = float(self.systematic[0]), float(self.systematic[1])
         corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
-        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors.now)
-        self._seen_errors.forget(math.hypot(step.x, step.y))
+        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._expected)
+        usual, slipped, left = self._errors, self._expected, math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
+        if slipped is not usual:
+            self._expected = usual._replace(
+                along=usual.along + left * (slipped.along - usual.along),
+                yaw_per_way=usual.yaw_per_way + left * (slipped.yaw_per_way - usual.yaw_per_way),
+            )
         reckoned = self._reckoned
         if stamp > last:
             reckoned.append((stamp, reckoned[-1][1] @ corrected))
@@ -330,7 +310,7 @@ class PoseFilter:
         """
         pose, reckoned = self.pose, self._reckoned
         if stamp < reckoned[0][0]:
-            raise InvalidValue(f"pose filter: the motion is remembered from {reckoned[0][0]} s on, asked for {stamp} s")
+            raise InvalidValue(f"pose filter: motion is stored from {reckoned[0][0]} s on, got {stamp} s")
         return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
 
     def correct(
@@ -467,7 +447,11 @@ class PoseFilter:
         self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
         self.jump = self.pose.in_frame_of(before)
         if driven > _SLIPPED and not is_supposed and self.accepted >= _ESTABLISHED:
-            self._seen_errors.expect(self.jump, driven)
+            expected, root = self._expected, math.sqrt(driven)
+            self._expected = expected._replace(
+                along=max(expected.along, math.hypot(self.jump.x, self.jump.y) / root),
+                yaw_per_way=max(expected.yaw_per_way, abs(self.jump.yaw) / root),
+            )
         self.accepted, self.rejected = self.accepted + count, 0
         self.measured_at = max(self.measured_at, stamp)
         return "moved"

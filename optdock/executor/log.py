@@ -10,7 +10,7 @@ import base64
 import dataclasses
 import json
 import zlib
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
@@ -37,7 +37,6 @@ from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from types import TracebackType
 
     from optdock.executor.planning import DrivenMotion, Job, Planning
     from optdock.executor.task_states import Step
@@ -118,7 +117,7 @@ class DockingLog:
         return np.array(rows).reshape(-1, 3)
 
 
-class LogWriter:
+class LogWriter(AbstractContextManager["LogWriter"]):
     """Writes a log, line by line; a context manager.
 
     Args:
@@ -142,13 +141,7 @@ class LogWriter:
         except OSError as error:
             raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
 
-    def __enter__(self) -> LogWriter:
-        """Return the log."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
 

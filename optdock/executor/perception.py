@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from optdock.model.costmap import Costmap
     from optdock.model.measurements import Detection, Measurements
 
-__all__ = ["DockDetections", "Perception", "Sigma", "covariance_from_dock"]
+__all__ = ["DockDetections", "Perception", "covariance_from_dock"]
 
 _MISSED = 0.5  # [s] without a measurement after which the log reports it
 _STALE = 1.0  # [s]: older detections are not used
@@ -40,14 +40,6 @@ _NEAR_DOCK, _USUAL_GAP = 0.25, 0.01  # [m]
 _SLIP, _SLIP_TURN = 0.3, 0.6  # per distance beyond that gap [1], [rad/m]
 _REMEMBERED_STAMPS = 2  # accepted detections whose stamps are kept
 _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
-
-
-class Sigma(NamedTuple):
-    """Standard deviations in the frame of the dock: along, across [m] and yaw [rad]."""
-
-    along: float
-    cross: float
-    yaw: float
 
 
 class Perception:
@@ -153,12 +145,16 @@ class Perception:
         place = swing @ spread @ swing.T
         return math.sqrt(max(float(place[0, 0]), float(place[1, 1]))), math.sqrt(float(spread[2, 2]))
 
-    def sigma_after(self, way: float) -> Sigma:
-        """Return the standard deviations after a straight motion by `way` [m], < 0 in reverse, without detections."""
+    def sigma_after(self, way: float) -> tuple[float, float, float]:
+        """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
+
+        Along, across [m] and in yaw [rad] in the frame of the dock, without another detection.
+        """
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
         if not self._settings.use_detections:  # independent of the orientation of the dock in the map
             found[0, 0] = found[1, 1] = max(found[0, 0], found[1, 1])
-        return Sigma(*np.sqrt(np.diag(found)).tolist())
+        along, cross, yaw = np.sqrt(np.diag(found)).tolist()
+        return along, cross, yaw
 
     def update(self, measurements: Measurements, stamp: float, offset: float) -> None:
         """Process new measurements.

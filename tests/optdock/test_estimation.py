@@ -336,8 +336,8 @@ def test_rotation_by_wheel_slip_is_estimated_quickly(monkeypatch):
     assert left[1] > 0.35
 
 
-def test_innovations_that_keep_to_one_side_grow_the_covariance():
-    """A robot that is carried sideways, unseen by its odometry, by less than the gate at a time."""
+def test_innovations_with_a_persistent_sign_increase_the_covariance():
+    """A lateral drift without odometry, each step within the gate."""
     sure = OdometryErrors(1e-4, 1e-4, 1e-4, 1e-5, 1e-5)
     found = started(sure)
     for k in range(1, 120):
@@ -351,7 +351,7 @@ def test_innovations_that_keep_to_one_side_grow_the_covariance():
 
 
 @given(periods, st.floats(0.0, 1.0))
-def test_the_past_is_known_on_an_arc(periods, back):
+def test_past_poses_are_interpolated_on_arcs(periods, back):
     found, truth = started(), drive(periods)
     for stamp, pose, step in truth[1:]:
         found.predict(stamp, step)
@@ -360,7 +360,7 @@ def test_the_past_is_known_on_an_arc(periods, back):
     assert found.pose_at(stamp).gap_to(START.moved(BENT, stamp - 10.0)) < 1e-8
 
 
-def test_after_a_jump_the_past_stands_in_the_new_frame():
+def test_past_poses_follow_a_jump():
     found, offset = started(), Pose2(0.2, 0.1, 0.3)
     for k, (stamp, pose, step) in enumerate(drive([0.05] * 20)[1:]):
         found.predict(stamp, step)
@@ -368,16 +368,16 @@ def test_after_a_jump_the_past_stands_in_the_new_frame():
     assert found.pose_at(10.2).gap_to(offset @ START.moved(BENT, 0.2)) < 1e-8
 
 
-def test_it_forgets_what_lies_more_than_two_seconds_back_and_says_so():
+def test_motion_is_stored_for_two_seconds():
     found = started()
     for stamp, _, step in drive([0.05] * 60)[1:]:
         found.predict(stamp, step)
     assert 10.9 < found.remembered_from <= 11.0
-    with pytest.raises(InvalidValue, match="remembered from"):
+    with pytest.raises(InvalidValue, match="stored from"):
         found.pose_at(10.9)
 
 
-def test_a_clock_that_goes_back_is_refused():
+def test_clock_that_goes_back_is_an_error():
     found = started()
     found.predict(12.0, Pose2(0.1, 0.0, 0.0))
     for wrong in (11.9, math.nan):
@@ -385,15 +385,15 @@ def test_a_clock_that_goes_back_is_refused():
             found.predict(wrong, Pose2(0.0, 0.0, 0.0))
 
 
-def test_it_says_that_it_was_not_started_and_which_sigma_is_wrong():
+def test_errors_without_a_start_and_with_an_invalid_sigma():
     with pytest.raises(InvalidValue, match="no pose yet"):
         PoseFilter(OdometryErrors()).predict(0.0, Pose2(0.0, 0.0, 0.0))
     with pytest.raises(InvalidValue, match="drift: must be >= 0"):
         PoseFilter(OdometryErrors(drift=-0.1))
 
 
-def test_wheels_that_have_slipped_are_expected_to_slip():
-    """A jump in the heading of a robot under way is what its odometry does; of one that stands it was moved."""
+def test_expected_errors_increase_after_wheel_slip():
+    """Only for a robot in motion; a robot at rest was moved."""
     grown = []
     for speed in (0.3, 0.0):
         found, pose = started(confirmations=3), START
@@ -411,8 +411,7 @@ def test_wheels_that_have_slipped_are_expected_to_slip():
     assert grown[1] < 0.01
 
 
-def test_a_slip_is_forgotten_on_the_way_and_a_wrong_first_measurement_is_none():
-    """The turn unseen after 6 m without a slip is as before it; so is that after a jump from a single measurement."""
+def test_expected_slip_decays_and_a_wrong_first_pose_is_no_slip():
     grown = []
     for established, way in ((40, 0.0), (40, 6.0), (1, 0.0)):
         found, pose = started(confirmations=3), START
@@ -435,11 +434,11 @@ def test_a_slip_is_forgotten_on_the_way_and_a_wrong_first_measurement_is_none():
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_a_slip_that_is_allowed_for_is_one_along_the_heading_and_a_turn(yaw):
+def test_slip_increases_the_covariance_along_the_heading_and_in_yaw(yaw):
     found = started(pose=Pose2(0.3, 0.2, yaw))
     before = found.covariance.copy()
-    says_nothing = 1e14 * np.eye(3)
-    assert found.correct(10.0, found.pose, says_nothing, slip=(0.01, 0.02)) == "accepted"
+    vague = 1e14 * np.eye(3)
+    assert found.correct(10.0, found.pose, vague, slip=(0.01, 0.02)) == "accepted"
     ahead, aside = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
     grown = found.covariance - before
     assert ahead @ grown[:2, :2] @ ahead == pytest.approx(1e-4, rel=1e-9)
@@ -447,4 +446,4 @@ def test_a_slip_that_is_allowed_for_is_one_along_the_heading_and_a_turn(yaw):
     assert grown[2, 2] == pytest.approx(4e-4, rel=1e-9)
     kept = found.covariance.copy()
     assert found.correct(10.0, found.pose @ Pose2(1.0, 0.0, 0.0), NOISE, slip=(0.01, 0.02)) == "rejected"
-    assert np.array_equal(found.covariance, kept), "what is not believed tells of no slip"
+    assert np.array_equal(found.covariance, kept), "a rejected measurement has no effect"

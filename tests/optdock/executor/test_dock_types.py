@@ -27,12 +27,12 @@ STANDS = Measurements(0.0, TRUE_DOCK)
 NEAR = Pose2(-0.8, 0.0, 0.0)
 
 
-def docked(dock_type=None, *, start=None, before=None, planning=None, **chosen):
+def docked(dock_type=None, *, start=None, before=None, planning=None, rate=12.5, **chosen):
     """A straight docking without errors."""
     world = perfect(NEAR if start is None else start)
     settings_ = ExecutorSettings(**(QUICK | chosen))
     planning = planning or StraightPlanning()
-    return run(world, problem_with(), settings_, rate=12.5, dock_type=dock_type, before=before, planning=planning)
+    return run(world, problem_with(), settings_, rate=rate, dock_type=dock_type, before=before, planning=planning)
 
 
 def commands(docking):
@@ -106,7 +106,7 @@ def test_occupied_staging_pose_is_replaced_by_the_next(lawful):
 
 def test_task_ends_after_the_last_staging_pose():
     planning = Recording(reason="a wall")
-    docking = docked(TWO, start=AFAR, planning=planning)
+    docking = docked(TWO, start=AFAR, planning=planning, rate=25.0)
     asked = [job.problem.goal.in_frame_of(TRUE_DOCK).as_array() for job in planning.jobs]
     np.testing.assert_allclose(asked[:4], TWO.parameters["staging_poses"] * 2, atol=1e-9)
     assert docking.ending.kind is EndingKind.FAILED_TO_STAGE
@@ -173,7 +173,7 @@ class Latched(DockType):
     ("kind", "ending"), [(Contact.SIGNAL, EndingKind.DOCKED_BY_SIGNAL), (Contact.STALL, EndingKind.DOCKED_BY_STALL)]
 )
 def test_contact_ends_the_approach(kind, ending):
-    docking = docked(Latched(kind))
+    docking = docked(Latched(kind), rate=25.0)
     assert docking.ending.kind is ending
     (plan,) = docking.said("plan new")
     assert plan.detail == "0.800 m in 3.62 s"

@@ -272,7 +272,7 @@ def test_robot_that_was_pressed_too_deep_into_its_dock_leaves_it(lawful, deep):
 def test_stuck_wheel_ends_the_task(lawful):
     wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.0),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
-    settings = ExecutorSettings(max_retries=0, dock_approach_timeout=3.0)
+    settings = ExecutorSettings(max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False)
     docking = run(simulated(plant=plant), settings=settings)
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
 
@@ -361,7 +361,7 @@ def test_undocking_out_of_contact(lawful):
 
 
 def test_staging_from_afar(lawful):
-    docking = run(simulated(Pose2(-2.0, 0.6, 0.5), sensors=PERFECT), problem_with(TRUE_DOCK))
+    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=20.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.steps[25].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
 

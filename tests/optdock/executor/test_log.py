@@ -1,4 +1,4 @@
-"""Logs: everything reads back, damage is named with file and line, a crash leaves a log."""
+"""Logs: equality after reading, errors with file and line, logs of crashed programs."""
 
 import json
 

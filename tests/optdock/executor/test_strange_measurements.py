@@ -1,4 +1,4 @@
-"""Measurements as broken drivers send them: no exception, no command beyond a limit, a name for what was not used."""
+"""Invalid measurements: no exception, commands within the limits, an event for each ignored field."""
 
 import math
 

@@ -223,6 +223,6 @@ def test_an_ackermann_drive_cannot_turn_in_place():
         (lambda: DifferentialDrive(ROBOT).step(None, Twist2(), 0.0), "plant.duration: must be finite and > 0 s"),
     ],
 )
-def test_bad_values_are_refused(build, message):
+def test_invalid_values_are_errors(build, message):
     with pytest.raises(InvalidValue, match=message):
         build()

@@ -140,6 +140,6 @@ class TestDockSensor:
         (lambda: DockSensor(min_range=1.0, max_range=0.5), "dock_sensor.max_range: must be > min_range"),
     ],
 )
-def test_bad_values_are_refused(build, message):
+def test_invalid_values_are_errors(build, message):
     with pytest.raises(InvalidValue, match=message):
         build()
