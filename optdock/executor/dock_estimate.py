@@ -40,7 +40,7 @@ _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that have no consequence
 _HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: one gap in 250 at 10 Hz, half of it lost
 LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
-_NEAR = 0.25  # [m]: a camera that cannot detect the docked dock detects it from farther away only
+_NEAR = 0.25  # [m]: distance of a detection from close by
 NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
 LAST_LOOK = 0.2  # [m] before the dock in which an uncertain robot drives on, as a detection may still come
 

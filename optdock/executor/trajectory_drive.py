@@ -415,7 +415,7 @@ class TrajectoryDrive:
         self._set_path(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
-        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
+        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")
 
 
 class TubeMonitor:

@@ -278,6 +278,6 @@ def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: Obsta
         obstacles: Obstacles; without any, the distance is infinite.
     """
     best = math.inf
-    for block in np.array_split(poses, max(1, -(-len(poses) // _BLOCK))) if len(obstacles) else ():
+    for block in np.array_split(poses, -(-len(poses) // _BLOCK)) if len(obstacles) and len(poses) else ():
         best = min(best, float(np.min(pose_clearances(block, footprint, obstacles, best)[0])))
     return best

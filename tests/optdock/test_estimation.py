@@ -210,7 +210,7 @@ def test_systematic_errors_are_estimated(scale, drift, delay):
 def test_covariance_is_consistent():
     """The mean squared Mahalanobis distance of the truth is the number of dimensions, six, over many drives."""
     random, distances = np.random.default_rng(5), []
-    for seed in range(30):
+    for seed in range(16):
         truth = random.standard_normal(3) * (LEARNING.scale, LEARNING.drift, 0.0)
         found, pose = wrong_wheels(seed, *truth)
         off = np.concatenate((found.pose.as_array() - pose.as_array(), found.systematic - truth))[:5]

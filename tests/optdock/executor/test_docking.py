@@ -140,7 +140,7 @@ def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
         remove(executor, world, measurements)
 
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before)
-    touch = math.inf if goes else 0.004  # it may drive where the wall stood
+    touch = math.inf if goes else 0.004  # it may drive through the place of the wall
     assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("shorter way")) == goes
     assert (docking.times[-1] < 18.0) is goes, docking.times[-1]
@@ -236,14 +236,14 @@ def test_held_robot_stands_and_continues_when_released(distance, lawful):
     def before(executor, world, measurements):
         if not held and within(distance)(executor, world):
             held.append(world.time)
-        return measurements._replace(held=bool(held) and world.time < held[0] + 12.0)
+        return measurements._replace(held=bool(held) and world.time < held[0] + 8.0)
 
     docking = run(simulated(seed=4), before=before)
     ending = lawful(docking)
     assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert ending.num_retries == 0
     waiting = [step.command for step in docking.steps if step.state is State.HELD]
-    assert len(waiting) > 10.0 * 25.0
+    assert len(waiting) > 6.0 * 20.0
     assert set(waiting) == {Twist2()}
     assert len(docking.said("held")) == 1
 
@@ -261,9 +261,9 @@ def test_pushed_robot_plans_from_its_place(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
-@pytest.mark.parametrize("deep", [0.005, 0.018, 0.04])
-def test_robot_that_was_pressed_too_deep_into_its_dock_leaves_it(lawful, deep):
-    """Commands that came late, a bumper that yields, an estimate that is off: the way out is free all the same."""
+@pytest.mark.parametrize("deep", [0.005, 0.04])
+def test_undocking_from_beyond_the_docked_pose(lawful, deep):
+    """By late commands, a yielding bumper or a wrong estimate; backing out must not be blocked."""
     docking = run(simulated(Pose2(deep, 0.0, 0.0), sensors=PERFECT), problem_with(), task="undock")
     assert lawful(docking, touch=deep + 1e-3).kind is EndingKind.UNDOCKED
     assert not docking.said("backing out is blocked")
@@ -306,7 +306,7 @@ def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
 
 
 @pytest.mark.parametrize(
-    ("silence", "kind"), [(2.0, EndingKind.DOCKED_BY_DISTANCE), (9.0, EndingKind.FAILED_TO_CONTROL)]
+    ("silence", "kind"), [(2.0, EndingKind.DOCKED_BY_DISTANCE), (4.5, EndingKind.FAILED_TO_CONTROL)]
 )
 def test_old_costmap_stops_the_robot(lawful, silence, kind):
     """Only with `costmap_patience`."""
@@ -325,7 +325,7 @@ def test_old_costmap_stops_the_robot(lawful, silence, kind):
     still = [step.command == Twist2() for step in docking.steps if step.state is State.WAITING_FOR_COSTMAP]
     assert all(still)
     if silence < 3.0:
-        unlimited = run(simulated(sensors=PERFECT), before=before)
+        unlimited = run(simulated(sensors=PERFECT), before=before, timeout=6.0)
         assert State.WAITING_FOR_COSTMAP not in unlimited.states
 
 
@@ -421,7 +421,8 @@ def test_robot_stopped_in_its_dock_is_docked():
     stop = once(
         within(0.006), lambda executor, world, measurements: measurements._replace(stamp=measurements.stamp + 5.0)
     )
-    docking = run(simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation()), problem_with(), NO_STAGING, before=stop)
+    world = simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation())
+    docking = run(world, problem_with(), NO_STAGING, before=stop, rate=25.0)
     assert docking.said("no cycle for long")
     assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("plan new")) == 1
@@ -474,7 +475,8 @@ def test_robot_slows_down_for_a_hidden_dock(lawful):
         left.append(-world.error.x)
         return measurements._replace(detections=())
 
-    docking = run(simulated(Pose2(-0.7, 0.02, 0.0), seed=3), problem_with(), NO_STAGING, before=walks_by)
+    world = simulated(Pose2(-0.7, 0.02, 0.0), seed=3)
+    docking = run(world, problem_with(), NO_STAGING, before=walks_by, rate=25.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.said("dock hidden")
     assert left[-1] > 0.015
@@ -501,7 +503,7 @@ def test_heading_error_in_the_dock_is_corrected_in_place(held, lawful):
 
     start = Pose2(-0.6, 0.0, 0.0)
     world = simulated(start, PERFECT, Actuation(), station=Station())
-    docking = run(world, problem_with(), NO_STAGING, before=before)
+    docking = run(world, problem_with(), NO_STAGING, before=before, rate=25.0)
     assert lawful(docking, touch=0.008).kind is EndingKind.DOCKED_BY_SIGNAL
     assert bool(docking.said("nudged")) is not held
     assert bool(held_at) is held

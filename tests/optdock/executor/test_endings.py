@@ -318,7 +318,7 @@ def with_tube(problem):
 def staged(planning, before, **chosen):
     """A straight drive to the staging pose with a tube of 2 cm."""
     settings, world = ExecutorSettings(**QUICK, **chosen), perfect(Pose2(-2.0, 0.0, 0.0))
-    return run(world, with_tube(problem_with()), settings, timeout=8.0, before=before, planning=planning)
+    return run(world, with_tube(problem_with()), settings, rate=25.0, timeout=8.0, before=before, planning=planning)
 
 
 def push(executor, world, measurements):

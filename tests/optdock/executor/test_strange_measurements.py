@@ -50,7 +50,7 @@ def test_first_command_keeps_the_limits_for_any_odometry(twist):
 def test_clock_that_goes_back_by_years_and_stands_still():
     executor = DockingExecutor(problem_with())
     stamps = [0.0, 0.02, 0.0401, -1999994.5197, -1999994.5197, -1999994.4797, -1999994.4797, -5e6, -5e6, -5e6 + 0.02]
-    for _ in range(20):
+    for _ in range(8):
         for stamp in stamps:
             executor.step(Measurements(stamp, BEFORE_DOCK))
         stamps = [stamp * 1.7 + 0.0130001 for stamp in stamps]
