@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from optdock.errors import InvalidFile, InvalidMessage, OptdockError
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType
 from optdock.executor.log import LOG_FORMAT
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, normalize_angle, pose_errors, unwrap_yaw
@@ -150,7 +150,7 @@ def read_recording(source: str | Path) -> ReadFile:
         raise InvalidFile(
             f"{source}: must be a log ({LOG_FORMAT}), a run file ({RUN_FORMAT}) or a recording (.mcap, .db3)"
         )
-    from optdock.executor.log_reader import read_log
+    from optdock.executor.log import read_log
 
     log = read_log(source)
     return ReadFile(recording_of_log(log), _deviation_of_log(log))

@@ -81,7 +81,7 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
 
     kind = _format_of(source)
     if kind.startswith("optdock-log/"):
-        from optdock.executor.log_reader import read_log
+        from optdock.executor.log import read_log
 
         if problem is not None:
             raise InvalidValue("--scenario: is for plans and runs; the log of a docking has its own problem in it")

@@ -33,7 +33,7 @@ def replay(
     Exit status 0: it does; 3: it does not, as of another version of the library.
     """
     with reported(verbose=verbose):
-        from optdock.executor.log_reader import read_log
+        from optdock.executor.log import read_log
         from optdock.executor.replay import replay as driven_again
         from optdock.reports.report import table
 

@@ -1,21 +1,21 @@
-"""The executor: a robot is docked and undocked step by step, without ROS.
+"""The executor: docks and undocks a robot cycle by cycle, without ROS.
 
-settings        how: times, distances, sensors
-outcomes        what it says of itself: states, events, endings, with Nav2's codes
-docking         `DockingExecutor`: the clock, and one control cycle after the other
-intake          measurements that can be used, and what is wrong with the others
-simple_dock     the kind of dock that most are
-checked_dock_type  answers of a dock type, refused where they are none
-procedure       the story of a docking and of an undocking, told from top to bottom
-situation       questions about robot, dock and surroundings, answered from the measurements
-drive           one motion being driven, and replanned
-interruptions   what ends a motion, an attempt or a task early
-approach        how far the robot can still be moved sideways, and what is left of an error at the dock
-perception      robot and dock, brought up to date by every set of measurements
-planning        jobs beside the control loop: at once, in a thread, out of a log
-planning_process  the process to which a thread may hand them
-plan_requests   jobs numbered, their results reported
-log, replay     everything taken down, and driven again
+docking           `DockingExecutor`: clock, one control cycle after the other
+executor_settings settings
+task_states       states, events, endings with Nav2's codes, exceptions of the procedure
+checked_inputs    validation of measurements and of a dock type's answers
+simple_dock       the default dock type
+estimation        dead reckoning and Kalman filter
+perception        estimates of robot and dock
+dock_estimate     robot relative to the dock, compared with tolerances
+planning_scene    obstacles, staging poses, planning problems
+control_cycles    present situation; one cycle, a stop, a wait
+procedure         docking and undocking from top to bottom
+dock_contact      detection at rest, contact, corrections at the dock
+trajectory_drive  drive, monitoring and replanning of one motion
+planning          planning jobs: inline, in a thread, from a log
+planning_process  planning in another process
+log, replay       record and replay of a task
 """
 
 from optdock.executor.docking import DockingExecutor

@@ -1,42 +1,119 @@
-"""Where the robot stands relative to the dock, and whether that is known well enough for what is to be done next."""
+"""The robot relative to the dock: errors, uncertainty, and what a path or the feedback can still correct."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-from optdock.executor.approach import can_be_planned_away
+from optdock.controllers.tracking_law import left_after
 from optdock.geometry.pose import normalize_angle
 from optdock.model.dock import DockDirection
 
 if TYPE_CHECKING:
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
+    from optdock.model.limits import MotionLimits
     from optdock.model.problem import DockingProblem
 
-__all__ = ["LAST_LOOK", "LONGEST_HIDDEN", "NO_ROOM", "DockEstimate"]
+__all__ = [
+    "DECAY",
+    "LAST_LOOK",
+    "LONGEST_HIDDEN",
+    "NO_ROOM",
+    "SHORTEST_DECAY",
+    "DockEstimate",
+    "can_be_planned_away",
+    "left_at_dock",
+    "reachable_offset",
+    "staging_distance",
+]
 
-# Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
-# the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
+# [m]: distance over which lateral errors decay: the TrackingController's convergence_distance, and its shortest value
+# before the dock, at 0.1 m/s with a drive that is 0.25 s late.
+DECAY, SHORTEST_DECAY = 0.25, 0.08
+_LEAST_STAGING, _MOST_STAGING = 0.7, 3.0  # [m]: Nav2's staging_x_offset; more than 3 m of space is rarely free
+_STORED_OFFSET = 0.15  # [m] to the side that an approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
+
+# Standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in 400 is off
+# by more than one further standard deviation.
 _CERTAINTY = 2.0
-_BLINK = 1.0  # [s] without a detection that nothing is made of
-LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
-_HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
-_NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
-NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
-LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
+_BLINK = 1.0  # [s] without a detection that have no consequence
+_HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: one gap in 250 at 10 Hz, half of it lost
+LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
+_NEAR = 0.25  # [m]: distance of a detection from close by
+NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
+LAST_LOOK = 0.2  # [m] before the dock in which an uncertain robot drives on, as a detection may still come
+
+
+def reachable_offset(distance: float, limits: MotionLimits) -> float:
+    """Return the largest lateral offset of a forward path that begins and ends in the same direction [m].
+
+    Four equal pieces with the curvature rising and falling at its largest rate c give c d^3 / 32; two arcs of the
+    largest curvature k, one left and one right, give k d^2 / 4. No path within the limits exceeds either.
+
+    Args:
+        distance: Length d of the path [m].
+        limits: Limits of the robot.
+    """
+    free = max(0.0, distance)
+    if free == 0.0:
+        return 0.0
+    arcs = 0.25 * limits.max_curvature * free**2
+    ramps = limits.max_curvature_rate * free**3 / 32.0
+    return min(arcs, ramps)
+
+
+def can_be_planned_away(offset: float, turn: float, distance: float, gear: float, limits: MotionLimits) -> bool:
+    """Whether a path with half the largest curvature and curvature rate corrects an error over a distance.
+
+    The other half is a reserve for the curvature at which the path begins.
+
+    Args:
+        offset: Offset to the left of the path [m].
+        turn: Heading error to the left [rad].
+        distance: Distance to drive before the final straight [m].
+        gear: 1 forward, -1 in reverse.
+        limits: Limits of the robot.
+    """
+    if distance <= 0.0:
+        return False
+    # A single arc corrects the heading and causes half of the lateral drift of the uncorrected heading.
+    across = abs(offset + 0.5 * gear * math.sin(turn) * distance)
+    turned = min(limits.max_curvature * distance, 0.25 * limits.max_curvature_rate * distance**2)
+    return across <= 0.5 * reachable_offset(distance, limits) and abs(turn) <= 0.5 * turned
+
+
+def left_at_dock(offset: float, turn: float, distance: float, gear: float, decay: float) -> tuple[float, float]:
+    """Return the offset [m] and heading error [rad] that remain at the dock under feedback, see `left_after`.
+
+    Args:
+        offset: Present offset to the left of the path [m].
+        turn: Present heading error to the left [rad].
+        distance: Distance left to drive [m].
+        gear: 1 forward, -1 in reverse.
+        decay: Distance over which errors decay under feedback [m].
+    """
+    across, slope = left_after(max(0.0, distance), offset, gear * turn, decay)
+    return across, gear * slope
+
+
+def staging_distance(problem: DockingProblem) -> float:
+    """Return the distance before the docked pose at which an approach can correct a wrongly stored dock [m].
+
+    At least Nav2's 0.7 m; otherwise the distance for an offset of 15 cm, plus the final straight.
+    """
+    needed = _LEAST_STAGING
+    limits = problem.robot.limits
+    while reachable_offset(needed - problem.dock.final_straight, limits) < _STORED_OFFSET and needed < _MOST_STAGING:
+        needed += 0.05
+    return needed
 
 
 class DockEstimate:
-    """The pose of the robot in the frame of the dock, compared with tolerances and standard deviations.
-
-    Args:
-        problem: Robot and dock as stored.
-        settings: What is asked of detections.
-        perception: Brought up to date before every cycle.
+    """The estimated pose of the robot in the frame of the dock, compared with tolerances and standard deviations.
 
     Attributes:
-        approach_gear: Of the last piece of the motion into the dock that was driven last; None before.
+        approach_gear: Gear of the last segment of the last motion into the dock; None before.
     """
 
     def __init__(self, problem: DockingProblem, settings: ExecutorSettings, perception: Perception) -> None:
@@ -45,16 +122,16 @@ class DockEstimate:
 
     @property
     def gear(self) -> float:
-        """Of the last motion into the dock."""
+        """Gear of the last motion into the dock: 1 forward, -1 in reverse."""
         direction = self.problem.dock.direction
         if direction is DockDirection.AUTO:
             if self.approach_gear is not None:
-                return self.approach_gear  # also of a robot that stands a little beyond the docked pose
+                return self.approach_gear  # also valid for a robot slightly beyond the docked pose
             return 1.0 if self.perception.robot_from_dock.x <= 0.0 else -1.0
         return 1.0 if direction is DockDirection.FORWARD else -1.0
 
     def errors(self) -> list[tuple[float, float, float]]:
-        """Errors in the dock, their standard deviations and tolerances: along, across [m], yaw in (-pi, pi] [rad]."""
+        """Return (error, standard deviation, tolerance) along, across [m] and in yaw, in (-pi, pi] [rad]."""
         accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
         sigma = self.perception.sigma_after(0.0)
         tolerances = accepted.along, accepted.cross, accepted.yaw
@@ -62,73 +139,67 @@ class DockEstimate:
 
     @property
     def distance(self) -> float:
-        """Of the robot from the docked pose [m]."""
+        """Distance of the robot from the docked pose [m]."""
         relative = self.perception.robot_from_dock
         return math.hypot(relative.x, relative.y)
 
     @property
     def left(self) -> float:
-        """Along the dock's axis to the docked pose, or back to it [m]."""
+        """Distance from the docked pose along the axis of the dock [m]."""
         return abs(self.perception.robot_from_dock.x)
 
     @property
     def reach_of_contact(self) -> float:
-        """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
+        """Distance from the estimated dock within which contact is possible, uncertainty included [m]."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
 
     @property
     def is_near(self) -> bool:
-        """Whether the robot is as near to the docked pose as contact is possible."""
+        """Whether contact is possible at the present distance from the docked pose."""
         return self.distance <= self.reach_of_contact
 
     @property
     def where(self) -> str:
-        """The robot seen from the docked pose, for a message."""
+        """The pose of the robot relative to the docked pose, for messages."""
         (x, *_), (y, *_), (yaw, *_) = self.errors()
         return f"{x:.4f} m along, {y:.4f} m across and {yaw:.4f} rad from the docked pose"
 
     @property
     def may_have_turned(self) -> bool:
-        """Whether the localization says that the robot has turned out of its dock since that was seen."""
+        """Whether, by localization, the robot has turned beyond the yaw tolerance since the last detection."""
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
 
     def will_know(self, left: float) -> bool:
-        """Whether the tolerances of the dock will exceed the noise after so much more of the way [m]."""
+        """Whether the tolerances of the dock exceed the uncertainty after a further distance `left` [m]."""
         sigma, accepted = self.perception.sigma_after(self.gear * left), self.problem.dock.tolerances
-        asked = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
-        return all(_CERTAINTY * found <= most for found, most in asked)
+        pairs = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
+        return all(_CERTAINTY * found <= most for found, most in pairs)
 
     def is_within_tolerances(self, certainty: float) -> bool:
-        """Whether the robot stands within the tolerances of the dock, with a margin for the noise.
-
-        Args:
-            certainty: Standard deviations by which it is to stand within them, as far as that leaves half of them.
-        """
+        """Whether the robot is within the tolerances less `certainty` standard deviations, at most half of each."""
         return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors())
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
+        """Whether the estimates leave open if the robot is within the tolerances of the dock."""
         if self.may_have_turned or self.perception.detections.is_contradicted or not self.will_know(0.0):
             return True
         return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self.errors())
 
     @property
     def sees_from_near(self) -> bool:
-        """Whether the dock has been seen from as near as the last look before it is taken."""
+        """Whether the dock has been detected from close by."""
         return self.perception.detections.seen_from <= _NEAR
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the dock was seen as often as it must be, and nothing newer contradicts that."""
-        perception = self.perception
-        return (
-            perception.detections.count >= self.settings.least_detections and not perception.detections.is_contradicted
-        )
+        """Whether the required number of detections was accepted and no newer ones contradict them."""
+        detections = self.perception.detections
+        return detections.count >= self.settings.least_detections and not detections.is_contradicted
 
     @property
     def is_known(self) -> bool:
-        """Whether the dock was seen on the way here, often and well enough to be driven to."""
+        """Whether the dock is known well enough to be driven to."""
         accepted = self.problem.dock.tolerances
         (place, turn), most = self.perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
@@ -136,10 +207,7 @@ class DockEstimate:
 
     @property
     def is_found(self) -> bool:
-        """Whether the dock was seen on the way here, often and well enough to be approached.
-
-        What is not known of it yet can still be corrected on the second half of the way in.
-        """
+        """Whether the dock is known well enough for an approach, whose second half corrects the remaining error."""
         if self.is_known:
             return True
         place, turn = (_CERTAINTY * sigma for sigma in self.perception.sigma)
@@ -149,7 +217,7 @@ class DockEstimate:
 
     @property
     def detection_is_old(self) -> bool:
-        """Whether the dock has not been seen for so long that the robot would not know at the dock where it stands."""
+        """Whether the last detection is so old that the pose at the dock would be too uncertain."""
         age, settings = self.perception.detection_age, self.settings
         left = self.left
         if age <= _BLINK or self.distance <= settings.detection_blind_distance:
@@ -161,10 +229,10 @@ class DockEstimate:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the dock is not seen where it should be, with some way left on which an error could be corrected.
+        """Whether a dock that should be visible is not detected while an error could still be corrected.
 
-        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for, if the
-        robot will know without it where it stands. After `LONGEST_HIDDEN` it is not waited for any longer.
+        If the camera has never detected the dock from close by, no detection is expected there, provided that odometry
+        is accurate enough up to the dock. After `LONGEST_HIDDEN` the result is False again.
         """
         age, left = self.perception.detection_age, self.left
         if not (_HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= LAST_LOOK):

@@ -1,15 +1,14 @@
-"""`DockingExecutor`: measurements in, a command out, at any rate, until the task has ended under a name."""
+"""`DockingExecutor`: one command per set of measurements, at any rate, until the task ends."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType, Intake, usable
 from optdock.executor.executor_settings import ExecutorSettings
-from optdock.executor.intake import Intake, usable
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
@@ -46,44 +45,36 @@ _FEEDBACK = {
 }
 
 
-# Settings that are parameters of `SimpleDock`, used where no dock type is named; another one says itself what it does.
-_OF_SIMPLE_DOCK = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
-_STILL = 1e-8  # [m/s], [rad/s]: what is left of a stop by rounding, of no jerk at any rate
-_TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
-_MOST_REPEATS = 25  # cycles with one stamp: of measurements at 10 Hz at the fastest rate of control, and some
-_LATE = 1.5  # times as long as the period before
-_FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
-
-
-class _Tick(NamedTuple):
-    """Since the last cycle: the time that passed, and the time over which commands may change [s]."""
-
-    passed: float
-    of_commands: float
+# Settings that are parameters of the default `SimpleDock`; any other dock type has its own.
+_SIMPLE_DOCK_SETTINGS = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
+_STILL = 1e-8  # [m/s], [rad/s]: rounding of a completed stop, below the effect of any jerk limit
+_TURNING = 0.005  # [m/s]: at lower target speeds, a robot that turns turns in place
+_MOST_REPEATS = 25  # cycles with the same stamp: measurements at 10 Hz at the fastest control rate, and a reserve
+_LATE = 1.5  # factor on the usual period above which a cycle is late
+_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, so that no command changes too fast
 
 
 class DockingExecutor:
-    """Docks a robot, or undocks it, cycle by cycle, without a clock or a thread of its own.
+    """Dock or undock a robot, cycle by cycle; the caller provides clock and thread.
 
     Args:
-        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
-        settings: How; None: the defaults.
-        task: Which of the two.
-        controller: Drives; a name, a name with parameters, or a plugin that is not configured.
-        goal_checker: Says when the robot is docked; likewise.
-        dock_type: What kind of dock it is, likewise; None: a `SimpleDock` as the settings describe it.
-        planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
-        log: Writes the log; None: no log is written.
-        last_command: What the drive was told last, where it is taken over in motion, as from another executor; None:
-            the velocity that is measured first.
+        problem: Robot, stored dock, obstacles and clearance; its start is not used.
+        settings: Settings; None: the defaults.
+        task: `dock` or `undock`.
+        controller: Name, name with parameters, or plugin that is not configured.
+        goal_checker: Decides whether the robot is docked; given as the controller.
+        dock_type: Kind of dock, given as the controller; None: a `SimpleDock` with parameters from the settings.
+        planning: Runs planning jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
+        log: Log to write; None: no log.
+        last_command: Last command before the task, for a robot in motion; None: the first measured velocity.
 
     Raises:
-        InvalidValue: A part is of another class, the task is none of the two, a parameter of a plugin is wrong, or a
-            setting says what a given `dock_type` says itself.
-        PluginError: A plugin is unknown.
+        InvalidValue: If an argument is of another class, the task is unknown, a parameter of a plugin is wrong, or a
+            setting duplicates a parameter of the given `dock_type`.
+        PluginError: If a plugin is unknown.
     """
 
-    def __init__(  # noqa: PLR0913 - what may be chosen
+    def __init__(  # noqa: PLR0913 - the parts of a task
         self,
         problem: DockingProblem,
         settings: ExecutorSettings | None = None,
@@ -112,11 +103,11 @@ class DockingExecutor:
         self._perception = Perception(problem.goal, self.settings, self._report)
         self._limiter = CommandLimiter()
         self._last_command = None if last_command is None else instance(Twist2, last_command, "last_command")
-        self._moving = Twist2()  # what was wished for last
+        self._moving = Twist2()  # the last target that was not a stop
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
-            said = None if dock_type is None else plugin_choice(kind)
-            choices = plugin_choice(driver), plugin_choice(checker), said
+            logged_kind = None if dock_type is None else plugin_choice(kind)
+            choices = plugin_choice(driver), plugin_choice(checker), logged_kind
             log.begin(Task(problem, self.settings, task, *choices, last_command))
             self._planning = LoggedPlanning(self._planning, log, problem.frame)
         self._procedure = Procedure(
@@ -135,53 +126,53 @@ class DockingExecutor:
 
     @property
     def ending(self) -> Ending | None:
-        """How the task ended; None while it goes on."""
+        """Ending of the task; None while it runs."""
         return self._ending
 
     @property
     def state(self) -> State:
-        """What is being done."""
+        """State of the task."""
         return State.ENDED if self._ending is not None else self._procedure.cycles.state
 
     @property
     def robot(self) -> Pose2 | None:
-        """The estimated pose of the robot; None before the first measured pose."""
+        """Estimated pose of the robot; None before the first measured pose."""
         return self._perception.robot if self._perception.started else None
 
     @property
     def dock(self) -> Pose2:
-        """The estimated docked pose in the fixed frame."""
+        """Estimated docked pose in the fixed frame."""
         return self._perception.dock
 
     def cancel(self) -> None:
-        """End the task: a stop within the limits, and the ending `cancelled`."""
+        """Cancel the task: stop within the limits and end with `cancelled`."""
         if not self._procedure.cycles.cancelled:
             self._procedure.cycles.cancelled = True
             if self._log is not None:
                 self._log.cancel()
 
     def step(self, measurements: Measurements) -> Step:
-        """One control cycle; it never raises, whatever is measured.
+        """Run one control cycle; no measurements raise an exception.
 
         Args:
-            measurements: What has been measured since the last one; their stamp may come at any rate from 10 to 200 Hz.
-                What is of the wrong type or not a number is left out, and the event `... not used` says so.
+            measurements: Measurements since the last cycle, with stamps at any rate from 10 to 200 Hz. Fields of a
+                wrong type or without a finite value are ignored and reported by the event `... not used`.
         """
         self._events.clear()
         robot, intake = self.problem.robot, usable(measurements)
-        measurements = self._believable(intake)
+        measurements = self._completed(intake)
         if self._began is None:
             before = measurements.twist if self._last_command is None else self._last_command
             self._limiter.restart(admissible(before, robot.limits, robot.drive))
             if self._limiter.command == Twist2():
                 self._limiter.stop(_FIRST_PERIOD)
         self._watch_log()
-        tick = self._tick(measurements.stamp)
-        if tick.passed > tick.of_commands:  # bases stop by themselves when they are told nothing for long
+        passed, period = self._tick(measurements.stamp)
+        if passed > period:  # bases stop by themselves without commands
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
-        now = max(self._perception.stamp, measurements.stamp + self._offset)  # sums of large numbers are rounded
-        self._perception.update(self._of_dock(measurements), now, self._offset)
-        command = self._command(tick.of_commands)
+        now = max(self._perception.stamp, measurements.stamp + self._offset)  # against rounding of large stamps
+        self._perception.update(self._with_dock_detections(measurements), now, self._offset)
+        command = self._command(period)
         state = self.state
         deviation = self._procedure.cycles.deviation if self._ending is None else None
         step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
@@ -189,8 +180,8 @@ class DockingExecutor:
             self._log.cycle(measurements, step)
         return step
 
-    def _believable(self, intake: Intake) -> Measurements:
-        """The measurements; without a stamp those of the next period, without a twist as the robot was commanded."""
+    def _completed(self, intake: Intake) -> Measurements:
+        """Replace a missing stamp by that of the next period, and a missing twist by the last command."""
         found = intake.measurements
         names = {name for name, _ in intake.faults}
         for name, detail in intake.faults:
@@ -205,12 +196,12 @@ class DockingExecutor:
         self._perception.has_twist = intake.has_twist
         return found
 
-    def _of_dock(self, measurements: Measurements) -> Measurements:
-        """The measurements with those detections that the dock type takes for its own; none where it fails."""
+    def _with_dock_detections(self, measurements: Measurements) -> Measurements:
+        """Keep the detections that the dock type selects; none if it raises an exception."""
         failure = ""
         try:
             chosen = self._dock_type.detections(measurements)
-        except Exception as error:  # whatever a plugin raises, the control cycle goes on
+        except Exception as error:  # the control cycle continues after any exception of a plugin
             chosen, failure = (), f"{type(error).__name__}: {error}"
         if failure and not self._detections_fail:
             self._report("detections not used", failure)
@@ -218,7 +209,7 @@ class DockingExecutor:
         return measurements._replace(detections=chosen)
 
     def _watch_log(self) -> None:
-        """Report once that the log cannot be written any more; the docking goes on."""
+        """Report once that the log can no longer be written; the task continues."""
         if self._log is not None and self._log.failure:
             self._report("log failed", self._log.failure)
             self._log = None
@@ -226,68 +217,68 @@ class DockingExecutor:
     def _report(self, name: str, detail: str = "") -> None:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
-    def _tick(self, stamp: float) -> _Tick:
-        """The time since the last cycle, on a clock that never goes back and makes no leaps."""
+    def _tick(self, stamp: float) -> tuple[float, float]:
+        """Time since the last cycle on a monotonic clock without leaps, and time over which commands may change [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1
         if self._began is None:
             self._began = stamp
-            return _Tick(0.0, 0.0)
+            return 0.0, 0.0
         period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
         self._repeats = self._repeats + 1 if period == 0.0 else 0
         if self._repeats > _MOST_REPEATS:
             self._offset += usual
-            self._interrupt("clock stands still", f"the same stamp {self._repeats} times; time goes on without it")
-            return _Tick(usual, usual)
+            self._interrupt("clock stands still", f"the same stamp {self._repeats} times; the clock goes on")
+            return usual, usual
         if period < 0.0:
             self._offset += usual - period
-            self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
-            return _Tick(usual, usual)
+            self._interrupt("clock went back", f"by {-period:.3f} s; the task continues on its own clock")
+            return usual, usual
         if period > longest:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
-            return _Tick(longest, usual)
+            return longest, usual
         if period == 0.0:
-            return _Tick(0.0, 0.0)
+            return 0.0, 0.0
         if self._cycle_count == 1:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):
             self._report("late cycle", f"{period:.3f} s passed since the last one")
-        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is not a new rate
-        return _Tick(period, period)
+        self._usual_period = min(period, _LATE * self._usual_period)  # one late cycle does not change the rate
+        return period, period
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
         self._procedure.cycles.situation.interruption = (name, reason)
 
     def _command(self, period: float) -> Twist2:
-        procedure, wish = self._procedure, None
+        procedure, target = self._procedure, None
         if self._ending is None:
             procedure.cycles.situation.commanded = self._limiter.command
             try:
-                wish = next(self._cycles)
+                target = next(self._cycles)
             except StopIteration as over:
                 kind, reason = over.value
                 self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
                 self._report(kind.value, reason)
                 self._planning.close()
-        return self._limited(wish, period)
+        return self._limited(target, period)
 
-    def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
-        """What is wished for, or a stop along the present curve, as far as the limits allow."""
+    def _limited(self, target: Twist2 | None, period: float) -> Twist2:
+        """Limit the target, or a stop along the present curvature, to the robot's limits."""
         limiter, robot = self._limiter, self.problem.robot
         if period <= 0.0:
             return limiter.command
-        if wish is None and limiter.command == Twist2():
+        if target is None and limiter.command == Twist2():
             limiter.stop(period)
             return limiter.command
-        # A stop is a target that does not change, wherever the one before it was going.
-        self._moving = wish if wish is not None else self._moving
-        turns = wish is not None and abs(wish.linear) < _TURNING and wish.angular != 0.0
-        target = wish if wish is not None else Twist2()
-        command = limiter.follow(target, self._moving, period, robot.limits, robot.drive, in_place=turns)
-        if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
+        # A stop keeps the last target as its direction.
+        self._moving = target if target is not None else self._moving
+        turns = target is not None and abs(target.linear) < _TURNING and target.angular != 0.0
+        wanted = target if target is not None else Twist2()
+        command = limiter.follow(wanted, self._moving, period, robot.limits, robot.drive, in_place=turns)
+        if target is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
             limiter.round_to_rest()
         return limiter.command
 
@@ -301,19 +292,14 @@ class DockingExecutor:
         return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)
 
 
-def _dock_type(asked: DockTypeLike | None, settings: ExecutorSettings) -> DockType:
-    """The dock type that a caller asks for, or the one that the settings describe.
-
-    Raises:
-        PluginError: As `plugin_from`.
-        InvalidValue: As `plugin_from`, or the settings describe another one.
-    """
-    described = {name: getattr(settings, name) for name in _OF_SIMPLE_DOCK}
-    if asked is None:
+def _dock_type(choice: DockTypeLike | None, settings: ExecutorSettings) -> DockType:
+    """Return the chosen dock type, or the one described by the settings; raise InvalidValue if both are given."""
+    described = {name: getattr(settings, name) for name in _SIMPLE_DOCK_SETTINGS}
+    if choice is None:
         return SimpleDock(**described)
-    kind = plugin_from(DockType, asked, "dock_type")
-    defaults = {name: field.default for name, field in ExecutorSettings.model_fields.items()}
-    twice = [name for name, value in described.items() if value != defaults[name]]
+    kind = plugin_from(DockType, choice, "dock_type")
+    fields = ExecutorSettings.model_fields
+    twice = [name for name, value in described.items() if value != fields[name].default]
     if twice:
-        raise InvalidValue(f"settings.{twice[0]}: is for the dock type to say, which is given: {type(kind).__name__}")
+        raise InvalidValue(f"settings.{twice[0]}: must be a parameter of the given dock type, {type(kind).__name__}")
     return kind

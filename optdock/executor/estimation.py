@@ -1,12 +1,11 @@
-"""Where the robot is: dead reckoning, corrected by measured poses that are late, noisy or wrong.
+"""Pose estimation: dead reckoning, corrected by measured poses that are late, noisy or wrong.
 
-`DeadReckoning` joins the poses of the odometry, or its twists, to the way of the robot. `PoseFilter` is an extended
-Kalman filter ([Thrun2005] ch. 3 and 7, [BarShalom2001]) of the robot's pose in one fixed frame: the map, or the frame
-of a dock. Beside the pose it estimates what is wrong with the odometry: a scale of the way, a turn per metre, and the
-delay of the measurements against it.
+`DeadReckoning` integrates poses and twists of the odometry. `PoseFilter` is an extended Kalman filter ([Thrun2005] ch.
+3 and 7, [BarShalom2001]) of the pose in a fixed frame, the map or the frame of a dock. Its state also contains errors
+of the odometry: a scale of the distance, a rotation per distance, and the delay of the measurements.
 
-A measurement outside the gate is put aside; when a few of a short time agree with each other, they are believed and the
-estimate jumps there. Innovations that keep to one side are none of a correct model, and grow the covariance.
+Measurements outside the gate are set aside; a few of them that agree within a short time move the estimate. Innovations
+with a persistent sign contradict the model and increase the covariance.
 """
 
 from __future__ import annotations
@@ -30,49 +29,49 @@ if TYPE_CHECKING:
 __all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
-AHEAD = 0.01  # [s]: rounding and jitter of stamps; what is stamped later than that is of another clock
-# A new pose of the odometry that is farther than this from where the twists lead is one of a new frame: an odometry
-# that was restarted. Far more than a twist is ever wrong, plus what a fast robot drives while no twist comes.
+AHEAD = 0.01  # [s]: rounding and jitter of stamps; later stamps are those of another clock
+# A larger difference of the odometry's pose to the integrated twists means that its frame has restarted: far above the
+# error of the twists, plus the distance of a fast robot while twists are missing.
 _LEAP = 0.3, 0.5  # [m], [rad]
 _FASTEST = 3.0, 6.0  # [m/s], [rad/s]
-_IDLE = 0.05, 0.1  # [m], [rad] by the twists while the pose never changes at all: the field is not filled in
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose, which then is not filled in by the driver
 
 
 class DeadReckoning:
-    """The way of the robot by its odometry, seen from where it was first heard of.
+    """Pose of the robot by odometry, relative to its first pose.
 
-    Poses of the odometry are joined by their increments, so that a restart of its frame does no harm; from the newest
-    one to now the twists carry on, and without any poses they are integrated.
+    Poses of the odometry are joined by their increments, so that a restart of its frame has no effect. Twists are
+    integrated from the newest pose until now, or throughout without poses.
 
     Args:
-        stamp: Of the first reading [s].
+        stamp: Stamp of the first reading [s].
         twist: Body velocity.
-        odometry: Pose; None where there is none.
+        odometry: Pose; None without one.
 
     Attributes:
-        pose: Where the robot is now.
-        restarts: How often the odometry's frame began anew.
+        pose: Present pose.
+        restarts: Number of restarts of the odometry's frame.
     """
 
     def __init__(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> None:
         self.pose = _ORIGIN
         self.restarts = 0
         self._stamp, self._twist = stamp, twist
-        self._known, self._at_known = odometry, _ORIGIN  # the newest pose of the odometry, and where it puts the robot
-        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # from there on, by the twists
-        self._idle = _ORIGIN  # the way by the twists since the pose of the odometry changed
+        self._known, self._at_known = odometry, _ORIGIN  # newest pose of the odometry, and the robot then
+        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # since then, by the twists
+        self._idle = _ORIGIN  # motion by the twists since the odometry's pose changed
 
     def advance(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> Pose2:
-        """Go on to `stamp` and return the way since the last reading, seen from the last pose.
+        """Advance to `stamp` [s] and return the motion since the last reading, in the frame of the last pose.
 
         Args:
-            stamp: Now [s]; not before the last one.
+            stamp: Not before the last one [s].
             twist: Body velocity.
-            odometry: The newest pose; one that was used before, or is older than that, is left out.
+            odometry: Newest pose; repeated and older ones are ignored.
         """
         before, period = self.pose, stamp - self._stamp
         if period > 0.0:
-            # The mean of the velocities at both ends is exact to second order.
+            # Trapezoidal rule.
             mean = Twist2(
                 0.5 * (self._twist.linear + twist.linear),
                 0.5 * (self._twist.angular + twist.angular),
@@ -94,7 +93,7 @@ class DeadReckoning:
         elif odometry.stamp <= known.stamp:
             return
         elif odometry.pose == known.pose and _is_beyond(self._idle, _IDLE):
-            found = self._at_known @ self._idle  # the pose is not filled in: the way is that of the twists
+            found = self._at_known @ self._idle  # the pose is not filled in
             self._since, self.pose = [(self._stamp, found)], found
             return
         else:
@@ -117,7 +116,7 @@ def _is_beyond(gap: Pose2, most: tuple[float, float]) -> bool:
 
 
 def _between(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], stamp: float) -> Pose2:
-    """The pose at a stamp, along arcs between the readings; before the first and after the last those themselves."""
+    """Pose at a stamp, interpolated along arcs; constant before the first and after the last reading."""
     after = bisect_right(readings, stamp, key=_stamp_of)
     if after == 0:
         return readings[0][1]
@@ -132,7 +131,7 @@ def _stamp_of(reading: tuple[float, Pose2]) -> float:
 
 
 def _arc(step: Pose2) -> Twist2:
-    """The constant twist that makes `step` in one second, its inverse: `Pose2.moved`."""
+    """Constant twist that moves by `step` in one second; the inverse of `Pose2.moved`."""
     half = 0.5 * normalize_angle(step.yaw)
     grow = half / math.sin(half) if abs(half) > 1e-9 else 1.0
     c, s = math.cos(half), math.sin(half)
@@ -140,18 +139,18 @@ def _arc(step: Pose2) -> Twist2:
 
 
 class OdometryErrors(NamedTuple):
-    """Standard deviations of what is wrong with dead reckoning, and with the stamps of measurements.
+    """Standard deviations of the errors of dead reckoning and of the stamps of measurements.
 
     Attributes:
-        along: Random, of the way after a metre [m/m^0.5].
-        yaw_per_way: Random, of the heading after a metre [rad/m^0.5].
-        yaw_per_turn: Random, of the heading after a turn of 1 rad [rad/rad^0.5].
+        along: Random error of the distance after a metre [m/m^0.5].
+        yaw_per_way: Random error of yaw after a metre [rad/m^0.5].
+        yaw_per_turn: Random error of yaw after a rotation by 1 rad [rad/rad^0.5].
         wander: Random walk of the fixed frame, x and y each [m/s^0.5].
-        yaw_wander: Likewise of its yaw [rad/s^0.5].
-        scale: Systematic, of the way: wheels larger than believed [1].
-        drift: Systematic, a turn per way: wheels of unequal size [rad/m].
-        delay: Systematic, of the measurements against the odometry [s].
-        jitter: Random, likewise [s].
+        yaw_wander: Random walk of the fixed frame's yaw [rad/s^0.5].
+        scale: Systematic error of the distance, such as a wrong wheel radius [1].
+        drift: Systematic rotation per distance, such as unequal wheels [rad/m].
+        delay: Systematic delay of the measurements against the odometry [s].
+        jitter: Random delay of the measurements [s].
     """
 
     along: float = 0.003
@@ -166,68 +165,39 @@ class OdometryErrors(NamedTuple):
 
 
 Verdict = Literal["accepted", "rejected", "moved", "forgotten"]
-GATE = 16.27  # squared Mahalanobis distance in three dimensions that one measurement of 1000 exceeds
-_ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement is left out for less
-_MEMORY = 2.0  # [s] of motion that is remembered for what arrives late, and of measurements put aside
-_LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
-_INNOVATIONS = 8  # of which the mean is looked at
-_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations of a wheel that has just slipped; one mean of 100 exceeds the second
-_SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
-_CLOSE_GATE = 4.11  # of chi-squared with three degrees of freedom, for a probability of three quarters
-_ESTABLISHED = 8  # measurements that were believed; what jumps before may have been begun with a wrong one
-_SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was expected of one is left
-_DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
-
-
-class _SeenErrors:
-    """The errors of an odometry, with what wheels that slipped have shown of late.
-
-    Attributes:
-        now: To be expected of the next step.
-    """
-
-    def __init__(self, usual: OdometryErrors) -> None:
-        self._usual, self.now = usual, usual
-
-    def expect(self, jump: Pose2, driven: float) -> None:
-        """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
-        errors, root = self.now, math.sqrt(driven)
-        self.now = errors._replace(
-            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
-            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
-        )
-
-    def forget(self, driven: float) -> None:
-        """Expect less of what the odometry did a while ago."""
-        errors, seen, left = self._usual, self.now, math.exp(-driven / _SLIP_MEMORY)
-        if seen is errors:
-            return
-        self.now = errors._replace(
-            along=errors.along + left * (seen.along - errors.along),
-            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
-        )
+GATE = 16.27  # squared Mahalanobis distance in three dimensions, exceeded by one measurement of 1000
+_ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement closer than this is rejected
+_MEMORY = 2.0  # [s] for which motion is stored for late measurements, and rejected measurements are kept
+_LONGEST_DELAY = 0.5  # [s]: bound of the estimated delay
+_INNOVATIONS = 8  # number of innovations whose mean is tested
+_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations after a wheel slip; the gate is exceeded by one mean of 100
+_SLIPPED = 0.05  # [m] in the last two seconds below which a jump is no wheel slip
+_CLOSE_GATE = 4.11  # of chi-squared with three degrees of freedom, for a probability of 75 %
+_ESTABLISHED = 8  # accepted measurements; an earlier jump may correct a wrong first pose
+_SLIP_MEMORY = 2.0  # [m] after which the expectation of another slip has decayed to a third
+_DOUBT = 3.0  # factor on the prior of the systematic errors after innovations with a persistent sign
 
 
 class PoseFilter:
-    """Pose of the robot in a fixed frame from dead reckoning and measured poses, at any rates.
+    """Pose of the robot in a fixed frame, from dead reckoning and measured poses at any rates.
 
     Args:
-        errors: Of the odometry.
-        confirmations: So many measurements that do not fit, but fit each other, are believed.
-        fewer_when_close: How many fewer are enough if they agree within the 75 % bound of their noise.
+        errors: Errors of the odometry.
+        confirmations: Number of agreeing rejected measurements that move the estimate.
+        fewer_when_close: Reduction of that number if they agree within the 75 % bound of their noise.
 
     Attributes:
         covariance: Of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
             Shape (6, 6).
-        systematic: Scale [1], drift [rad/m] and delay [s] of the odometry as estimated, Shape (3,).
-        accepted: Number of measurements taken in.
-        jump: How far the last correction moved the estimate at once, seen from where it was; None where it did not.
-        rejected: Measurements in a row that were left out, up to now.
-        doubts: How often the covariance was grown because innovations kept to one side.
-        measured_at: Stamp of the newest measurement that was believed [s]; -inf before the first.
+        systematic: Estimated scale [1], drift [rad/m] and delay [s], Shape (3,).
+        accepted: Number of accepted measurements.
+        jump: Displacement of the estimate by the last correction, in its frame, if it moved to rejected measurements.
+        rejected: Number of measurements rejected in a row.
+        doubts: Number of increases of the covariance by innovations with a persistent sign.
+        measured_at: Stamp of the newest accepted measurement [s]; -inf before the first.
 
     Raises:
-        InvalidValue: A standard deviation is negative or not finite.
+        InvalidValue: If a standard deviation is negative or not finite.
     """
 
     def __init__(self, errors: OdometryErrors, *, confirmations: int = 4, fewer_when_close: int = 0) -> None:
@@ -235,29 +205,29 @@ class PoseFilter:
             if not finite_number(value, f"pose filter: {name}") >= 0.0:
                 raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
         self._errors, self._confirmations, self._fewer_when_close = errors, confirmations, fewer_when_close
-        self._seen_errors = _SeenErrors(errors)
+        self._expected = errors  # of the next step: increased for a while after wheel slip
         self.covariance: FloatArray = np.zeros((6, 6))
         self.systematic: FloatArray = np.zeros(3)
         self.jump: Pose2 | None = None
         self.accepted = self.rejected = self.doubts = 0
         self.measured_at = -math.inf
         self._estimate: Pose2 | None = None
-        # Corrected dead reckoning: what lies back is the estimate now, moved back, and so never in an older frame.
+        # Corrected dead reckoning; past poses are the present estimate moved back along it.
         self._reckoned: deque[tuple[float, Pose2]] = deque()
         self._outside: list[_Outside] = []
         self._whitened: deque[FloatArray] = deque(maxlen=_INNOVATIONS)
 
     @property
     def started(self) -> bool:
-        """Whether there is an estimate."""
+        """Whether the filter has an estimate."""
         return self._estimate is not None
 
     @property
     def pose(self) -> Pose2:
-        """The estimate now.
+        """Present estimate.
 
         Raises:
-            InvalidValue: The filter was not started yet.
+            InvalidValue: If the filter was not started.
         """
         if self._estimate is None:
             raise InvalidValue("pose filter: has no pose yet; start it with one")
@@ -265,24 +235,24 @@ class PoseFilter:
 
     @property
     def stamp(self) -> float:
-        """Of the last prediction [s]; -inf before the start."""
+        """Stamp of the last prediction [s]; -inf before the start."""
         return self._reckoned[-1][0] if self._reckoned else -math.inf
 
     @property
     def remembered_from(self) -> float:
-        """The earliest stamp whose pose is known [s]; infinite before the start."""
+        """Earliest stamp with a stored pose [s]; infinite before the start."""
         return self._reckoned[0][0] if self._reckoned else math.inf
 
     def start(self, stamp: float, pose: Pose2, covariance: FloatArray) -> None:
-        """Begin, or begin anew and forget everything but what was learned of the odometry.
+        """Start, or restart with the estimated systematic errors kept.
 
         Args:
-            stamp: Now [s].
-            pose: The first estimate.
-            covariance: Of it, Shape (3, 3) [m, m, rad].
+            stamp: Present time [s].
+            pose: Initial estimate.
+            covariance: Covariance of the estimate, Shape (3, 3) [m, m, rad].
 
         Raises:
-            InvalidValue: The stamp is not finite, or earlier than the last one.
+            InvalidValue: If the stamp is not finite, or earlier than the last one.
         """
         self._check_clock(stamp)
         if not self.started:
@@ -292,7 +262,7 @@ class PoseFilter:
         self.place(pose, covariance)
 
     def place(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Put the robot elsewhere now; what was learned of the odometry and the way driven stay."""
+        """Replace the estimate of the pose; systematic errors and past motion are kept."""
         self._estimate = pose
         self._outside.clear()
         self._whitened.clear()
@@ -301,41 +271,46 @@ class PoseFilter:
         self.covariance[:3, :3] = covariance
 
     def predict(self, stamp: float, step: Pose2) -> Pose2:
-        """The estimate at `stamp`, after a way by odometry.
+        """Predict the estimate at `stamp` and return it.
 
         Args:
-            stamp: Now [s].
-            step: From the last stamp until now, seen from the pose then.
+            stamp: Present time [s].
+            step: Motion by odometry since the last stamp, in the frame of the last pose.
 
         Raises:
-            InvalidValue: The stamp is not finite, or earlier than the last one; or the filter was not started.
+            InvalidValue: If the stamp is not finite or earlier than the last one, or the filter was not started.
         """
         self._check_clock(stamp)
         before, last = self.pose, self.stamp
         scale, drift = float(self.systematic[0]), float(self.systematic[1])
         corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
-        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors.now)
-        self._seen_errors.forget(math.hypot(step.x, step.y))
+        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._expected)
+        usual, slipped, left = self._errors, self._expected, math.exp(-math.hypot(step.x, step.y) / _SLIP_MEMORY)
+        if slipped is not usual:
+            self._expected = usual._replace(
+                along=usual.along + left * (slipped.along - usual.along),
+                yaw_per_way=usual.yaw_per_way + left * (slipped.yaw_per_way - usual.yaw_per_way),
+            )
         reckoned = self._reckoned
         if stamp > last:
             reckoned.append((stamp, reckoned[-1][1] @ corrected))
             while len(reckoned) > 2 and reckoned[1][0] <= stamp - _MEMORY:
                 reckoned.popleft()
-        elif step != _ORIGIN:  # the same stamp again, with a newer pose of the odometry
+        elif step != _ORIGIN:  # a newer pose of the odometry with the same stamp
             reckoned[-1] = (stamp, reckoned[-1][1] @ corrected)
         self.jump = None
         return after
 
     def pose_at(self, stamp: float) -> Pose2:
-        """Where the robot was at `stamp` [s], as it is known now; after the last prediction: where it was then.
+        """Return the present estimate of the pose at a past `stamp` [s]; constant after the last prediction.
 
         Raises:
-            InvalidValue: It lies more than two seconds back, or the filter was not started.
+            InvalidValue: If the stamp is older than the stored motion, or the filter was not started.
         """
         pose, reckoned = self.pose, self._reckoned
         if stamp < reckoned[0][0]:
-            raise InvalidValue(f"pose filter: the motion is remembered from {reckoned[0][0]} s on, asked for {stamp} s")
+            raise InvalidValue(f"pose filter: motion is stored from {reckoned[0][0]} s on, got {stamp} s")
         return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
 
     def correct(
@@ -347,26 +322,26 @@ class PoseFilter:
         may_move: bool = True,
         slip: tuple[float, float] = (0.0, 0.0),
     ) -> Verdict:
-        """Take in a measured pose.
+        """Correct the estimate by a measured pose.
 
         Args:
-            stamp: When it was measured [s]; it may be late.
-            measured: Of the robot in the fixed frame.
+            stamp: Time of the measurement [s]; it may be late.
+            measured: Pose of the robot in the fixed frame.
             noise: Covariance, Shape (3, 3) [m, m, rad].
-            may_move: Whether it may take part in a jump of the estimate.
-            slip: Standard deviations of the way [m] and the turn [rad] that wheels may have lost since the last
-                measurement; they count only if this one is accepted.
+            may_move: Whether the measurement may move the estimate if it is outside the gate.
+            slip: Standard deviations of distance [m] and rotation [rad] lost to wheel slip since the last measurement;
+                applied only if the measurement is accepted.
 
         Returns:
-            `accepted`, `rejected` where it does not fit, `moved` where the estimate jumped to it and to others that
-            agree with it, or `forgotten` where it is older than what is remembered, or lies in the future.
+            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to it and others that agree with it;
+            `forgotten` if it is older than the stored motion or from the future.
         """
         pose, delay = self.pose, float(self.systematic[2])
         if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
             return "forgotten"
         velocity = self._velocity_at(stamp - delay)
         then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)
-        if ahead > 0.0:  # an odometry that is late itself
+        if ahead > 0.0:  # the odometry is later than the measurement
             then = Pose2.from_sequence(then.as_array() + ahead * velocity)
         miss = np.array([measured.x - then.x, measured.y - then.y, normalize_angle(measured.yaw - then.yaw)])
         seen = np.zeros((3, 6))
@@ -393,27 +368,23 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Note where the robot may be if something else is right: a single measurement there is then accepted.
+        """Add an alternative pose, to which a single measurement moves the estimate.
 
         Args:
-            pose: Where it may be now.
-            covariance: Of that, Shape (3, 3) [m, m, rad].
+            pose: Alternative present pose.
+            covariance: Its covariance, Shape (3, 3) [m, m, rad].
         """
         self._outside.append(_Outside(self.stamp, pose, self._reckoned[-1][1], covariance, 0, is_measured=False))
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether two or more of the newest measurements agree with each other and not with the estimate."""
+        """Whether two or more of the newest measurements agree with each other but not with the estimate."""
         since = self.stamp - _MEMORY
         newest = [o for o in self._outside if o.is_measured and o.accepted_since == 0 and o.stamp > since]
         return any(_agree(one, newest[-1]) for one in newest[:-1])
 
     def after(self, way: float) -> FloatArray:
-        """The covariance of x, y and yaw after a straight way without a measurement or a slip, Shape (3, 3).
-
-        Args:
-            way: Forward [m], negative in reverse.
-        """
+        """Return the covariance of x, y, yaw after a straight motion by `way` [m], < 0 in reverse, Shape (3, 3)."""
         covariance, pose = self.covariance, self.pose
         for _ in range(_STEPS):
             step = Pose2(way / _STEPS, 0.0, 0.0)
@@ -424,7 +395,7 @@ class PoseFilter:
         return found
 
     def _with_slip(self, along: float, yaw: float) -> FloatArray:
-        """The covariance with standard deviations of a slip along the heading [m] and of a turn [rad], Shape (6, 6)."""
+        """Covariance with a slip along the heading [m] and in yaw [rad], Shape (6, 6)."""
         c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
         found: FloatArray = self.covariance.copy()
         found[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
@@ -444,7 +415,7 @@ class PoseFilter:
         self.systematic[2] = min(max(self.systematic[2], -_LONGEST_DELAY), _LONGEST_DELAY)
 
     def _velocity_at(self, stamp: float) -> FloatArray:
-        """Of the robot in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
+        """Velocity in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
         reckoned = self._reckoned
         after = min(max(bisect_right(reckoned, stamp, key=_stamp_of), 1), len(reckoned) - 1)
         if len(reckoned) < 2:
@@ -456,7 +427,7 @@ class PoseFilter:
         return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
 
     def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
-        """A measurement outside the gate: a wrong one, or one of the first after a jump."""
+        """Keep a measurement outside the gate, and move the estimate if enough of them agree."""
         now = measured @ (then.inverse() @ self.pose)
         one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
         self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]
@@ -476,18 +447,22 @@ class PoseFilter:
         self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
         self.jump = self.pose.in_frame_of(before)
         if driven > _SLIPPED and not is_supposed and self.accepted >= _ESTABLISHED:
-            self._seen_errors.expect(self.jump, driven)
+            expected, root = self._expected, math.sqrt(driven)
+            self._expected = expected._replace(
+                along=max(expected.along, math.hypot(self.jump.x, self.jump.y) / root),
+                yaw_per_way=max(expected.yaw_per_way, abs(self.jump.yaw) / root),
+            )
         self.accepted, self.rejected = self.accepted + count, 0
         self.measured_at = max(self.measured_at, stamp)
         return "moved"
 
     def _driven(self) -> float:
-        """Way that is remembered [m]."""
+        """Distance of the stored motion [m]."""
         poses = [pose for _, pose in self._reckoned]
         return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
 
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
-        """Grow the covariance where the innovations keep to one side; those of a correct model are white."""
+        """Increase the covariance if the innovations have a persistent sign; those of a correct model are white."""
         self._whitened.append(whitened)
         for count in range(2, min(_SUDDEN, len(self._whitened)) + 1):
             total = np.sum(list(self._whitened)[-count:], axis=0)
@@ -509,15 +484,15 @@ class PoseFilter:
 
 
 class _Outside(NamedTuple):
-    """A measured pose outside the gate.
+    """A measured or supposed pose outside the gate.
 
     Attributes:
-        stamp: Of the measurement [s].
-        now: Where the robot would be when it came.
-        reckoned: Dead reckoning then.
+        stamp: Stamp of the measurement [s].
+        now: Pose of the robot at its arrival, by this measurement.
+        reckoned: Dead reckoning at its arrival.
         noise: Covariance, Shape (3, 3).
-        accepted_since: Measurements that fitted since then.
-        is_measured: False where it was supposed.
+        accepted_since: Number of measurements accepted since.
+        is_measured: False for a supposed pose.
     """
 
     stamp: float
@@ -528,17 +503,17 @@ class _Outside(NamedTuple):
     is_measured: bool
 
     def moved_to(self, reckoned: Pose2) -> Pose2:
-        """Where it would be with dead reckoning at `reckoned`."""
+        """Return the pose with dead reckoning at `reckoned`."""
         return self.now @ (self.reckoned.inverse() @ reckoned)
 
 
-_STEPS = 4  # in which a straight way is looked ahead: the covariance couples yaw and place to second order
+_STEPS = 4  # of the prediction over a straight motion: the covariance couples yaw and position to second order
 
 
 def _grown(
     covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
 ) -> FloatArray:
-    """The covariance after a step of odometry. Shape (6, 6)."""
+    """Covariance after a step of odometry, Shape (6, 6)."""
     way, turn = step.x, abs(normalize_angle(step.yaw))
     driven = math.hypot(step.x, step.y)
     middle = before.yaw + 0.5 * normalize_angle(step.yaw)
@@ -561,8 +536,7 @@ def _difference(pose: Pose2, reference: Pose2) -> FloatArray:
 
 
 def _agree(one: _Outside, other: _Outside, gate: float = GATE) -> bool:
-    """Whether two measurements say the same of where the robot is."""
+    """Whether two measurements agree within the noise of both."""
     off = _difference(one.moved_to(other.reckoned), other.now)
     near = math.hypot(off[0], off[1]) <= _ALWAYS_NEAR[0] and abs(off[2]) <= _ALWAYS_NEAR[1]
-    # Two measurements of one pose differ by the noise of both.
     return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= gate

@@ -1,8 +1,7 @@
-"""Docking logs, format `optdock-log/1`: one JSON value per line, written as it happens.
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written as the task runs, and read back bit for bit.
 
-The first line says what was asked for: the problem in the words of a scenario file, its costmap, the settings, the
-plugins. Then, for every cycle, what planning delivered in it, and what was measured, commanded and said. Numbers read
-back as they were, to the last bit. A crash leaves at most the last line cut off.
+The first line contains the task: the problem as a scenario, its costmap, settings and plugins. Every cycle follows with
+the results of planning, the measurements, the command and the events. A crash cuts off the last line at most.
 """
 
 from __future__ import annotations
@@ -11,56 +10,49 @@ import base64
 import dataclasses
 import json
 import zlib
-from collections import deque
-from contextlib import suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
+from optdock.config.document import ScenarioDocument
+from optdock.config.scenario import problem_of
 from optdock.config.writing import problem_document
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.executor.executor_settings import ExecutorSettings
-from optdock.executor.planning import DrivenMotion, PlanResult, Verdict
-from optdock.executor.task_states import Ending, Event, State
+from optdock.executor.planning import MotionStart, Outcome, Planned, PlanResult, Verdict
+from optdock.executor.task_states import Ending, EndingKind, Event, State
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.io.plan_file import PlanFile, TrajectoryColumns
+from optdock.io.guarded_file import MostBytes, check_json_size, read_text
+from optdock.io.map_image import MAX_PIXELS
+from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.model.costmap import Costmap
-from optdock.model.measurements import Measurements
+from optdock.model.dock import DockTolerances
+from optdock.model.measurements import Detection, Measurements, OdometryPose
 from optdock.model.trajectory import Trajectory
 from optdock.plugins.registry import PluginChoice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from types import TracebackType
+    from collections.abc import Iterator, Mapping
 
-    from optdock.executor.planning import Job, Planning
+    from optdock.executor.planning import DrivenMotion, Job, Planning
     from optdock.executor.task_states import Step
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
     from optdock.plugins.lifecycle import Plugin
 
-__all__ = [
-    "LOG_FORMAT",
-    "Cycle",
-    "DockingLog",
-    "LogWriter",
-    "LoggedPlanning",
-    "MotionStart",
-    "Planned",
-    "RecordedPlanning",
-    "Task",
-    "plugin_choice",
-]
+__all__ = ["LOG_FORMAT", "Cycle", "DockingLog", "LogWriter", "LoggedPlanning", "Task", "plugin_choice", "read_log"]
 
 LOG_FORMAT = "optdock-log/1"
-_SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
-# JSON values of a line; a plan of 300 m has twenty thousand, and of so many empty lists 150 MB are taken.
+_SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan, in addition to its exact curves and phases
+_MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; as many empty lists take 150 MB
 
 
 class Task(NamedTuple):
-    """What was asked for, as the first line of a log says it; without a dock type the settings describe it."""
+    """The task of a log; without a dock type, the settings describe it."""
 
     problem: DockingProblem
     settings: ExecutorSettings
@@ -71,45 +63,18 @@ class Task(NamedTuple):
     last_command: Twist2 | None = None
 
 
-class MotionStart(NamedTuple):
-    """Where a planned motion begins: pose, speed and acceleration along the heading, and curvature, None where free."""
-
-    pose: Pose2
-    speed: float
-    acceleration: float
-    curvature: float | None
-
-
-class Planned(NamedTuple):
-    """What planning delivered, as far as a replay needs it.
-
-    Attributes:
-        result: Of a job; its motion's problem is filled in by the sender of the job.
-        trajectory: Of the motion; None where there is none.
-        start: Of the motion's problem.
-        start_relief: Of the motion.
-        verdict: The answer to a question, instead of a result.
-    """
-
-    result: PlanResult | None = None
-    trajectory: Trajectory | None = None
-    start: MotionStart | None = None
-    start_relief: float = 0.0
-    verdict: Verdict | None = None
-
-
 class Cycle(NamedTuple):
-    """One control cycle.
+    """One control cycle of a log.
 
     Attributes:
-        line: Where it stands in the file.
-        planned: What planning delivered in it, in this order.
-        cancelled: Whether the task was cancelled before it.
-        measurements: What went in.
-        command: What came out.
-        state: What the executor was doing.
-        ending: How the task ended; None while it went on.
-        events: What happened.
+        line: Line number in the file.
+        planned: Results of planning in this cycle, in order.
+        cancelled: Whether the task was cancelled before this cycle.
+        measurements: Measurements.
+        command: Command.
+        state: State of the executor.
+        ending: Ending of the task; None while it runs.
+        events: Events.
     """
 
     line: int
@@ -127,10 +92,10 @@ class DockingLog:
     """A log that has been read.
 
     Args:
-        source: The file.
-        task: What was asked for.
-        cycles: What happened.
-        cut_off: Whether the last line was left out because it is not whole.
+        source: File name.
+        task: The task.
+        cycles: The control cycles.
+        cut_off: Whether the last line was incomplete and left out.
     """
 
     source: str
@@ -140,30 +105,30 @@ class DockingLog:
 
     @property
     def measured(self) -> FloatArray:
-        """Poses as measured, Shape (n, 3)."""
+        """Measured poses, Shape (n, 3)."""
         poses = [cycle.measurements.pose for cycle in self.cycles]
         return np.array([(pose.x, pose.y, pose.yaw) for pose in poses if pose is not None]).reshape(-1, 3)
 
     @property
     def commands(self) -> FloatArray:
-        """Time since the first cycle, linear and angular, Shape (n, 3) [s, m/s, rad/s]."""
+        """Time since the first cycle, linear and angular velocity, Shape (n, 3) [s, m/s, rad/s]."""
         began = self.cycles[0].measurements.stamp if self.cycles else 0.0
         rows = [(c.measurements.stamp - began, c.command.linear, c.command.angular) for c in self.cycles]
         return np.array(rows).reshape(-1, 3)
 
 
-class LogWriter:
-    """Writes a log, line by line; use it as a context, or close it.
+class LogWriter(AbstractContextManager["LogWriter"]):
+    """Writes a log, line by line; a context manager.
 
     Args:
-        target: The file; one that exists is replaced.
-        flush: Hand every cycle to the operating system at once, so that a crash of the program loses none.
+        target: The file; an existing one is replaced.
+        flush: Flush every cycle, so that a crash of the program loses none.
 
     Raises:
-        InvalidFile: The file cannot be written.
+        InvalidFile: If the file cannot be written.
 
     Attributes:
-        failure: Why nothing is written any more; empty while all is well. A full disk must not stop a robot.
+        failure: Reason for which writing has ended; empty without a failure. A full disk must not stop a robot.
     """
 
     def __init__(self, target: str | Path, *, flush: bool = True) -> None:
@@ -176,18 +141,12 @@ class LogWriter:
         except OSError as error:
             raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
 
-    def __enter__(self) -> LogWriter:
-        """The log itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
         self.close()
 
     def begin(self, task: Task) -> None:
-        """The first line."""
+        """Write the first line."""
         problem, kind, last = task.problem, task.dock_type, task.last_command
         self._write(
             {
@@ -207,11 +166,11 @@ class LogWriter:
         )
 
     def cancel(self) -> None:
-        """The task is cancelled before the next cycle."""
+        """Write that the task is cancelled before the next cycle."""
         self._write({"cancel": True})
 
     def planned(self, result: PlanResult, frame: str) -> None:
-        """What planning delivers in the cycle that is written next."""
+        """Write a result of planning in the next cycle."""
         value: dict[str, object] = {
             "number": result.number,
             "outcome": result.outcome.value,
@@ -225,11 +184,11 @@ class LogWriter:
         self._write({"planned": value})
 
     def verdict(self, verdict: Verdict) -> None:
-        """What planning answers in the cycle that is written next."""
+        """Write a verdict of planning in the next cycle."""
         self._write({"verdict": list(verdict)})
 
     def cycle(self, measurements: Measurements, step: Step) -> None:
-        """One control cycle."""
+        """Write one control cycle."""
         ending = step.ending
         value: dict[str, object] = {
             **_measured_values(measurements),
@@ -245,7 +204,7 @@ class LogWriter:
             self._file.flush()
 
     def close(self) -> None:
-        """Nothing more will be written."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -263,101 +222,35 @@ class LogWriter:
 
 
 class LoggedPlanning:
-    """Planning whose results are written down as they are delivered.
-
-    Args:
-        planning: Does the work.
-        log: Where.
-        frame: Name of the coordinate frame.
-    """
+    """Planning whose results are logged when they are polled."""
 
     def __init__(self, planning: Planning, log: LogWriter, frame: str) -> None:
         self._planning, self._log, self._frame = planning, log, frame
 
     def submit(self, job: Job) -> None:
-        """As the planning."""
+        """`Planning.submit`."""
         self._planning.submit(job)
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """As the planning."""
+        """`Planning.poll`."""
         result = self._planning.poll(stamp)
         if result is not None:
             self._log.planned(result, self._frame)
         return result
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """As the planning."""
+        """`Planning.still_holds`."""
         verdict = self._planning.still_holds(motion, costmap, from_time)
         self._log.verdict(verdict)
         return verdict
 
     def close(self) -> None:
-        """As the planning."""
+        """`Planning.close`."""
         self._planning.close()
 
 
-class RecordedPlanning:
-    """Planning out of a log: everything is delivered in the cycle in which it was; nothing of it is proven."""
-
-    def __init__(self) -> None:
-        self._results: deque[Planned] = deque()
-        self._verdicts: deque[Verdict] = deque()
-        self._job: Job | None = None
-
-    def deliver(self, planned: Iterable[Planned]) -> None:
-        """Deliver what the coming cycle polls."""
-        self._results.clear()
-        self._verdicts.clear()
-        for one in planned:
-            if one.verdict is not None:
-                self._verdicts.append(one.verdict)
-            else:
-                self._results.append(one)
-
-    def submit(self, job: Job) -> None:
-        """Nothing is planned; the log knows the result."""
-        self._job = job
-
-    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
-        """What was delivered in this cycle."""
-        if not self._results:
-            return None
-        found = self._results.popleft()
-        assert found.result is not None
-        if found.trajectory is None or self._job is None:
-            return found.result
-        return found.result._replace(
-            motion=DrivenMotion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
-        )
-
-    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
-        """What was answered in this cycle.
-
-        Raises:
-            InvalidValue: Nothing was: the replay does something else than what was recorded.
-        """
-        if not self._verdicts:
-            raise InvalidValue("replay: asks what was not asked when the log was written")
-        return self._verdicts.popleft()
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    @staticmethod
-    def _problem(found: Planned, job: Job) -> DockingProblem:
-        start = found.start
-        assert start is not None
-        return dataclasses.replace(
-            job.problem,
-            start=start.pose,
-            start_speed=start.speed,
-            start_acceleration=start.acceleration,
-            start_curvature=start.curvature,
-        )
-
-
 def plugin_choice(plugin: Plugin) -> PluginChoice:
-    """A plugin by name and parameters."""
+    """Return name and parameters of a plugin."""
     return PluginChoice(type(plugin).__name__, plugin.parameters.model_dump())
 
 
@@ -414,3 +307,201 @@ def _plan_values(motion: DrivenMotion, frame: str) -> object:
         time_law=trajectory.time_law,
     )
     return json.loads(found.as_json(spacing=_SPACING))
+
+
+def read_log(source: str | Path) -> DockingLog:
+    """Read a log; a last line cut off by a crash is left out.
+
+    Raises:
+        InvalidFile: If the file cannot be read, is not a log, or is damaged; the message names file and line.
+    """
+    source = Path(source)
+    lines = read_text(source, MostBytes.LOG).split("\n")
+    cut_off = bool(lines.pop())  # the text after the last end of line
+    if not lines:
+        raise InvalidFile(f"{source}:1: is not a log: it has no complete line")
+    with _errors_located(source, 1):
+        check_json_size(lines[0], _MOST_VALUES)
+        task = _TaskLine.model_validate_json(lines[0]).read()
+    cycles = tuple(_cycles(source, lines))
+    if not cycles:
+        raise InvalidFile(f"{source}: contains no complete cycle")
+    return DockingLog(str(source), task, cycles, cut_off)
+
+
+def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
+    planned: list[Planned] = []
+    cancelled = False
+    for number, text in enumerate(lines[1:], start=2):
+        cycle: Cycle | None = None
+        with _errors_located(source, number):
+            check_json_size(text, _MOST_VALUES)
+            line = _LINE.validate_json(text)
+            if isinstance(line, _CycleLine):
+                cycle = line.cycle(number, tuple(planned), cancelled=cancelled)
+            elif isinstance(line, _CancelLine):
+                cancelled = True
+            elif isinstance(line, _VerdictLine):
+                planned.append(Planned(verdict=Verdict(*line.verdict)))
+            else:
+                planned.append(line.planned.read(f"{source}:{number}"))
+        if cycle is not None:
+            yield cycle
+            planned.clear()
+            cancelled = False
+
+
+@contextmanager
+def _errors_located(source: Path, line: int) -> Iterator[None]:
+    """Add file and line to the errors of a line."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InvalidFile(f"{source}:{line}: is damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
+    except (OptdockError, ValueError, TypeError, zlib.error) as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class _CostmapValues(_Line):
+    rows: int
+    columns: int
+    resolution: float
+    origin: list[float]
+    cells: str
+
+    def costmap(self) -> Costmap:
+        if not 0 < self.rows * self.columns <= MAX_PIXELS:
+            raise ValueError(f"costmap: must have 1..{MAX_PIXELS} cells, got {self.rows} x {self.columns}")
+        packed = base64.b64decode(self.cells)
+        cells = np.frombuffer(zlib.decompressobj().decompress(packed, self.rows * self.columns + 1), dtype=np.uint8)
+        x, y = self.origin
+        return Costmap(cells.reshape(self.rows, self.columns), self.resolution, (x, y))
+
+
+class _Tolerances(_Line):
+    along: float
+    cross: float
+    yaw: float
+
+
+class _TaskLine(_Line):
+    format: Literal["optdock-log/1"]
+    task: Literal["dock", "undock"]
+    problem: dict[str, JsonValue]
+    tolerances: _Tolerances
+    unknown_is_obstacle: bool
+    costmap: _CostmapValues | None
+    fingerprint: dict[str, str]
+    settings: dict[str, JsonValue]
+    controller: tuple[str, dict[str, JsonValue]]
+    goal_checker: tuple[str, dict[str, JsonValue]]
+    dock_type: tuple[str, dict[str, JsonValue]] | None = None
+    last_command: tuple[float, float] | None = None
+
+    def read(self) -> Task:
+        """Return the task; raise InvalidValue if its problem differs from the logged one."""
+        costmap = None if self.costmap is None else self.costmap.costmap()
+        problem = problem_of(ScenarioDocument.model_validate(self.problem), costmap)
+        dock = dataclasses.replace(problem.dock, tolerances=DockTolerances(**self.tolerances.model_dump()))
+        problem = dataclasses.replace(problem, dock=dock, unknown_is_obstacle=self.unknown_is_obstacle)
+        known = problem.fingerprint._asdict()
+        others = [name for name, digest in self.fingerprint.items() if known.get(name) != digest]
+        if others:
+            raise InvalidValue(f"problem: differs from the logged one: {', '.join(others)}")
+        return Task(
+            problem,
+            ExecutorSettings(**self.settings),
+            self.task,
+            PluginChoice(*self.controller),
+            PluginChoice(*self.goal_checker),
+            None if self.dock_type is None else PluginChoice(*self.dock_type),
+            None if self.last_command is None else Twist2(*self.last_command),
+        )
+
+
+class _CancelLine(_Line):
+    cancel: Literal[True]
+
+
+class _VerdictLine(_Line):
+    verdict: tuple[bool, str, float]
+
+
+class _PlannedValues(_Line):
+    number: int
+    outcome: str
+    starts_at: float
+    reason: str
+    code: int
+    start: tuple[float, float, float, float, float, float | None] | None = None
+    start_relief: float = 0.0
+    plan: dict[str, JsonValue] | None = None
+
+    def read(self, source: str) -> Planned:
+        """Return the result of planning; raise InvalidValue if it lacks a path or phases."""
+        result = PlanResult(self.number, Outcome(self.outcome), None, self.starts_at, self.reason, self.code)
+        if self.plan is None or self.start is None:
+            return Planned(result)
+        found = parse_plan(json.dumps(self.plan), source)
+        if found.path is None or found.time_law is None:
+            raise InvalidValue("plan: contains no path or no phases")
+        x, y, yaw, speed, acceleration, curvature = self.start
+        trajectory = Trajectory(found.path, found.time_law)
+        start = MotionStart(Pose2(x, y, yaw), speed, acceleration, curvature)
+        return Planned(result, trajectory, start, self.start_relief)
+
+
+class _PlannedLine(_Line):
+    planned: _PlannedValues
+
+
+class _CycleLine(_Line):
+    stamp: float
+    pose: tuple[float, float, float] | None
+    twist: tuple[float, float, float]
+    command: tuple[float, float]
+    state: str
+    detections: list[tuple[float, float, float, float, float, float]] = []
+    contact: bool | None = None
+    costmap: _CostmapValues | None = None
+    odometry: tuple[float, float, float, float] | None = None
+    pose_stamp: float | None = None
+    held: bool = False
+    current: float | None = None
+    events: list[tuple[float, str, str]] = []
+    ending: tuple[str, str, int, float] | None = None
+
+    def cycle(self, line: int, planned: tuple[Planned, ...], *, cancelled: bool) -> Cycle:
+        measurements = Measurements(
+            self.stamp,
+            None if self.pose is None else Pose2(*self.pose),
+            Twist2(*self.twist),
+            tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in self.detections),
+            self.contact,
+            None if self.costmap is None else self.costmap.costmap(),
+            None if self.odometry is None else OdometryPose(self.odometry[0], Pose2(*self.odometry[1:])),
+            self.pose_stamp,
+            self.held,
+            self.current,
+        )
+        return Cycle(
+            line,
+            planned,
+            cancelled,
+            measurements,
+            Twist2(*self.command),
+            State(self.state),
+            None if self.ending is None else Ending(EndingKind(self.ending[0]), *self.ending[1:]),
+            tuple(Event(*event) for event in self.events),
+        )
+
+
+_LINE: TypeAdapter[_CycleLine | _CancelLine | _VerdictLine | _PlannedLine] = TypeAdapter(
+    _CycleLine | _CancelLine | _VerdictLine | _PlannedLine
+)

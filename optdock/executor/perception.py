@@ -1,59 +1,59 @@
-"""The estimated poses of robot and dock, updated by every set of measurements.
+"""The estimated poses of the robot and the dock, updated by every set of measurements.
 
-The robot is estimated twice by the same filter over the same odometry: in the map, from the localization, and in the
-frame of the dock, from the detections. What must be exact at the dock is the second, in which the localization has no
-part; the first is needed for obstacles, and for a dock that has not been seen yet.
+Two filters use the same odometry: one estimates the robot in the map, from the localization, the other in the frame of
+the dock, from the detections. Accuracy at the dock depends on the second one only; the first one serves for obstacles
+and for a dock that has not been detected yet.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from collections import deque
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.executor.dock_detections import STALE, DockDetections, covariance_from_dock
-from optdock.executor.estimation import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.geometry.arrays import FloatArray
     from optdock.model.costmap import Costmap
-    from optdock.model.measurements import Measurements
+    from optdock.model.measurements import Detection, Measurements
 
-__all__ = ["Perception", "Sigma"]
+__all__ = ["DockDetections", "Perception", "covariance_from_dock"]
 
-_MISSED = 0.5  # [s] without a measurement that is said in the log
-
-
-class Sigma(NamedTuple):
-    """Standard deviations in the frame of the dock: along, across [m] and yaw [rad]."""
-
-    along: float
-    cross: float
-    yaw: float
+_MISSED = 0.5  # [s] without a measurement after which the log reports it
+_STALE = 1.0  # [s]: older detections are not used
+_VAGUE = 1.0  # [m], [rad]: detections with a larger standard deviation are not used
+_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: keeps the covariance regular; no detector is better
+# [s]: detections stamped farther ahead of the clock are not used; those less far ahead get the present stamp, unless
+# the difference is below `AHEAD`, the rounding of stamps.
+_CLOCKS_APART = 0.25
+_LATE = 0.04  # [s]: an estimated delay of the detections above which the log reports it
+# Near the dock, wheel slip after a gap in the detections is added to the covariance, because too few detections follow
+# to average it out: a slipping wheel loses 20 to 60 % of its travel.
+_NEAR_DOCK, _USUAL_GAP = 0.25, 0.01  # [m]
+_SLIP, _SLIP_TURN = 0.3, 0.6  # per distance beyond that gap [1], [rad/m]
+_REMEMBERED_STAMPS = 2  # accepted detections whose stamps are kept
+_JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
 
 
 class Perception:
-    """Robot, dock, and the one relative to the other.
-
-    Args:
-        stored: Where the dock should be, in the fixed frame.
-        settings: Noises, and whether detections count.
-        report: Takes the name of an event and its detail.
+    """Estimates of the robot, of the dock, and of one relative to the other.
 
     Attributes:
-        stamp: Of the last measurements, on the clock that never goes back [s].
-        measurements: The last ones.
-        costmap: The newest one; None before the first.
-        detections: Of the dock, and the robot in its frame.
-        way: Driven so far, by odometry [m].
-        forward: Driven forward so far, less the way in reverse, by odometry [m].
-        turned: Turned so far, by odometry, to the left [rad].
-        has_twist: Whether the measurements that come next have a body velocity of the odometry.
+        stamp: Stamp of the last measurements on the monotonic clock [s].
+        measurements: The last measurements.
+        costmap: The newest costmap; None before the first.
+        detections: Detections of the dock and the robot in its frame.
+        way: Distance driven, by odometry [m].
+        forward: Signed distance driven, negative in reverse, by odometry [m].
+        turned: Signed angle turned to the left, by odometry [rad].
+        has_twist: Whether the next measurements contain a body velocity.
     """
 
     def __init__(self, stored: Pose2, settings: ExecutorSettings, report: Callable[[str, str], None]) -> None:
@@ -75,94 +75,94 @@ class Perception:
 
     @property
     def started(self) -> bool:
-        """Whether the robot knows where it is."""
+        """Whether the pose of the robot has been measured."""
         return self._robot.started
 
     @property
     def robot(self) -> Pose2:
-        """In the fixed frame."""
+        """Pose of the robot in the fixed frame."""
         return self._robot.pose
 
     @property
     def pose_age(self) -> float:
-        """Since a measured pose was accepted [s]; infinite before the first."""
+        """Time since a measured pose was accepted [s]; infinite before the first."""
         return self.stamp - self._robot.measured_at
 
     @property
     def way_unlocated(self) -> float:
-        """Way driven since the last pose of the localization [m]."""
+        """Distance driven since the last pose of the localization [m]."""
         return self.way - self._way_located
 
     @property
     def twist_age(self) -> float:
-        """Since the last body velocity of the odometry, and a new pose where it has poses [s]; 0 before the first."""
+        """Time since the last new odometry with a body velocity [s]; 0 before the first."""
         return max(self.stamp - self._twist_at, 0.0)
 
     @property
     def costmap_age(self) -> float:
-        """Since a costmap came, be it the same as before, or since the first measurements [s]."""
+        """Time since the last costmap, even an unchanged one, or since the first measurements [s]."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
     def sees_dock(self) -> bool:
-        """Whether it has been detected at all."""
+        """Whether the dock has been detected."""
         return self.detections.is_any
 
     @property
     def detection_age(self) -> float:
-        """Since the dock was seen [s]; infinite before."""
+        """Time since the last accepted detection was taken [s]; infinite before the first."""
         return self.stamp - self._dock.measured_at
 
     @property
     def unseen_turn(self) -> float:
-        """How far the localization has turned against the odometry since the dock was seen [rad].
+        """Rotation of the localization against the odometry since the last detection [rad].
 
-        A wheel that slips turns the robot unseen by its odometry; the localization sees it.
+        Wheel slip turns the robot without a trace in the odometry; the localization shows it.
         """
         return normalize_angle(self.dock.yaw - self.detections.seen_yaw) if self.sees_dock else 0.0
 
     @property
     def robot_from_dock(self) -> Pose2:
-        """The robot seen from the docked pose; localization has no part in it once the dock is seen."""
+        """Pose of the robot relative to the docked pose; independent of the localization after the first detection."""
         return self._dock.pose if self.sees_dock else self.robot.in_frame_of(self._stored)
 
     @property
     def dock(self) -> Pose2:
-        """The docked pose in the fixed frame."""
+        """Docked pose in the fixed frame."""
         return self.detections.dock
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Of the dock seen from the robot: position, the larger one of along and across [m], and yaw [rad]."""
+        """Standard deviations of the dock relative to the robot: the larger of along and across [m], and yaw [rad]."""
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
         if not self._dock.started:
             return self._settings.stored_position_sigma, self._settings.stored_yaw_sigma
-        # What the yaw makes of the place is no doubt of where the dock is, seen from here.
+        # The rotation of the robot about the dock by a yaw error does not move the dock in the frame of the robot.
         robot, spread = self._dock.pose, self._dock.covariance[:3, :3]
         swing = np.array([[1.0, 0.0, robot.y], [0.0, 1.0, -robot.x]])
         place = swing @ spread @ swing.T
         return math.sqrt(max(float(place[0, 0]), float(place[1, 1]))), math.sqrt(float(spread[2, 2]))
 
-    def sigma_after(self, way: float) -> Sigma:
-        """Of the robot in the frame of the dock, after a straight way without another detection.
+    def sigma_after(self, way: float) -> tuple[float, float, float]:
+        """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
 
-        Args:
-            way: Forward [m], negative in reverse.
+        Along, across [m] and in yaw [rad] in the frame of the dock, without another detection.
         """
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
-        if not self._settings.use_detections:  # whichever way the dock lies in the map
+        if not self._settings.use_detections:  # independent of the orientation of the dock in the map
             found[0, 0] = found[1, 1] = max(found[0, 0], found[1, 1])
-        return Sigma(*np.sqrt(np.diag(found)).tolist())
+        along, cross, yaw = np.sqrt(np.diag(found)).tolist()
+        return along, cross, yaw
 
     def update(self, measurements: Measurements, stamp: float, offset: float) -> None:
-        """Take in what was measured.
+        """Process new measurements.
 
         Args:
-            measurements: New.
-            stamp: Theirs, on the clock that never goes back [s].
-            offset: What that clock is ahead of the one of the detections [s].
+            measurements: New measurements.
+            stamp: Their stamp on the monotonic clock [s].
+            offset: Monotonic clock minus the clock of the detections [s].
         """
         self.measurements, self.stamp = measurements, stamp
         odometry = measurements.odometry
@@ -177,10 +177,10 @@ class Perception:
             return
         if self._settings.use_detections:
             self.detections.update(measurements.detections, stamp, offset, self.way)
-        self._say_what_is_lost()
+        self._report_lost()
 
     def _locate(self, measurements: Measurements) -> bool:
-        """The robot in the map; False while its pose has never been measured."""
+        """Update the robot in the map; False while its pose has never been measured."""
         robot, stamp, pose = self._robot, self.stamp, measurements.pose
         measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
         if self._reckoning is None:
@@ -190,7 +190,7 @@ class Perception:
         step = self._reckoning.advance(stamp, measurements.twist, measurements.odometry)
         if self._reckoning.restarts != self._restarts:
             self._restarts = self._reckoning.restarts
-            self._report("odometry began anew", "its frame has moved; the twist tells the way in between")
+            self._report("odometry restarted", "its frame has moved; the twists bridge the gap")
         robot.predict(stamp, step)
         self._dock.predict(stamp, step)
         self.way += math.hypot(step.x, step.y)
@@ -199,7 +199,7 @@ class Perception:
         if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
             self._pose_used, self._way_located = measured_at, self.way
             robot.correct(measured_at, pose, self._noise)
-            self._look_at_jump()
+            self._check_jump()
         if not self.sees_dock:
             self._dock.place(robot.pose.in_frame_of(self._stored), self._stored_noise())
         return True
@@ -207,30 +207,30 @@ class Perception:
     def _begin(self, measurements: Measurements, pose: Pose2, measured_at: float) -> None:
         stamp = self.stamp
         self._reckoning = DeadReckoning(stamp, measurements.twist, measurements.odometry)
-        passed = min(max(stamp - measured_at, 0.0), STALE)
+        passed = min(max(stamp - measured_at, 0.0), _STALE)
         self._robot.start(stamp, pose.moved(measurements.twist, passed), self._noise)
         self._dock.start(stamp, self.robot.in_frame_of(self._stored), self._stored_noise())
         self._robot.measured_at = self._pose_used = measured_at
 
-    def _look_at_jump(self) -> None:
+    def _check_jump(self) -> None:
         jump = self._robot.jump
         if jump is None:
             return
         way = math.hypot(jump.x, jump.y)
         self._report("pose jumped", f"by {way:.3f} m and {jump.yaw:.3f} rad against the odometry")
         if self.sees_dock:
-            # The localization has moved; or the robot has been, as the next detection then tells.
+            # Either the localization has moved, or the robot has been moved; the next detection decides.
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:
-        """Covariance of the robot in the frame of the dock as it is stored, Shape (3, 3)."""
+        """Covariance of the robot in the frame of the stored dock, Shape (3, 3)."""
         settings = self._settings
         return covariance_from_dock(
             self._robot.pose.in_frame_of(self._stored), settings.stored_position_sigma, settings.stored_yaw_sigma
         )
 
-    def _say_what_is_lost(self) -> None:
-        """Say once when poses or detections stop coming, and when they come again."""
+    def _report_lost(self) -> None:
+        """Report once when poses or detections are missing, and when they return."""
         lost = self.pose_age > _MISSED
         if lost != self._pose_was_lost:
             self._pose_was_lost = lost
@@ -242,7 +242,159 @@ class Perception:
 
 
 def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
-    """Whether it shows the same, by its cells: a replay has other objects."""
+    """Whether two costmaps are equal by value, as a replay creates other objects."""
     if known is None or (costmap.resolution, costmap.origin) != (known.resolution, known.origin):
         return False
     return costmap is known or np.array_equal(costmap.data, known.data)
+
+
+class DockDetections:
+    """Estimate of the robot in the frame of the dock, from detections.
+
+    Attributes:
+        filter: Pose of the robot in the frame of the dock.
+        count: Number of accepted detections.
+        rejected: Number of rejected detections.
+        seen_from: Smallest distance from the docked pose at which the dock was detected [m]; infinite before.
+        seen_yaw: Yaw of the dock in the fixed frame at the last detection [rad].
+        too_far: Distance of the last detection that was too far from the stored dock [m]; 0 without one.
+    """
+
+    def __init__(
+        self, stored: Pose2, settings: ExecutorSettings, robot: PoseFilter, report: Callable[[str, str], None]
+    ) -> None:
+        self._stored, self._settings, self._robot, self._report = stored, settings, robot, report
+        self.filter = PoseFilter(
+            OdometryErrors(
+                along=settings.odometry_sigma,
+                yaw_per_way=settings.odometry_straight_yaw_sigma,
+                yaw_per_turn=settings.odometry_yaw_sigma,
+                wander=settings.dock_drift,
+                yaw_wander=0.0,
+                scale=settings.odometry_scale_sigma,
+                drift=settings.odometry_drift_sigma,
+                delay=settings.detection_delay_sigma,
+                jitter=_JITTER,
+            ),
+            confirmations=settings.dock_confirmations,
+            fewer_when_close=1,
+        )
+        self.count = self.rejected = 0
+        self.seen_from, self.seen_yaw, self.too_far = math.inf, 0.0, 0.0
+        self._now, self._way, self._way_seen = -math.inf, 0.0, 0.0  # [s], [m], and [m] at the last detection
+        self._stamps: deque[float] = deque(maxlen=_REMEMBERED_STAMPS)  # of accepted detections [s]
+        self._delay_reported = self._ahead_reported = False
+
+    @property
+    def is_any(self) -> bool:
+        """Whether the dock has been detected."""
+        return self.filter.accepted > 0
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the newest detections agree with each other and not with the estimate."""
+        return self._settings.use_detections and self.filter.is_contradicted
+
+    @property
+    def dock(self) -> Pose2:
+        """Docked pose in the fixed frame."""
+        return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
+
+    def moved_since_seen(self, times: int = 1) -> float:
+        """Return the distance from the place of the last or, with `times` 2, the previous detection [m], or inf."""
+        seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
+        if not seen >= self.filter.remembered_from:
+            return math.inf
+        return self.filter.pose.distance_to(self.filter.pose_at(seen))
+
+    def update(self, found: Iterable[Detection], stamp: float, offset: float, way: float) -> None:
+        """Process new detections.
+
+        Args:
+            found: Detections in any order, on their own clock.
+            stamp: Present time on the monotonic clock [s].
+            offset: Monotonic clock minus the clock of the detections [s].
+            way: Distance driven by odometry [m].
+        """
+        self._now, self._way = stamp, way
+        for late in sorted(found, key=lambda detection: detection.stamp):
+            detection = self._not_ahead(late._replace(stamp=late.stamp + offset))
+            age, sigmas = self._now - detection.stamp, (detection.position_sigma, detection.yaw_sigma)
+            verdict, before = "forgotten", self.filter.pose
+            seen = detection.pose.inverse()
+            if age <= _STALE and all(0.0 <= sigma <= _VAGUE for sigma in sigmas):
+                noise = covariance_from_dock(seen, *map(max, sigmas, _LEAST_SIGMA))
+                verdict = self._correct(detection, seen, noise)
+            if verdict == "forgotten":
+                self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
+            elif verdict == "rejected":
+                self.rejected += 1
+                gap = seen.in_frame_of(self.filter.pose_at(detection.stamp))
+                self._report("detection rejected", f"{gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad off the estimate")
+            elif verdict != "too far":
+                self.count += 1
+                place = self.filter.pose_at(detection.stamp)
+                self.seen_from = min(self.seen_from, math.hypot(place.x, place.y))
+                self.seen_yaw = self.dock.yaw
+                self._stamps.append(detection.stamp)
+                self._way_seen = self._way
+                if verdict == "moved":
+                    gap = self.filter.pose.in_frame_of(before).inverse()
+                    self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
+        self._report_delay()
+
+    def _not_ahead(self, detection: Detection) -> Detection:
+        """Replace a stamp ahead of the clock by the present one; the filter estimates the true delay."""
+        ahead = detection.stamp - self._now
+        if not AHEAD < ahead <= _CLOCKS_APART:
+            return detection
+        if not self._ahead_reported:
+            self._ahead_reported = True
+            self._report("detections ahead of the clock", f"by {1e3 * ahead:.0f} ms; the present stamp is used")
+        return detection._replace(stamp=self._now)
+
+    def _correct(self, detection: Detection, seen: Pose2, noise: FloatArray) -> str:
+        """Correct the filter with a detection, unless it is too far from the stored dock."""
+        if not detection.stamp >= self._robot.remembered_from:
+            return "forgotten"
+        place = self._robot.pose_at(min(detection.stamp, self._now)) @ detection.pose
+        far, most = place.distance_to(self._stored), self._settings.max_detection_offset
+        is_far = far > most
+        if is_far and not self.is_any:
+            self.too_far = far
+            self._report("detection too far", f"{far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m")
+            return "too far"
+        is_near = self.is_any and math.hypot(seen.x, seen.y) < _NEAR_DOCK
+        unseen = max(0.0, self._way - self._way_seen - _USUAL_GAP) if is_near else 0.0
+        slip = _SLIP * unseen, _SLIP_TURN * unseen
+        return self.filter.correct(detection.stamp, seen, noise, may_move=not is_far, slip=slip)
+
+    def _report_delay(self) -> None:
+        """Report once that the stamps of the detections do not fit the odometry."""
+        delay, sigma = float(self.filter.systematic[2]), math.sqrt(max(float(self.filter.covariance[5, 5]), 0.0))
+        if not self._delay_reported and abs(delay) > _LATE and sigma < 0.25 * abs(delay):
+            self._delay_reported = True
+            self._report(
+                "detections look late" if delay > 0.0 else "odometry looks late",
+                f"by {1e3 * abs(delay):.0f} ms, with a standard deviation of {1e3 * sigma:.0f} ms",
+            )
+
+
+def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
+    """Return the covariance of the robot in the frame of the dock, given that of the dock in the frame of the robot.
+
+    With D the dock in the frame of the robot and T its inverse, an error of D's yaw rotates the robot about the dock.
+
+    Args:
+        robot: T.
+        position_sigma: Standard deviation of D's x and y, each [m].
+        yaw_sigma: Standard deviation of D's yaw [rad].
+
+    Returns:
+        Shape (3, 3) [m, m, rad].
+    """
+    swing = np.array([-robot.y, robot.x, 1.0])
+    found: FloatArray = yaw_sigma**2 * np.multiply.outer(swing, swing)
+    found[0, 0] += position_sigma**2
+    found[1, 1] += position_sigma**2
+    return found

@@ -1,25 +1,24 @@
-"""Planning beside the control loop: a job is handed in, and its result is there some cycles later.
-
-Three ways to do it: at once, delivered after a time that the caller chooses (simulations, the same in every run); in a
-thread, or from there in another process (`PlanningProcess`; servers); out of a log (replay).
-"""
+"""Planning jobs, run inline (simulations), in a thread or process (servers), or from a log (replay)."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from optdock.errors import InvalidValue, OptdockError
+from optdock.executor.task_states import EndingKind, TaskFailed
 from optdock.geometry.checked import exactly, finite_number
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from optdock.geometry.pose import Pose2
     from optdock.model.costmap import Costmap
@@ -30,35 +29,42 @@ __all__ = [
     "DrivenMotion",
     "InlinePlanning",
     "Job",
+    "MotionStart",
     "Outcome",
+    "PlanRequests",
     "PlanResult",
+    "Planned",
     "Planning",
+    "RecordedPlanning",
     "ThreadPlanning",
     "Verdict",
+    "planned",
 ]
+
+_INSTANT = 1e-9  # [s]: rounding of stamps that are sums of periods
 
 
 class Outcome(str, Enum):
-    """What became of a job."""
+    """Outcome of a job."""
 
-    NEW = "new"  # there is another motion
-    KEPT = "kept"  # the running one goes on
-    STOP = "stop"  # there is a motion that brakes
+    NEW = "new"  # another motion
+    KEPT = "kept"  # the running motion continues
+    STOP = "stop"  # a motion that brakes
     FAILED = "failed"
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
-    """What is being driven, and what it was proven for.
+    """A motion to drive, and the problem that it was certified for.
 
     Args:
-        trajectory: When to be where.
-        problem: From where to where, among what.
-        plan: The plan whose motion that is; None where it comes out of a log, or brakes only.
-        start_relief: Of its certificate, see `Tube` [m].
+        trajectory: Time-parameterized path.
+        problem: Start, goal and obstacles.
+        plan: Plan with this motion; None for a motion from a log, or one that only brakes.
+        start_relief: From the certificate, see `Tube` [m].
 
     Raises:
-        InvalidValue: `plan` is no `DockPlan`, or its motion is another one.
+        InvalidValue: If `plan` is no `DockPlan`, or contains another motion.
     """
 
     trajectory: Trajectory
@@ -76,26 +82,26 @@ class DrivenMotion:
 
     @classmethod
     def of(cls, plan: DockPlan) -> DrivenMotion:
-        """That of a plan."""
+        """Return the motion of a plan."""
         exactly(DockPlan, plan, "plan")
         return cls(plan.trajectory, plan.problem, plan, plan.certificate.start_relief)
 
 
 class Job(NamedTuple):
-    """What is to be planned.
+    """A planning job.
 
     Attributes:
-        number: Rises by one from job to job.
-        stamp: When it was handed in [s].
-        problem: From where, to where, among what.
-        budget: Wall-clock seconds.
-        running: What is being driven meanwhile; None where the robot stands.
-        time: Of the reference on the running motion's own clock [s].
-        rate: How fast that runs [1].
-        pose: Of the robot, measured.
-        lead: How far ahead of that time the new motion takes over [s].
-        moved: What the running motion has been moved by as a whole, because the robot steers by a dock that it sees
-            elsewhere now; None: nothing.
+        number: Number of the job, increasing.
+        stamp: Time of submission [s].
+        problem: Problem to plan.
+        budget: Wall-clock time [s].
+        running: Motion being driven; None at rest.
+        time: Time of the reference on the running motion's own clock [s].
+        rate: Rate of that clock [1].
+        pose: Measured pose of the robot.
+        lead: Time from `time` until the new motion takes over [s].
+        moved: Displacement of the running motion as a whole, because the estimated dock has moved since it was planned;
+            None: none.
     """
 
     number: int
@@ -111,15 +117,15 @@ class Job(NamedTuple):
 
 
 class PlanResult(NamedTuple):
-    """What became of a job; it counts as true unless it failed.
+    """Result of a job; true unless it failed.
 
     Attributes:
-        number: Of the job.
-        outcome: In a word.
-        motion: The new one; None where there is none.
-        starts_at: When it takes over, on the running motion's own clock [s].
-        reason: Why there is none, with the name of the error.
-        code: Nav2's error code of that.
+        number: Number of the job.
+        outcome: Outcome.
+        motion: New motion; None without one.
+        starts_at: Time of the takeover on the running motion's own clock [s].
+        reason: Why there is no new motion, with the name of the error.
+        code: Nav2's code of that error.
     """
 
     number: int
@@ -134,12 +140,12 @@ class PlanResult(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether the rest of a motion still keeps its clearance; it counts as true where it does.
+    """Whether the rest of a motion keeps its clearance; true if it does.
 
     Attributes:
-        holds: In a word.
-        reason: What stands in the way, and where.
-        at_time: When the motion would be there, on its own clock [s].
+        holds: The same.
+        reason: The obstacle and its place.
+        at_time: Time at which the motion would reach it, on its own clock [s].
     """
 
     holds: bool
@@ -151,23 +157,28 @@ class Verdict(NamedTuple):
 
 
 class Planning(Protocol):
-    """Does the jobs of an executor, one at a time."""
+    """Runs the jobs of an executor, one at a time."""
 
     def submit(self, job: Job) -> None:
-        """Begin a job; the result of the job before is dropped."""
+        """Start a job; the result of the job before is dropped."""
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """The result of the last job once it is there; then None until the next one's."""
+        """Return the result of the last job once; None before and after."""
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """Whether a motion keeps its clearance among the cells of a costmap too, from a time on [s]."""
+        """Return whether a motion keeps its clearance to the obstacles of a costmap from a time on [s]."""
+        if motion.plan is None:
+            return Verdict(holds=True)
+        found = still_holds(motion.plan, costmap, from_time)
+        return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
 
     def close(self) -> None:
-        """Nothing more will be asked."""
+        """Release all resources; by default there are none."""
+        return  # not abstract
 
 
 def planned(job: Job) -> PlanResult:
-    """Do a job; a failure is reported in its result."""
+    """Run a job; errors are returned in the result."""
     try:
         return _replanned(job) if job.running is not None else _from_rest(job)
     except OptdockError as error:
@@ -180,14 +191,11 @@ def _from_rest(job: Job) -> PlanResult:
 
 
 def _replanned(job: Job) -> PlanResult:
-    """A motion that takes over from the running one, from where the robot truly is.
-
-    So the new path begins where the robot will be, to the millimetre, and the feedback has nothing left to correct.
-    """
+    """Plan a motion that starts from the measured pose, so that the feedback has no offset to correct."""
     assert job.running is not None
     plan = job.running.plan
     if plan is None:
-        return PlanResult(job.number, Outcome.FAILED, reason="what is driven is not a plan, so nothing follows it")
+        return PlanResult(job.number, Outcome.FAILED, reason="the running motion is not a plan")
     state = DriveState(job.time, job.rate, job.pose, job.moved, is_filtered=True)
     found = replan(plan, job.problem, state, job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
@@ -197,24 +205,15 @@ def _replanned(job: Job) -> PlanResult:
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
 
 
-def holds(motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-    """As `Planning.still_holds`."""
-    if motion.plan is None:
-        return Verdict(holds=True)
-    found = still_holds(motion.plan, costmap, from_time)
-    return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
-
-
-class InlinePlanning:
-    """Does a job when it is handed in, and shows the result later: what planning takes is simulated, not measured.
+class InlinePlanning(Planning):
+    """Planning within `submit`, with a simulated latency of the result.
 
     Args:
-        latency: After how long a result is there, by the stamps [s].
-        patience: Budgets are so many times as long by the wall clock, so that results do not depend on what else the
-            machine does [1].
+        latency: Time until a result is available, on the clock of the stamps [s].
+        patience: Factor on the wall-clock budgets, so that results do not depend on the load of the machine [1].
 
     Raises:
-        InvalidValue: The latency is negative, the patience not > 0, or one of them is not finite.
+        InvalidValue: If the latency is negative, the patience not > 0, or one of them is not finite.
     """
 
     def __init__(self, latency: float = 0.02, patience: float = 5.0) -> None:
@@ -226,34 +225,24 @@ class InlinePlanning:
         self._ready: tuple[float, PlanResult] | None = None
 
     def submit(self, job: Job) -> None:
-        """Do it now."""
+        """Run the job."""
         self._ready = job.stamp + self._latency, planned(job._replace(budget=self._patience * job.budget))
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """The result, once the latency has passed."""
+        """Return the result once the latency has passed."""
         if self._ready is None or stamp < self._ready[0] - _INSTANT:
             return None
         result, self._ready = self._ready[1], None
         return result
 
-    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """At once."""
-        return holds(motion, costmap, from_time)
 
-    def close(self) -> None:
-        """Nothing to do."""
+class ThreadPlanning(Planning):
+    """Planning in a thread.
 
-
-_INSTANT = 1e-9  # [s]: rounding of stamps that are sums of periods
-
-
-class ThreadPlanning:
-    """Does jobs in a thread of its own; close it at the end.
-
-    A job is not interrupted: its budget bounds it, and the next one begins after it.
+    A running job is not interrupted: its budget bounds it, and the next job begins after it.
 
     Args:
-        plan: What does a job; `PlanningProcess.planned` does it in another process.
+        plan: Runs a job; `PlanningProcess.planned` runs it in another process.
     """
 
     def __init__(self, plan: Callable[[Job], PlanResult] = planned) -> None:
@@ -262,22 +251,138 @@ class ThreadPlanning:
         self._result: Future[PlanResult] | None = None
 
     def submit(self, job: Job) -> None:
-        """Put it into the queue; what waits there is dropped."""
+        """Queue the job and drop any job that waits."""
         if self._result is not None:
             self._result.cancel()
         self._result = self._thread.submit(self._plan, job)
 
     def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
-        """The result, once it is there."""
+        """Return the result once it is available."""
         if self._result is None or not self._result.done():
             return None
         future, self._result = self._result, None
         return future.result()
 
-    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """At once, in the caller's thread: it takes less than a millisecond or two."""
-        return holds(motion, costmap, from_time)
-
     def close(self) -> None:
-        """Drop what waits; the thread ends with the job at work, for which no control loop must wait."""
+        """Drop jobs that wait; the thread ends after the running job, without blocking the caller."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+class MotionStart(NamedTuple):
+    """Start of a planned motion, as the fields of a `DockingProblem`."""
+
+    start: Pose2
+    start_speed: float
+    start_acceleration: float
+    start_curvature: float | None
+
+
+class Planned(NamedTuple):
+    """A recorded result of planning.
+
+    Attributes:
+        result: Result of a job, without its motion; None for a verdict.
+        trajectory: Trajectory of the motion; None without one.
+        start: Start of the motion's problem.
+        start_relief: Start relief of the motion.
+        verdict: Recorded answer of `still_holds`, instead of a result.
+    """
+
+    result: PlanResult | None = None
+    trajectory: Trajectory | None = None
+    start: MotionStart | None = None
+    start_relief: float = 0.0
+    verdict: Verdict | None = None
+
+
+class RecordedPlanning(Planning):
+    """Planning from a log: every result is delivered in the cycle in which it was recorded; none is certified."""
+
+    def __init__(self) -> None:
+        self._results: deque[Planned] = deque()
+        self._verdicts: deque[Verdict] = deque()
+        self._job: Job | None = None
+
+    def deliver(self, recorded: Iterable[Planned]) -> None:
+        """Set the results of the next cycle."""
+        self._results.clear()
+        self._verdicts.clear()
+        for one in recorded:
+            if one.verdict is not None:
+                self._verdicts.append(one.verdict)
+            else:
+                self._results.append(one)
+
+    def submit(self, job: Job) -> None:
+        """Keep the job, whose problem completes the recorded motion."""
+        self._job = job
+
+    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
+        """Return the result recorded in this cycle."""
+        if not self._results:
+            return None
+        found = self._results.popleft()
+        assert found.result is not None
+        if found.trajectory is None or self._job is None:
+            return found.result
+        assert found.start is not None
+        problem = dataclasses.replace(self._job.problem, **found.start._asdict())
+        return found.result._replace(motion=DrivenMotion(found.trajectory, problem, None, found.start_relief))
+
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
+        """Return the verdict recorded in this cycle.
+
+        Raises:
+            InvalidValue: If none was recorded: the replay differs from the recorded task.
+        """
+        if not self._verdicts:
+            raise InvalidValue("replay: the log contains no verdict for this cycle")
+        return self._verdicts.popleft()
+
+
+class PlanRequests:
+    """Numbers the jobs of a task and drops the results of outdated ones.
+
+    Attributes:
+        pending: Whether a result is expected.
+    """
+
+    def __init__(self, planning: Planning, report: Callable[[str, str], None]) -> None:
+        self._planning, self._report = planning, report
+        self._number = 0
+        self.pending = False
+
+    def submit(self, job: Job) -> int:
+        """Submit a job and return its number; the result of the job before is dropped."""
+        self._number += 1
+        self.pending = True
+        self._planning.submit(job._replace(number=self._number))
+        return self._number
+
+    def forget(self) -> None:
+        """Drop the result of the pending job."""
+        self.pending = False
+
+    def result(self, now: float) -> PlanResult | None:
+        """Return the result of the last job once at a time [s]; None before and after.
+
+        Raises:
+            TaskFailed: If a new motion is not certified; recorded motions are exempt, as they drive no robot.
+        """
+        result = self._planning.poll(now)
+        if result is None or not self.pending or result.number != self._number:
+            return None
+        self.pending = False
+        unproven = result.motion is not None and result.motion.plan is None
+        if result.outcome is Outcome.NEW and unproven and not isinstance(self._planning, RecordedPlanning):
+            raise TaskFailed(EndingKind.UNKNOWN, "planning returned a motion that is not certified")
+        detail = result.reason
+        if result.motion is not None:
+            trajectory = result.motion.trajectory
+            detail = f"{trajectory.path.driven:.3f} m in {trajectory.duration:.2f} s"
+        self._report(f"plan {result.outcome.value}", detail)
+        return result
+
+    def still_holds(self, motion: DrivenMotion, costmap: Costmap, time: float) -> Verdict:
+        """`Planning.still_holds`."""
+        return self._planning.still_holds(motion, costmap, time)

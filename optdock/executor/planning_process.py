@@ -1,8 +1,7 @@
-"""Planning in a process of its own, so that a control loop never waits for the interpreter that plans.
+"""Planning in another process, because planning in a thread blocks the interpreter for milliseconds at a time.
 
-A thread is not enough for that: planning holds the interpreter for milliseconds at a time.
-`ThreadPlanning(process.planned)` hands jobs to the process. What both sides need again and again, costmaps and
-motions, crosses once, so that what has been found out about them stays known on either side.
+`ThreadPlanning(process.planned)` sends jobs to the process. Costmaps and motions are sent once, so that the values
+cached in them stay available on either side.
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ __all__ = ["PlanningProcess"]
 
 logger = logging.getLogger(__name__)
 
-_SENT = 16  # objects that a side keeps for the other one to speak of
-_RECEIVED = 8  # objects that a side speaks of: fewer, since the other one may have sent some more meanwhile
-_WARM_UP_TIME = 120.0  # [s]: libraries from a cold disk on a slow computer
-_END_TIME = 2.0  # [s] until a process that does not end by itself is killed
-_MARGIN = 5.0  # [s] beyond its budget until a job counts as lost, and the process with it
+_SENT = 16  # sent objects that a side keeps for references from the other side
+_RECEIVED = 8  # received objects that a side refers to: fewer, as the other side may have sent more meanwhile
+_WARM_UP_TIME = 120.0  # [s]: loading libraries from a cold disk on a slow computer
+_END_TIME = 2.0  # [s] until a process that does not terminate is killed
+_MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the process is replaced
 
 
 class PlanningProcess:
-    """A process that plans, started at once, warm some seconds later, and started anew where it has died.
+    """A planning process: started at once, warm after some seconds, and replaced if it dies.
 
-    It ends with `close`, or by itself when this process is gone.
+    It ends with `close`, or with the parent process.
     """
 
     def __init__(self) -> None:
@@ -51,13 +50,13 @@ class PlanningProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process; None once it has been closed."""
+        """Process ID; None after `close`."""
         return self._worker.process.pid if not self._closed else None
 
     def wait_until_warm(self, timeout: float = _WARM_UP_TIME) -> bool:
-        """Wait until libraries are loaded and caches filled; whether they are [s].
+        """Wait at most `timeout` [s] for libraries and caches; return whether they are loaded.
 
-        A process that has died meanwhile is replaced, and becomes warm later.
+        A process that has died is replaced, and becomes warm later.
         """
         with self._lock:
             if self._closed or self._worker.wait_until_warm(timeout):
@@ -67,10 +66,7 @@ class PlanningProcess:
             return False
 
     def planned(self, job: Job) -> PlanResult:
-        """Do a job, or say why not; it takes about as long as its budget allows.
-
-        A process that has died or does not answer fails the job and is replaced.
-        """
+        """Run a job within about its budget; a process that dies or does not answer is replaced, and the job fails."""
         with self._lock:
             if self._closed:
                 return PlanResult(job.number, Outcome.FAILED, reason="the planning process has been closed")
@@ -81,23 +77,23 @@ class PlanningProcess:
             return PlanResult(job.number, Outcome.FAILED, reason=result)
 
     def close(self) -> None:
-        """End the process; a job at work fails."""
+        """End the process; a running job fails."""
         self._closed = True
-        with contextlib.suppress(ValueError):  # it is being replaced just now
-            self._worker.process.terminate()  # the thread that waits for an answer holds the lock
+        with contextlib.suppress(ValueError):  # while it is being replaced
+            self._worker.process.terminate()  # without the lock, which the waiting thread holds
         with self._lock:
             self._worker.end()
 
     def _replace(self, reason: str) -> None:
         if self._closed:
             return
-        logger.error("the planning process is started anew: %s", reason)
+        logger.error("the planning process is restarted: %s", reason)
         self._worker.end()
         self._worker = _Worker.start()
 
 
 class _Worker(NamedTuple):
-    """A process, the line to it, and what has crossed that."""
+    """A process, the connection to it, and the shared objects."""
 
     process: SpawnProcess
     line: Connection
@@ -119,12 +115,12 @@ class _Worker(NamedTuple):
                 if self.line.poll(timeout):
                     self.line.recv_bytes()
                     self.is_warm.set()
-            except (EOFError, OSError):  # the other end is gone, and the process all but
+            except (EOFError, OSError):  # the process is about to end
                 self.process.join(_END_TIME)
         return self.is_warm.is_set()
 
     def ask(self, job: Job) -> PlanResult | str:
-        """The result, or why there is none and never will be."""
+        """Return the result, or the reason for which the process must be replaced."""
         try:
             if not self.wait_until_warm(_WARM_UP_TIME):
                 return f"the planning process has not started: {self._exit}"
@@ -154,13 +150,13 @@ class _Worker(NamedTuple):
 
 
 def _work(line: Connection) -> None:
-    """The process: one job after the other, until the other end of the line is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the whole group: the other process ends this one
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # without the handlers of whatever that one runs
+    """Run jobs until the connection closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the whole group; the parent ends this process
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # without handlers inherited from the parent
     shared = _Shared("there")
     warm_up()
     gc.collect()
-    gc.freeze()  # what is loaded by now stays: no later collection looks at it
+    gc.freeze()  # exclude all loaded objects from later collections
     with contextlib.suppress(EOFError, OSError):
         line.send_bytes(b"warm")
         while True:
@@ -168,18 +164,14 @@ def _work(line: Connection) -> None:
             assert isinstance(job, Job)
             try:
                 result = planned(job)
-            except Exception as error:  # whatever a plugin raises, the next job may do better
+            except Exception as error:  # after any exception of a plugin the next job may succeed
                 logger.exception("a job fails")
                 result = PlanResult(job.number, Outcome.FAILED, reason=f"{type(error).__name__}: {error}")
             line.send_bytes(shared.dumps(result))
 
 
 class _Shared:
-    """Pickles in which a costmap or a motion that has crossed already, either way, is only spoken of.
-
-    Args:
-        side: Name of this side; the other one has another.
-    """
+    """Pickling that sends every costmap and motion once, and a reference to it afterwards."""
 
     def __init__(self, side: str) -> None:
         self._side, self._count = side, 0
@@ -187,7 +179,7 @@ class _Shared:
         self._received: OrderedDict[tuple[str, int], object] = OrderedDict()
 
     def dumps(self, value: object) -> bytes:
-        """A message to the other side."""
+        """Serialize a message."""
         buffer = io.BytesIO()
         pickler = pickle.Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL)
         pickler.persistent_id = self._named  # type: ignore[method-assign]
@@ -195,13 +187,13 @@ class _Shared:
         return buffer.getvalue()
 
     def loads(self, message: bytes) -> object:
-        """A message of the other side."""
+        """Deserialize a message."""
         unpickler = pickle.Unpickler(io.BytesIO(message))
         unpickler.persistent_load = self._found  # type: ignore[method-assign]
         return unpickler.load()
 
     def _named(self, value: object) -> object:
-        """Name and parts of what is shared; without parts where it has crossed."""
+        """Name and parts of a shared object; a reference without parts if it was sent or received before."""
         if not isinstance(value, Costmap | DrivenMotion):
             return None
         for table in (self._sent, self._received):

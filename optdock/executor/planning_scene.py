@@ -1,39 +1,82 @@
-"""What stands around the robot by map, costmap and the dock as it is seen, and the planning problems among that."""
+"""Obstacles around the robot, staging poses, and the planning problems built from the newest estimates.
+
+A costmap shows the station a cell or two too large, so that the docked robot would collide with the part that it must
+touch. The cells at the touching edge of the docked robot, the contact zone, are freed before planning.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from optdock.executor.contact_zone import with_contact_zone
+from optdock.executor.dock_estimate import staging_distance
 from optdock.geometry.obstacles import ObstacleSet
+from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.cell_obstacles import obstacles_from_costmap
-from optdock.model.dock import Dock
+from optdock.model.costmap import Costmap
+from optdock.model.costs import FREE_SPACE
+from optdock.model.dock import Dock, DockDirection
 from optdock.model.problem import ClearanceRule
 
 if TYPE_CHECKING:
+    from optdock.executor.checked_inputs import CheckedDockType
+    from optdock.executor.dock_estimate import DockEstimate
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
-    from optdock.geometry.pose import Pose2
-    from optdock.model.costmap import Costmap
+    from optdock.geometry.footprint import Footprint
     from optdock.model.problem import DockingProblem
 
-__all__ = ["AT_A_STAND", "PlanningScene"]
+__all__ = ["FROM_REST", "PlanningScene", "StagingPoses", "contact_reach", "with_contact_zone"]
 
-_SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in the same cells
-AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
+_SAME_DOCK = 0.01  # [m], [rad]: displacement of the dock below which the freed cells stay the same
+_ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
+FROM_REST: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
+
+
+def contact_reach(costmap: Costmap, margin: float) -> float:
+    """Return the distance from the touching edge within which `with_contact_zone` frees cells, by their centres [m]."""
+    return max(margin, 1.5 * costmap.resolution)
+
+
+def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
+    """Return the costmap with the cells at the touching edge of the docked robot freed.
+
+    Cells are freed within the margin, or a cell and a half, of that edge and nowhere else, so that obstacles in the way
+    of the robot are kept.
+
+    Args:
+        costmap: Costmap in the frame of the dock.
+        dock: Docked pose and gear.
+        footprint: Footprint of the robot.
+        margin: Distance from the edge [m].
+    """
+    ahead = -1.0 if dock.direction is DockDirection.BACKWARD else 1.0
+    vertices = footprint.vertices
+    front, half = float((ahead * vertices[:, 0]).max()), float(np.abs(vertices[:, 1]).max())
+    reach = contact_reach(costmap, margin)
+    radius = math.hypot(front + reach, half + reach)
+    centre = np.array([dock.pose.x, dock.pose.y])
+    low = np.clip(costmap.cell_of([centre - radius])[0], 0, (costmap.columns, costmap.rows))
+    high = np.clip(costmap.cell_of([centre + radius])[0] + 1, 0, (costmap.columns, costmap.rows))
+    if np.any(high <= low):
+        return costmap
+    i, j = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    cells = np.column_stack((i.ravel(), j.ravel()))
+    seen = transform_points(dock.pose.inverse().as_array()[None], costmap.centre_of(cells))[0]
+    touches = (np.abs(ahead * seen[:, 0] - front) <= reach) & (np.abs(seen[:, 1]) <= half + reach)
+    freed = cells[touches]
+    if not np.any(costmap.data[freed[:, 1], freed[:, 0]] != FREE_SPACE):
+        return costmap
+    data = costmap.data.copy()
+    data[freed[:, 1], freed[:, 0]] = FREE_SPACE
+    return Costmap(data, costmap.resolution, costmap.origin)
 
 
 class PlanningScene:
-    """Obstacles and planning problems, from the newest costmap and the newest pose of the dock.
-
-    Args:
-        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
-        settings: How wide the zone of contact is.
-        perception: Brought up to date before every cycle.
-    """
+    """Obstacles and planning problems, from the newest costmap and the newest pose of the dock."""
 
     def __init__(self, problem: DockingProblem, settings: ExecutorSettings, perception: Perception) -> None:
         self.problem, self.settings, self.perception = problem, settings, perception
@@ -41,41 +84,32 @@ class PlanningScene:
 
     @property
     def dock(self) -> Dock:
-        """The dock where it is seen."""
+        """The dock at its estimated pose."""
         return dataclasses.replace(self.problem.dock, pose=self.perception.dock)
 
     @property
     def costmap(self) -> Costmap | None:
-        """The newest picture of the surroundings, without what it shows of the station where the docked robot touches.
-
-        A station that scanners see stands a cell or two too fat in it.
-        """
+        """The newest costmap with the contact zone freed; None without a costmap."""
         seen, dock = self.perception.costmap or self.problem.costmap, self.perception.dock
         if seen is None:
             return None
         known, cleared, place = self._cleared
         if seen is not known or dock.gap_to(place) > _SAME_DOCK:
-            cleared = with_contact_zone(
-                seen,
-                self.dock,
-                self.problem.robot.footprint,
-                self.settings.contact_margin,
-            )
+            margin, footprint = self.settings.contact_margin, self.problem.robot.footprint
+            cleared = with_contact_zone(seen, self.dock, footprint, margin)
             self._cleared = seen, cleared, dock
         return cleared
 
     @property
     def station(self) -> ObstacleSet:
-        """The station where the dock is seen."""
+        """The station at the estimated pose of the dock."""
         station = self.problem.dock.footprint
-        return (
-            ObstacleSet.empty()
-            if station is None
-            else ObstacleSet.from_footprint(station, self.perception.dock, "dock")
-        )
+        if station is None:
+            return ObstacleSet.empty()
+        return ObstacleSet.from_footprint(station, self.perception.dock, "dock")
 
     def near(self, robot: Pose2, reach: float, *, with_station: bool = True) -> ObstacleSet:
-        """Whatever stands within reach of a pose, the station included or not."""
+        """Return the obstacles within `reach` [m] of a pose, with or without the station."""
         centre = np.array([robot.x, robot.y])
         found = self.problem.obstacles.in_box(centre - reach, centre + reach)
         if with_station:
@@ -86,19 +120,15 @@ class PlanningScene:
         return found + obstacles_from_costmap(costmap, region=(centre - reach, centre + reach))
 
     def to_dock(self) -> DockingProblem:
-        """From where the robot is to where the dock is seen."""
+        """Return the problem from the pose of the robot, at rest, to the estimated dock."""
         return dataclasses.replace(
-            self.problem,
-            start=self.perception.robot,
-            dock=self.dock,
-            costmap=self.costmap,
-            **AT_A_STAND,
+            self.problem, start=self.perception.robot, dock=self.dock, costmap=self.costmap, **FROM_REST
         )
 
     def to(self, place: Pose2) -> DockingProblem:
-        """From where the robot is to a place before the dock, among everything and the station.
+        """Return the problem from the pose of the robot to a place before the dock, with the station as an obstacle.
 
-        There is nothing to be touched at that place: the whole clearance is kept up to it.
+        The full clearance is required up to that place.
         """
         kept = self.problem.clearance.required
         return dataclasses.replace(
@@ -108,5 +138,40 @@ class PlanningScene:
             obstacles=self.problem.obstacles + self.station,
             clearance=ClearanceRule(kept, kept, 0.0),
             costmap=self.costmap,
-            **AT_A_STAND,
+            **FROM_REST,
         )
+
+
+class StagingPoses:
+    """The staging poses of the estimated dock."""
+
+    def __init__(self, dock_type: CheckedDockType, estimate: DockEstimate, scene: PlanningScene) -> None:
+        self.dock_type, self.estimate, self.scene = dock_type, estimate, scene
+        self.problem, self.settings, self.perception = scene.problem, scene.settings, scene.perception
+
+    def poses(self) -> tuple[Pose2, ...]:
+        """Return the staging poses in the fixed frame, the preferred one first."""
+        distance = self.settings.staging_distance or staging_distance(self.problem)
+        return tuple(self.perception.dock @ pose for pose in self.dock_type.staging_poses(self.estimate.gear, distance))
+
+    def distance_to_nearest(self) -> float:
+        """Return Nav2's norm of the displacement to the nearest staging pose, over metres and radians."""
+        gaps = [self.perception.robot.in_frame_of(place) for place in self.poses()]
+        return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
+
+    def turned_round(self) -> tuple[Pose2, ...]:
+        """Return the staging poses turned by half a turn, to detect a dock that is entered in reverse."""
+        return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.poses())
+
+    def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:
+        """Whether the marker may be visible from one of the places; True if camera or marker are unknown."""
+        camera, marker = self.problem.robot.camera, self.scene.dock.marker_in_world
+        if camera is None or marker is None:
+            return True
+        seen = camera.points_seen(np.array([place.as_array() for place in places]), marker)
+        return bool(np.any(camera.margins(seen).smallest > -3.0 * self.perception.sigma[0]))
+
+    def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
+        """Whether the robot is at one of the places in the fixed frame."""
+        gaps = [self.perception.robot.in_frame_of(place) for place in places]
+        return any(math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1] for gap in gaps)

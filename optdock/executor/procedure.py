@@ -1,70 +1,73 @@
-"""How a robot docks and undocks, from top to bottom: each `yield` is one control cycle.
+"""How a robot docks and undocks: the attempts, their plans and drives; each `yield` is one control cycle.
 
-What ends an attempt or the whole task early is raised and caught where it can be answered (`interruptions`). Every wait
-has a name and a limit, and so has every motion.
+An early end of a motion, an attempt or the task is an exception, caught where the procedure can respond. Every wait and
+every motion has a timeout.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from typing import TYPE_CHECKING
 
-from optdock.executor.contact_motions import back_out, press
-from optdock.executor.control_cycles import STOP, ControlCycles
-from optdock.executor.dock_checks import confirm, has_arrived, perceive, stands_docked, wait_for_detection
-from optdock.executor.interruptions import (
+from optdock.executor.control_cycles import STOP, ControlCycles, Situation
+from optdock.executor.dock_contact import (
+    Nudge,
+    back_out,
+    confirm,
+    has_arrived,
+    perceive,
+    press,
+    stands_docked,
+    wait_for_detection,
+)
+from optdock.executor.planning import Job, Outcome, PlanRequests, PlanResult
+from optdock.executor.task_states import (
     HELD,
     NOT_DOCKED,
     SHORTER_WAY,
     TOO_FAR_OFF,
     AttemptFailed,
     CancelRequested,
+    EndingKind,
     Interrupted,
     NoWay,
+    State,
     TaskFailed,
 )
-from optdock.executor.nudge import Nudge
-from optdock.executor.situation import Situation
-from optdock.executor.task_states import EndingKind, State
-from optdock.executor.travel import MOST_BLOCKS, Travel
+from optdock.executor.trajectory_drive import TrajectoryDrive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from optdock.executor.checked_dock_type import CheckedDockType
-    from optdock.executor.control_cycles import Cycles, Wish
+    from optdock.executor.checked_inputs import CheckedDockType
+    from optdock.executor.control_cycles import Cycles, Target
     from optdock.executor.executor_settings import ExecutorSettings
     from optdock.executor.perception import Perception
-    from optdock.executor.planning import DrivenMotion, Planning, PlanResult
+    from optdock.executor.planning import DrivenMotion, Planning
+    from optdock.geometry.pose import Pose2
     from optdock.model.problem import DockingProblem
     from optdock.plugins.interfaces import Controller, GoalChecker
 
-__all__ = ["Procedure"]
+__all__ = ["Procedure", "Travel"]
 
 logger = logging.getLogger(__name__)
 
-_SURELY_OUT = 0.03  # [m] more than the way in which nothing may turn: by what the estimate and the braking may be wrong
+# [m] beyond the distance over which no rotation is allowed, for errors of the estimate and of the braking distance.
+_UNDOCKING_MARGIN = 0.03
+_PLANNING_PATIENCE = 5.0  # [s] beyond the budget: a planning thread may share its core
+_MOST_BLOCKS = 5  # stops in one approach or drive until it counts as failed
 
 
 class Procedure:
-    """One task.
-
-    Args:
-        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
-        settings: How.
-        perception: Brought up to date before every cycle.
-        controller: Drives the motions.
-        goal_checker: Says when the robot is docked.
-        dock_type: Says where approaches begin, and what contact and charge are.
-        planning: Makes them.
-        report: Takes the name of an event and its detail.
+    """One docking or undocking task.
 
     Attributes:
-        cycles: Of the task: situation, state, cancellation.
-        num_retries: Approaches after the first one.
+        cycles: Situation, state and cancellation of the task.
+        num_retries: Number of approaches after the first one.
     """
 
-    def __init__(  # noqa: PLR0913, PLR0917 - the parts that an executor joins
+    def __init__(  # noqa: PLR0913, PLR0917 - the parts of an executor
         self,
         problem: DockingProblem,
         settings: ExecutorSettings,
@@ -75,47 +78,46 @@ class Procedure:
         planning: Planning,
         report: Callable[[str, str], None],
     ) -> None:
-        self.cycles = ControlCycles(Situation(problem, settings, perception, dock_type, report), report)
+        self._situation = Situation(problem, settings, perception, dock_type, report)
+        self.cycles = ControlCycles(self._situation, report)
         self._travel = Travel(self.cycles, controller, goal_checker, planning)
         self._nudge = Nudge(self.cycles)
         self.num_retries = 0
 
-    def run(self, *, undock: bool) -> Generator[Wish, None, tuple[EndingKind, str]]:
-        """The task; its value is how it ended, the robot being at rest."""
-        self.cycles.began = self.cycles.now
+    def run(self, *, undock: bool) -> Generator[Target, None, tuple[EndingKind, str]]:
+        """Run the task; return the kind of ending and its reason, with the robot at rest."""
+        cycles = self.cycles
+        cycles.began = cycles.now
         try:
-            self.cycles.situation.dock_type.reset()
-            self.cycles.situation.feel()
+            self._situation.dock_type.reset()
+            self._situation.feel()
             kind, reason = yield from self._undock() if undock else self._dock()
         except CancelRequested:
-            kind, reason = EndingKind.CANCELLED, f"while {self.cycles.state.value}"
+            kind, reason = EndingKind.CANCELLED, f"while {cycles.state.value}"
         except TaskFailed as failure:
             kind, reason = failure.kind, failure.reason
-        except Exception as error:  # whatever a plugin raises, the robot must come to rest under a name
+        except Exception as error:  # any exception of a plugin must end the task with the robot at rest
             logger.exception("the task ends")
             kind, reason = EndingKind.UNKNOWN, f"{type(error).__name__}: {error}"
-        self.cycles.is_ending = True
-        yield from self.cycles.stop()
+        cycles.is_ending = True
+        yield from cycles.stop()
         return kind, reason
 
-    def _dock(self) -> Generator[Wish, None, tuple[EndingKind, str]]:
-        situation, settings = self.cycles.situation, self.cycles.situation.settings
+    def _dock(self) -> Generator[Target, None, tuple[EndingKind, str]]:
+        situation, settings, staging = self._situation, self._situation.settings, self._situation.staging
         yield from self.cycles.stop()
         yield from self.cycles.locate()
         if situation.has_signal and situation.estimate.is_near:
-            return EndingKind.ALREADY_DOCKED, "the external signal says so"
+            return EndingKind.ALREADY_DOCKED, "by external signal"
         if (yield from stands_docked(self.cycles)):
             return EndingKind.ALREADY_DOCKED, situation.estimate.where
-        if (
-            settings.navigate_to_staging_pose
-            and situation.staging.distance_to_nearest() > settings.prestaging_tolerance
-        ):
-            yield from self._travel.drive_to(situation.staging.poses, State.STAGING, EndingKind.FAILED_TO_STAGE)
+        if settings.navigate_to_staging_pose and staging.distance_to_nearest() > settings.prestaging_tolerance:
+            yield from self._travel.drive_to(staging.poses, State.STAGING, EndingKind.FAILED_TO_STAGE)
         while True:
             try:
                 yield from self._perceive_from_somewhere()
                 kind = yield from self._approach()
-                if self.cycles.situation.dock_type.waits_for_charge:
+                if situation.dock_type.waits_for_charge:
                     yield from self._wait_for_charge()
                 return kind, ""
             except AttemptFailed as failure:
@@ -128,50 +130,43 @@ class Procedure:
             yield from back_out(self.cycles)
             yield from self._return(is_blocked=is_blocked)
 
-    def _undock(self) -> Generator[Wish, None, tuple[EndingKind, str]]:
-        situation = self.cycles.situation
+    def _undock(self) -> Generator[Target, None, tuple[EndingKind, str]]:
+        situation = self._situation
         yield from self.cycles.stop()
         yield from self.cycles.locate()
         if not situation.estimate.is_near and not situation.has_signal:
             return EndingKind.NOT_DOCKED, f"the robot is {situation.estimate.distance:.3f} m from the dock"
-        straight = max(self.cycles.situation.dock_type.back_out_distance, situation.problem.dock.final_straight)
-        yield from back_out(self.cycles, straight + _SURELY_OUT)
+        straight = max(situation.dock_type.back_out_distance, situation.problem.dock.final_straight)
+        yield from back_out(self.cycles, straight + _UNDOCKING_MARGIN)
         yield from self._travel.drive_to(situation.staging.poses, State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
         return EndingKind.UNDOCKED, ""
 
     def _perceive_from_somewhere(self) -> Cycles:
-        """Look at the dock from here; where it is not seen, from a staging pose.
+        """Detect the dock from here, else from a staging pose, for docking in reverse also from one turned round.
 
-        A dock that is entered in reverse is behind a camera in front. So it is looked at from a staging pose turned
-        round as well; from there the way in is the odometry's, as far as that is good enough.
-
-        Raises:
-            TaskFailed: It is not seen from anywhere, or the robot does not get there.
+        A front camera cannot detect a dock that is entered in reverse; odometry leads from the turned pose into it.
         """
-        situation = self.cycles.situation
-        views = [situation.staging.poses, *([situation.staging.turned_round] if situation.estimate.gear < 0.0 else [])]
+        situation, staging = self._situation, self._situation.staging
+        views = [staging.poses, *([staging.turned_round] if situation.estimate.gear < 0.0 else [])]
         while True:
-            views = [places for places in views if situation.staging.may_see_dock_from(places())]
-            is_worth_it = situation.staging.may_see_dock_from((situation.perception.robot,))
+            views = [places for places in views if staging.may_see_dock_from(places())]
+            may_see = staging.may_see_dock_from((situation.perception.robot,))
             try:
-                if is_worth_it or situation.estimate.is_found or not views:
+                if may_see or situation.estimate.is_found or not views:
                     return (yield from perceive(self.cycles))
             except TaskFailed as failure:
-                while views and situation.staging.has_arrived_at(views[0]()):
+                while views and staging.has_arrived_at(views[0]()):
                     views.pop(0)
                 if not views:
                     raise
                 self.cycles.report("dock not seen from here", failure.reason)
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
-    def _approach(self) -> Generator[Wish, None, EndingKind]:
-        """Plan from rest and drive; from wherever something stops the robot, plan again.
-
-        Raises:
-            AttemptFailed: It is stopped too often.
-        """
-        blocks, blocked_since = 0, self.cycles.now
-        self.cycles.situation.dock_type.reset()
+    def _approach(self) -> Generator[Target, None, EndingKind]:
+        """Plan from rest and drive; after an interruption plan again, or raise AttemptFailed after too many."""
+        cycles, patience = self.cycles, self._situation.settings.obstacle_patience
+        blocks, blocked_since = 0, cycles.now
+        self._situation.dock_type.reset()
         while True:
             result = yield from self._planned_from_rest(blocked_since)
             if result.motion is None:
@@ -179,92 +174,195 @@ class Procedure:
             try:
                 return (yield from self._attempt(result.motion))
             except Interrupted as stopped:
-                self.cycles.say_why(stopped)
-                yield from self.cycles.stop()
-                is_off = stopped.name in {TOO_FAR_OFF, NOT_DOCKED}
+                yield from cycles.stop_after(stopped)
                 is_moved = stopped.name != HELD and (yield from self._nudge.run())
-                if (stopped.name != NOT_DOCKED or is_moved) and (yield from has_arrived(self.cycles)):
+                if (stopped.name != NOT_DOCKED or is_moved) and (yield from has_arrived(cycles)):
                     return EndingKind.DOCKED_BY_DISTANCE
-                if (
-                    blocks == 0
-                    or self.cycles.now - blocked_since > 2.0 * self.cycles.situation.settings.obstacle_patience
-                ):
-                    blocked_since = self.cycles.now
+                if blocks == 0 or cycles.now - blocked_since > 2.0 * patience:
+                    blocked_since = cycles.now
                 blocks += stopped.name not in {HELD, SHORTER_WAY}
-                if blocks > MOST_BLOCKS:
+                if blocks > _MOST_BLOCKS:
                     reason = f"stopped {blocks} times on one approach, last: {stopped.name}: {stopped.reason}"
                     raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason) from None
-                if is_off:
-                    yield from back_out(self.cycles)  # where the robot may touch the station
-                yield from wait_for_detection(self.cycles)
+                if stopped.name in {TOO_FAR_OFF, NOT_DOCKED}:
+                    yield from back_out(cycles)  # the robot may touch the station
+                yield from wait_for_detection(cycles)
 
-    def _planned_from_rest(self, since: float) -> Generator[Wish, None, PlanResult]:
-        """A plan into the dock; where there is none, after a wait for the obstacle in the way.
-
-        Args:
-            since: When there was a way last [s].
-
-        Raises:
-            NoWay: There has been none for too long.
-        """
+    def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
+        """Plan into the dock; without a path since a time [s], wait for the obstacle, or raise NoWay."""
         yield from self.cycles.locate()
-        result = yield from self._travel.planned(self.cycles.situation.scene.to_dock())
+        result = yield from self._travel.planned(self._situation.scene.to_dock())
         if result.motion is None:
-            if self.cycles.situation.estimate.is_near:
-                yield from back_out(self.cycles)  # in contact with the station nothing can be planned
+            if self._situation.estimate.is_near:
+                yield from back_out(self.cycles)  # no path begins in contact with the station
             yield from self._travel.wait_for_obstacle(result, since)
         return result
 
-    def _attempt(self, motion: DrivenMotion) -> Generator[Wish, None, EndingKind]:
-        """Drive a motion into the dock, and see that the robot stands in it.
-
-        Raises:
-            Interrupted: It does not.
-            AttemptFailed: It is unknown.
-        """
+    def _attempt(self, motion: DrivenMotion) -> Generator[Target, None, EndingKind]:
+        """Drive into the dock; raise Interrupted if the robot is not docked, AttemptFailed if that is unknown."""
+        situation = self._situation
         docked = yield from self._travel.drive(motion, State.APPROACHING)
-        if docked is None and self.cycles.situation.dock_type.is_pressed_on:
+        if docked is None and situation.dock_type.is_pressed_on:
             return (yield from press(self.cycles))
         yield from self.cycles.stop()
-        if docked is EndingKind.DOCKED_BY_SIGNAL and not self.cycles.situation.has_signal:
-            self.cycles.report(
-                "contact lost again", self.cycles.situation.estimate.where
-            )  # the feedback was taking the robot back
+        if docked is EndingKind.DOCKED_BY_SIGNAL and not situation.has_signal:
+            # The feedback was driving back when the signal came.
+            self.cycles.report("contact lost again", situation.estimate.where)
             docked = yield from press(self.cycles)
-        if not self.cycles.situation.dock_type.is_pressed_on:
+        if not situation.dock_type.is_pressed_on:
             yield from confirm(self.cycles)
             if (yield from self._nudge.run()):
                 yield from confirm(self.cycles)
         return docked or EndingKind.DOCKED_BY_DISTANCE
 
     def _return(self, *, is_blocked: bool) -> Cycles:
-        """To a staging pose; where no way led into the dock, only if one leads to a staging pose and from there in.
-
-        Raises:
-            TaskFailed: The robot does not get there.
-        """
-        if not is_blocked:
-            yield from self._travel.drive_to(
-                self.cycles.situation.staging.poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL
-            )
-            return
-        found = yield from self._travel.staging_pose_on_a_way()
-        if found is None:
-            self.cycles.report("no way from a staging pose", "the next attempt begins here")
-        else:
+        """Drive to a staging pose; after a blocked approach only to one from which there is a path into the dock."""
+        places = self._situation.staging.poses
+        if is_blocked:
+            found = yield from self._travel.staging_pose_on_a_path()
+            if found is None:
+                self.cycles.report("no way from a staging pose", "the next attempt begins here")
+                return
             yield from self._travel.drive_to(lambda: (found,), State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+        else:
+            yield from self._travel.drive_to(places, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
 
     def _wait_for_charge(self) -> Cycles:
-        """At rest until the battery is charged.
+        """Wait at rest until the battery is charging; raise AttemptFailed after the timeout."""
+        cycles, situation = self.cycles, self._situation
+        cycles.state, since = State.WAITING_FOR_CHARGE, cycles.now
+        while not situation.is_charging:
+            waited = cycles.now - since
+            if waited > situation.settings.wait_charge_timeout:
+                reason = f"no signal for {waited:.1f} s: {situation.estimate.where}"
+                raise AttemptFailed(EndingKind.FAILED_TO_CHARGE, reason)
+            yield from cycles.cycle(STOP)
+
+
+class Travel:
+    """Plans from rest and drives of a task."""
+
+    def __init__(
+        self, cycles: ControlCycles, controller: Controller, goal_checker: GoalChecker, planning: Planning
+    ) -> None:
+        self._cycles, self._situation = cycles, cycles.situation
+        self._controller, self._goal_checker = controller, goal_checker
+        self._requests = PlanRequests(planning, cycles.report)
+
+    def planned(self, problem: DockingProblem) -> Generator[Target, None, PlanResult]:
+        """Plan from rest and return the result."""
+        cycles = self._cycles
+        cycles.state = State.PLANNING
+        since, budget = cycles.now, self._situation.settings.time_budget
+        number = self._requests.submit(Job(0, since, problem, budget))
+        while True:
+            yield from cycles.cycle(STOP)
+            result = self._requests.result(cycles.now)
+            if result is not None:
+                return result
+            if cycles.now - since > budget + _PLANNING_PATIENCE:
+                return PlanResult(number, Outcome.FAILED, reason="planning does not answer")
+
+    def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
+        """Return the result of a plan to the first reachable place, else that of the last place."""
+        *others, last = places
+        for number, place in enumerate(others, start=1):
+            result = yield from self.planned(self._situation.scene.to(place))
+            if result.motion is not None:
+                return result
+            self._cycles.report("no way to a staging pose", f"number {number} of {len(others) + 1}: {result.reason}")
+        return (yield from self.planned(self._situation.scene.to(last)))
+
+    def staging_pose_on_a_path(self) -> Generator[Target, None, Pose2 | None]:
+        """Return the first staging pose with a plan to it and one from there into the dock; None without one."""
+        scene = self._situation.scene
+        for place in self._situation.staging.poses():
+            if (yield from self.planned(scene.to(place))).motion is None:
+                continue
+            into_dock = dataclasses.replace(scene.to_dock(), start=place)
+            if (yield from self.planned(into_dock)).motion is not None:
+                return place
+        return None
+
+    def wait_for_obstacle(self, result: PlanResult, since: float) -> Cycles:
+        """Wait at most a second for a new costmap after a failed plan.
 
         Raises:
-            AttemptFailed: It does not.
+            NoWay: If there has been no path since `since` [s] for longer than `obstacle_patience`.
         """
-        self.cycles.state, since = State.WAITING_FOR_CHARGE, self.cycles.now
-        while not self.cycles.situation.is_charging:
-            if self.cycles.now - since > self.cycles.situation.settings.wait_charge_timeout:
-                raise AttemptFailed(
-                    EndingKind.FAILED_TO_CHARGE,
-                    f"no signal for {self.cycles.now - since:.1f} s: {self.cycles.situation.estimate.where}",
-                )
-            yield from self.cycles.cycle(STOP)
+        cycles, perception = self._cycles, self._situation.perception
+        patience = self._situation.settings.obstacle_patience
+        if cycles.now - since >= patience:
+            raise NoWay(EndingKind.FAILED_TO_CONTROL, f"no way to the dock: {result.reason}")
+        cycles.state = State.WAITING_FOR_OBSTACLE
+        seen, until = perception.costmap, min(cycles.now + 1.0, since + patience)
+        cycles.report("no way", result.reason)
+        while cycles.now < until and perception.costmap is seen:
+            yield from cycles.cycle(STOP)
+
+    def drive(self, motion: DrivenMotion, state: State) -> Generator[Target, None, EndingKind | None]:
+        """Drive a motion to its end.
+
+        Returns:
+            How the robot is docked; None if it is not known to be docked.
+
+        Raises:
+            Interrupted: If the motion cannot continue.
+            AttemptFailed: If an approach cannot succeed.
+            TaskFailed: If another drive takes too long.
+        """
+        cycles = self._cycles
+        cycles.state = state
+        drive = TrajectoryDrive(
+            motion,
+            state,
+            situation=self._situation,
+            controller=self._controller,
+            goal_checker=self._goal_checker,
+            requests=self._requests,
+            report=cycles.report,
+        )
+        try:
+            while not drive.is_over():
+                cycles.deviation = drive.deviation
+                yield from cycles.cycle(drive.command())
+        finally:
+            drive.end()
+        return drive.docked
+
+    def drive_to(self, places: Callable[[], tuple[Pose2, ...]], state: State, failure: EndingKind) -> Cycles:
+        """Drive to the first reachable place; plan again after interruptions.
+
+        Args:
+            places: Returns poses in the fixed frame, the preferred one first, for the present estimate of the dock.
+            state: Task state of the drive.
+            failure: Kind of ending if the robot does not arrive.
+
+        Raises:
+            TaskFailed: If the robot does not arrive; of the kind `failure`.
+        """
+        cycles, situation = self._cycles, self._situation
+        blocks, since = 0, cycles.now
+        while True:
+            yield from cycles.locate()
+            if situation.staging.has_arrived_at(places()):
+                return
+            result = yield from self.planned_to(places())
+            if result.motion is None:
+                if cycles.now - since > situation.settings.obstacle_patience:
+                    raise TaskFailed(failure, f"no way to the staging pose: {result.reason}")
+                try:
+                    yield from self.wait_for_obstacle(result, since)
+                except AttemptFailed as over:
+                    raise TaskFailed(failure, over.reason) from None
+                continue
+            try:
+                yield from self.drive(result.motion, state)
+                yield from cycles.stop()
+                return
+            except Interrupted as stopped:
+                yield from cycles.stop_after(stopped)
+                blocks += stopped.name not in {HELD, SHORTER_WAY}
+                since = cycles.now
+                if blocks > _MOST_BLOCKS:
+                    raise TaskFailed(failure, f"{stopped.name}: {stopped.reason}") from None

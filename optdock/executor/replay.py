@@ -1,4 +1,4 @@
-"""A log driven again: equal measurements and equal results of planning must give equal commands, bit for bit."""
+"""Replay of a log: equal measurements and planning results must give equal commands, bit for bit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.executor.docking import DockingExecutor
-from optdock.executor.log import RecordedPlanning
+from optdock.executor.planning import RecordedPlanning
 
 if TYPE_CHECKING:
     from optdock.executor.log import Cycle, DockingLog
@@ -18,14 +18,14 @@ __all__ = ["Replay", "replay"]
 
 
 class Replay(NamedTuple):
-    """What came of a replay; it counts as true where every command is the same.
+    """Result of a replay; true if every command is the same.
 
     Attributes:
-        cycles: Number of them.
-        differs_at: The first cycle whose command is another one; None: all are the same, bit for bit.
-        command: The command of the replay there.
-        off_path: Largest distance across and largest turn off the path that was driven [m, rad].
-        estimates: The robot as it was believed to be, Shape (n, 3).
+        cycles: Number of cycles of the log.
+        differs_at: First cycle with a different command; None if all are the same, bit for bit.
+        command: Command of the replay in that cycle.
+        off_path: Largest lateral and heading deviation from the path [m, rad].
+        estimates: Estimated poses of the robot, Shape (n, 3).
     """
 
     cycles: int
@@ -39,11 +39,11 @@ class Replay(NamedTuple):
 
 
 def replay(log: DockingLog) -> Replay:
-    """Drive a log again, up to the first command that is another one.
+    """Replay a log up to the first different command.
 
     Raises:
-        PluginError: A plugin of the log is not installed.
-        InvalidValue: Its parameters are not those of the installed one.
+        PluginError: If a plugin of the log is not installed.
+        InvalidValue: If its parameters do not fit the installed one.
     """
     planning, task = RecordedPlanning(), log.task
     executor = DockingExecutor(
@@ -58,6 +58,8 @@ def replay(log: DockingLog) -> Replay:
     )
     across = turned = 0.0
     estimates: list[tuple[float, float, float]] = []
+    differs_at: Cycle | None = None
+    command: Twist2 | None = None
     for cycle in log.cycles:
         planning.deliver(cycle.planned)
         if cycle.cancelled:
@@ -68,12 +70,11 @@ def replay(log: DockingLog) -> Replay:
         if executor.robot is not None:
             estimates.append((executor.robot.x, executor.robot.y, executor.robot.yaw))
         if not _is_same(step.command, cycle.command):
+            differs_at, command = cycle, step.command
             break
-    else:
-        return Replay(len(log.cycles), None, None, (across, turned), np.array(estimates).reshape(-1, 3))
-    return Replay(len(log.cycles), cycle, step.command, (across, turned), np.array(estimates).reshape(-1, 3))
+    return Replay(len(log.cycles), differs_at, command, (across, turned), np.array(estimates).reshape(-1, 3))
 
 
 def _is_same(first: Twist2, second: Twist2) -> bool:
-    """To the last bit: 0.0 and -0.0 are not the same."""
+    """Whether two commands are equal to the last bit: 0.0 and -0.0 are not."""
     return (first.linear.hex(), first.angular.hex()) == (second.linear.hex(), second.angular.hex())

@@ -1,4 +1,4 @@
-"""`SimpleDock`: the kind of dock that most are: contact by distance, switch, stall or current, staged on the axis."""
+"""`SimpleDock`, the default dock type: contact by distance, switch, stall or current; staging on the axis."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SimpleDock", "SimpleDockParameters"]
 
-_COMMANDED = 2.0  # times the speed of a stall: a slower command may be answered by no motion at all
+_COMMANDED = 2.0  # factor on the stall speed: slower commands may be within the dead band of the drive
 
 _Number = Annotated[float, Strict()]
 
@@ -28,26 +28,26 @@ class SimpleDockParameters(PluginParameters):
 
     contact: Literal["distance", "touch"] = Field(
         default="distance",
-        description="distance: docked where the goal checker says so; touch: the robot presses on until it is felt",
+        description="distance: docked by the goal checker; touch: docked by contact, towards which the robot presses",
     )
-    stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is standing [m/s]")
-    stall_time: float = Field(default=0.4, gt=0.0, description="no motion against a command for so long is a stall [s]")
-    wait_for_charge: bool = Field(default=False, description="docked is not enough: it must charge")
+    stall_speed: float = Field(default=0.005, gt=0.0, description="odometry speed below which the robot stalls [m/s]")
+    stall_time: float = Field(default=0.4, gt=0.0, description="duration of a stall that is contact [s]")
+    wait_for_charge: bool = Field(default=False, description="docked only once the battery charges")
     charging_current: float | None = Field(
         default=None,
-        description="a larger current into the battery charges, and is contact [A]; None: the external signal tells",
+        description="larger currents into the battery are charge and contact [A]; None: use the external signal",
     )
     staging_distance: float | None = Field(
         default=None,
         gt=0.0,
-        description="of the staging pose from the docked one, on its axis [m]; None: what the executor asks for",
+        description="of the staging pose from the docked one, on its axis [m]; None: from the executor",
     )
     staging_poses: tuple[tuple[_Number, _Number, _Number], ...] = Field(
         default=(),
-        description="[[x, y, yaw], ...] seen from the docked pose, the preferred one first, instead [m, m, rad]",
+        description="[[x, y, yaw], ...] relative to the docked pose, the preferred one first [m, m, rad]",
     )
     back_out_distance: float = Field(
-        default=0.1, gt=0.0, description="straight out of contact at most, before a way back is planned [m]"
+        default=0.1, gt=0.0, description="largest straight distance out of contact before a path back is planned [m]"
     )
 
     @model_validator(mode="after")
@@ -58,16 +58,15 @@ class SimpleDockParameters(PluginParameters):
 
 
 class SimpleDock(DockType):
-    """Contact is felt by the external signal, by a charging current, and (with `contact: touch`) by a stall.
+    """Dock type with contact by the external signal, a charging current, and (with `contact: touch`) a stall.
 
-    A stall is a command of more than twice `stall_speed` that lasts for `stall_time` and moves the robot no faster
-    than `stall_speed` by its odometry.
+    A stall is a command above twice `stall_speed` for at least `stall_time` with an odometry speed below `stall_speed`.
 
     Args:
         **parameters: Fields of `SimpleDockParameters`.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+        InvalidValue: If a parameter is unknown, of the wrong type or out of range.
 
     >>> SimpleDock(staging_distance=0.9).staging_poses(1.0, 0.7)
     (Pose2(x=-0.9, y=0.0, yaw=0.0),)
@@ -81,7 +80,7 @@ class SimpleDock(DockType):
         self._stalled_since: float | None = None
 
     def contact(self, now: AtDock) -> Contact | None:
-        """A signal wherever the robot is; a stall only near the dock, for other things stop robots elsewhere."""
+        """Return a signal at any place, a stall only near the dock, as obstacles stop robots elsewhere."""
         p = self.parameters
         if not self._is_stalled(now):
             self._stalled_since = None
@@ -94,22 +93,22 @@ class SimpleDock(DockType):
 
     @property
     def is_pressed_on(self) -> bool:
-        """With `contact: touch`."""
+        """Whether `contact` is `touch`."""
         return self.parameters.contact == "touch"
 
     @property
     def waits_for_charge(self) -> bool:
-        """As the parameter says."""
+        """The parameter `wait_for_charge`."""
         return self.parameters.wait_for_charge
 
     def is_charging(self, measurements: Measurements) -> bool:
-        """By the current where one is given, else by the external signal."""
+        """Whether the current exceeds its threshold; without a threshold, whether the external signal is on."""
         if self.parameters.charging_current is None:
             return measurements.contact is True
         return self._is_charged(measurements)
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Those of the parameters, whatever the gear; else one on the axis of the dock."""
+        """Return the poses of the parameters, for any gear; else one on the axis of the dock."""
         p = self.parameters
         if p.staging_poses:
             return tuple(Pose2(*pose) for pose in p.staging_poses)
@@ -117,11 +116,11 @@ class SimpleDock(DockType):
 
     @property
     def back_out_distance(self) -> float:
-        """As the parameter says."""
+        """The parameter `back_out_distance` [m]."""
         return self.parameters.back_out_distance
 
     def reset(self) -> None:
-        """Forget since when the robot stalls."""
+        """Forget a stall in progress."""
         self._stalled_since = None
 
     def _is_charged(self, measurements: Measurements) -> bool:

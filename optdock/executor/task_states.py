@@ -1,4 +1,4 @@
-"""What an executor says of itself: states, events, endings."""
+"""States, events and endings of a docking task, and the exceptions that end a motion, an attempt or the task."""
 
 from __future__ import annotations
 
@@ -7,7 +7,27 @@ from typing import NamedTuple
 
 from optdock.geometry.pose import Pose2, Twist2
 
-__all__ = ["Ending", "EndingKind", "Event", "Feedback", "FeedbackState", "State", "Step"]
+__all__ = [
+    "HELD",
+    "NOT_DOCKED",
+    "SHORTER_WAY",
+    "TOO_FAR_OFF",
+    "AttemptFailed",
+    "CancelRequested",
+    "Ending",
+    "EndingKind",
+    "Event",
+    "Feedback",
+    "FeedbackState",
+    "Interrupted",
+    "NoWay",
+    "State",
+    "Step",
+    "TaskFailed",
+]
+
+# Names of the interruptions that the procedure distinguishes.
+HELD, TOO_FAR_OFF, NOT_DOCKED, SHORTER_WAY = "held", "too far off to correct", "not docked", "shorter way"
 
 
 class FeedbackState(IntEnum):
@@ -22,7 +42,7 @@ class FeedbackState(IntEnum):
 
 
 class State(str, Enum):
-    """What an executor is doing; `feedback` is Nav2's word for it."""
+    """State of an executor; `Feedback.state` is the corresponding state of Nav2."""
 
     READY = "ready"
     STAGING = "staging"
@@ -44,12 +64,9 @@ class State(str, Enum):
 
 
 class EndingKind(str, Enum):
-    """How a task ends; it counts as true where the task was done.
+    """Kind of ending of a task; true if the task succeeded.
 
-    `code` is the error code of Nav2's docking actions, 0 for what is not an error.
-
-    Nav2's 901 and 902, a dock that is not known or not valid, come before there is a task: `DockNotInDB`,
-    `DockNotValid`.
+    Nav2's error codes 901 and 902 (dock unknown or invalid) occur before a task exists: `DockNotInDB`, `DockNotValid`.
     """
 
     DOCKED_BY_DISTANCE = "docked by distance"
@@ -68,7 +85,7 @@ class EndingKind(str, Enum):
 
     @property
     def code(self) -> int:
-        """Nav2's error code."""
+        """Error code of Nav2's docking actions; 0 without an error."""
         return _CODES.get(self, 0)
 
     def __bool__(self) -> bool:
@@ -76,7 +93,7 @@ class EndingKind(str, Enum):
 
     @property
     def succeeded(self) -> bool:
-        """Whether the task was done."""
+        """Whether the task succeeded."""
         return self.code == 0 and self is not EndingKind.CANCELLED
 
 
@@ -91,13 +108,13 @@ _CODES = {
 
 
 class Ending(NamedTuple):
-    """How a task ended; the robot is at rest. It counts as true where the task was done.
+    """Ending of a task, with the robot at rest; true if the task succeeded.
 
     Attributes:
-        kind: Its name.
-        reason: Why, in a sentence; empty where there is nothing to explain.
-        num_retries: Approaches after the first one.
-        stamp: When [s].
+        kind: Kind of the ending.
+        reason: Explanation; empty if none is needed.
+        num_retries: Number of approaches after the first one.
+        stamp: Time [s].
     """
 
     kind: EndingKind
@@ -110,12 +127,12 @@ class Ending(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened.
+    """An event of a task.
 
     Attributes:
-        stamp: When [s].
-        name: What, always in the same words.
-        detail: With numbers.
+        stamp: Time [s].
+        name: Fixed name of the kind of event.
+        detail: Description with numbers.
     """
 
     stamp: float
@@ -124,13 +141,13 @@ class Event(NamedTuple):
 
 
 class Feedback(NamedTuple):
-    """What Nav2's action feedback says, and how far it is.
+    """Feedback of Nav2's action, and the distance to the dock.
 
     Attributes:
-        state: Nav2's word for what the executor does.
-        num_retries: Approaches after the first one.
-        distance: Of the robot from the docked pose, as estimated [m].
-        docking_time: Since the task began [s].
+        state: Feedback state of Nav2.
+        num_retries: Number of approaches after the first one.
+        distance: Estimated distance of the robot from the docked pose [m].
+        docking_time: Time since the task began [s].
     """
 
     state: FeedbackState
@@ -140,16 +157,15 @@ class Feedback(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What one control cycle gives.
+    """Result of one control cycle.
 
     Attributes:
-        command: To be sent now; within the limits of the robot.
-        state: What the executor is doing.
-        feedback: The same in Nav2's words.
-        ending: None while the task goes on.
-        events: What happened in this cycle.
-        deviation: The robot as seen from the path that it drives: across [m] and turned [rad]; None where it drives
-            none.
+        command: Velocity command to send, within the limits of the robot.
+        state: State of the executor.
+        feedback: The same as feedback of Nav2's action.
+        ending: Ending of the task; None while the task runs.
+        events: Events of this cycle.
+        deviation: Pose of the robot relative to the nearest pose of the path; None while no path is driven.
     """
 
     command: Twist2
@@ -158,3 +174,31 @@ class Step(NamedTuple):
     ending: Ending | None
     events: tuple[Event, ...] = ()
     deviation: Pose2 | None = None
+
+
+class CancelRequested(Exception):
+    """The caller has cancelled the task."""
+
+
+class TaskFailed(Exception):
+    """The task has failed."""
+
+    def __init__(self, kind: EndingKind, reason: str) -> None:
+        super().__init__(reason)
+        self.kind, self.reason = kind, reason
+
+
+class AttemptFailed(TaskFailed):
+    """The current approach has failed; another one may succeed."""
+
+
+class NoWay(AttemptFailed):
+    """No path into the dock was found for longer than the executor waits for obstacles."""
+
+
+class Interrupted(Exception):
+    """The current motion cannot continue; another one from the same place may succeed."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(reason)
+        self.name, self.reason = name, reason

@@ -1,4 +1,4 @@
-"""One motion being driven: the controller is asked in every cycle, and the motion replanned where that is worth it."""
+"""Drive one motion: call the controller in every cycle, monitor the tube, and replan when a new motion is better."""
 
 from __future__ import annotations
 
@@ -6,66 +6,89 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from optdock.errors import ControllerException
-from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
-from optdock.executor.dock_estimate import LONGEST_HIDDEN, NO_ROOM
-from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
+from optdock.executor.dock_estimate import (
+    DECAY,
+    LONGEST_HIDDEN,
+    NO_ROOM,
+    SHORTEST_DECAY,
+    can_be_planned_away,
+    left_at_dock,
+)
 from optdock.executor.planning import Job, Outcome
-from optdock.executor.shorter_way import ShorterWay
-from optdock.executor.task_states import EndingKind, State
-from optdock.executor.tube_monitor import TubeMonitor
-from optdock.geometry.pose import Pose2
+from optdock.executor.planning_scene import FROM_REST
+from optdock.executor.task_states import (
+    SHORTER_WAY,
+    TOO_FAR_OFF,
+    AttemptFailed,
+    EndingKind,
+    Interrupted,
+    State,
+    TaskFailed,
+)
+from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.model.costs import LETHAL, NO_INFORMATION
 from optdock.model.segments import TurnSegment
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
+from optdock.samples.tube import Tube
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.executor.plan_requests import PlanRequests
-    from optdock.executor.planning import DrivenMotion, PlanResult
-    from optdock.executor.situation import Situation
+    from optdock.executor.control_cycles import Situation
+    from optdock.executor.planning import DrivenMotion, PlanRequests, PlanResult
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
+    from optdock.model.costmap import Costmap
+    from optdock.model.path import Path
+    from optdock.model.problem import DockingProblem
+    from optdock.model.robot import Robot
     from optdock.plugins.interfaces import Controller, GoalChecker
 
-__all__ = ["TrajectoryDrive"]
+__all__ = ["ShorterWay", "TrajectoryDrive", "TubeMonitor"]
 
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
-_SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
-_OF_NOISE = 1.5  # standard deviations: a smaller error cannot be told from noise
-_NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
-_LOOK = 0.1  # [s] between two looks at what is left to be corrected
-_AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
-_LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
-_LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
+_SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: with usual gains 0.15 mm and 0.03 degrees
+_NOISE_SIGMAS = 1.5  # standard deviations below which an error counts as noise
+_NOISE_GAIN = 1.0  # [1/s]: noise of the commands over noise of the pose, with usual gains
+_CHECK_PERIOD = 0.1  # [s] between two checks of the remaining error
+_AFTER_REFUSAL = 3.0  # factor on the pause between plans after one that failed
+_LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is polled, and a reserve
+_LATE = 0.05  # [s]: a later takeover would move the reference by millimetres
 _SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the speed before a dock
-_STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
+_STALE_STOP = 0.3  # [s] before an obstacle's braking distance until which a new plan is awaited
+
+# A plan from rest after an obstacle has gone.
+_FROM_REST_BUDGET = 0.2  # [s]; usual plans take 30 to 90 ms
+_SHORTER, _STOPPING = 0.8, 1.0  # share of the remaining duration; [s] for the stop and a plan
+_AROUND = 1.0  # [m] around the straight line to the goal in which obstacles count
+_PAUSE = 3.0  # factor on the usual pause between two plans
+
+# The tube.
+_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, causes no plan: noise is sufficient for it
+_LAST_REPLAN = 0.15  # [m] before the dock; nearer, no path moves a robot sideways by more than a millimetre
+_LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
+_SAMPLES = 0.01  # [m] between two sampled poses of a path
 
 _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
 
 
 class TrajectoryDrive:
-    """A motion that is driven; it becomes another one where replanning is worth it.
-
-    Args:
-        motion: To be driven, from rest.
-        state: What for; `State.APPROACHING`: into the dock.
-        situation: Of the robot, brought up to date before every cycle.
-        controller: Drives.
-        goal_checker: Says whether the robot stands in its dock.
-        requests: Of other motions.
-        report: Takes the name of an event and its detail.
+    """Drive one motion and replace it when replanning gives a better one.
 
     Raises:
-        AttemptFailed: The controller cannot follow such a motion.
+        AttemptFailed: If the controller cannot follow the motion.
 
     Attributes:
-        motion: What is driven now.
-        docked: How the robot got into its dock, at the end of an approach; None: it is not known to stand there.
-        deviation: The robot as seen from the path; None before the first cycle.
+        motion: Motion being driven.
+        docked: Kind of docking at the end of an approach; None if the robot is not known to be docked.
+        deviation: Robot relative to the nearest pose of the path; None before the first cycle.
     """
 
-    def __init__(  # noqa: PLR0913 - what it joins
+    def __init__(  # noqa: PLR0913 - the parts of a drive
         self,
         motion: DrivenMotion,
         state: State,
@@ -82,28 +105,24 @@ class TrajectoryDrive:
         self.docked: EndingKind | None = None
         self.deviation: Pose2 | None = None
         self._goal = motion.problem.goal
-        self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
+        self._next_goal: tuple[float, Pose2] | None = None  # and the time of its takeover [s]
         self._is_urgent = self._is_stop = False
-        self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
+        self._costmap = motion.problem.costmap
         self._shorter_way = ShorterWay(situation, motion.problem.costmap)
-        self._is_from_rest = False  # what the last job was for
-        self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
-        self._looked_at, self._where = -math.inf, ""
+        self._is_from_rest = False  # whether the last job plans from rest
+        self._blocked = math.inf, ""  # time on the motion's clock at which it meets a new obstacle, and the obstacle
+        self._checked_at, self._error_text = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
         self._finished_since: float | None = None
-        self._speed_share, self._is_hidden_said = 1.0, False
+        self._speed_share, self._hidden_reported = 1.0, False
         self._until = situation.now + motion.trajectory.duration + self._allowance
         requests.forget()
         goal_checker.reset()
-        self._give(motion, None)
+        self._set_path(motion, None)
         self._become(motion)
 
-    def _give(self, motion: DrivenMotion, start_stamp: float | None) -> None:
-        """Hand a motion to the controller.
-
-        Raises:
-            AttemptFailed: It cannot follow such a one.
-        """
+    def _set_path(self, motion: DrivenMotion, start_stamp: float | None) -> None:
+        """Configure the controller for a motion; raise AttemptFailed if it cannot follow it."""
         self._configure(motion)
         try:
             self._controller.set_path(motion.trajectory, start_stamp=start_stamp)
@@ -111,7 +130,7 @@ class TrajectoryDrive:
             raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"{type(error).__name__}: {error}") from error
 
     def _become(self, motion: DrivenMotion) -> None:
-        """What is driven from now on."""
+        """Replace the motion being driven."""
         self.motion, self._progress = motion, (-math.inf, self._situation.now)
         self._place = TubeMonitor(motion, self._situation.problem.robot, is_stop=self._is_stop, report=self._report)
         if self._is_approach and not self._is_stop:
@@ -120,20 +139,21 @@ class TrajectoryDrive:
 
     @property
     def _allowance(self) -> float:
+        """Time that the drive may take beyond its plan [s]."""
         settings, state = self._situation.settings, self._state
         if state is State.STAGING:
             return settings.max_staging_time
         return settings.max_undocking_time if state is State.UNDOCKING else settings.dock_approach_timeout
 
     def is_over(self) -> bool:
-        """Whether the motion ends in this cycle: its end is reached, or the robot is docked.
+        """Whether the motion ends in this cycle: at its end, or with the robot docked.
 
         Raises:
-            Interrupted: It cannot go on.
-            AttemptFailed: An approach takes too long.
-            TaskFailed: Another drive does.
+            Interrupted: If the motion cannot continue.
+            AttemptFailed: If an approach takes too long.
+            TaskFailed: If another drive takes too long.
         """
-        situation, settings = self._situation, self._situation.settings
+        situation = self._situation
         situation.require_no_interruption()
         if self._next_goal is not None and situation.now >= self._next_goal[0] - _INSTANT:
             self._goal, self._next_goal = self._next_goal[1], None
@@ -141,26 +161,16 @@ class TrajectoryDrive:
             self.docked = self._contact()
             if self.docked is not None:
                 return True
-            is_hidden = settings.use_detections and situation.estimate.is_hidden
-            self._limit_speed(self._share_while_hidden() if is_hidden else 1.0)
-            if (
-                settings.use_detections
-                and situation.estimate.detection_is_old
-                and not is_hidden
-                and situation.estimate.left > NO_ROOM
-            ):
-                place, turn = situation.perception.sigma
-                reason = (
-                    f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
-                )
-                raise Interrupted("detection missing", reason)
+            self._require_detection()
         if situation.now > self._until:
             reason = f"timeout while {self._state.value}: {situation.estimate.where}"
             if self._is_approach:
                 raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
             raise TaskFailed(_LATE_ENDINGS.get(self._state, EndingKind.FAILED_TO_CONTROL), reason)
-        self._look_around()
-        self._stop_in_time()
+        self._check_costmap()
+        at_time, reason = self._blocked  # stop in time, even while another motion is being planned
+        if at_time - self._reference[0] < situation.braking_time + _STALE_STOP:
+            raise Interrupted("obstacle ahead", reason)
         time, _ = self._reference
         if time >= 0.0:
             has_left = self._place.update(situation.perception.robot, time)
@@ -169,10 +179,10 @@ class TrajectoryDrive:
         return self._is_finished()
 
     def command(self) -> Twist2:
-        """What the controller asks for.
+        """Return the command of the controller.
 
         Raises:
-            Interrupted: It has no command, or the motion cannot go on.
+            Interrupted: If there is no valid command, or the motion cannot continue.
         """
         situation = self._situation
         measurements = situation.perception.measurements
@@ -187,21 +197,30 @@ class TrajectoryDrive:
         return target
 
     def end(self) -> None:
-        """Take back what the controller was asked for that is not part of the motion."""
+        """Remove the speed limit of the controller."""
         self._limit_speed(1.0)
 
-    def _share_while_hidden(self) -> float:
-        """At which share of the planned speed the dock may be seen again before it is too late for corrections.
+    def _require_detection(self) -> None:
+        """Slow down while the dock is hidden; raise Interrupted if the last detection is too old."""
+        situation, estimate = self._situation, self._situation.estimate
+        uses_detections = situation.settings.use_detections
+        is_hidden = uses_detections and estimate.is_hidden
+        self._limit_speed(self._share_while_hidden() if is_hidden else 1.0)
+        if uses_detections and estimate.detection_is_old and not is_hidden and estimate.left > NO_ROOM:
+            place, turn = situation.perception.sigma
+            age = situation.perception.detection_age
+            reason = f"not detected for {age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
+            raise Interrupted("detection missing", reason)
 
-        The way on which they are possible is stretched over the time for which a hidden dock is waited for.
-        """
+    def _share_while_hidden(self) -> float:
+        """Share of the planned speed at which corrections stay possible for as long as a hidden dock is awaited."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
-        share = min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0)
-        if not self._is_hidden_said and share < 1.0:
-            self._report("dock hidden", f"not seen for {age:.1f} s: at {100.0 * share:.0f} % of the speed")
-            self._is_hidden_said = True
+        share = min(max(left / max(LONGEST_HIDDEN - age, _CHECK_PERIOD), _SLOWEST), 1.0)
+        if not self._hidden_reported and share < 1.0:
+            self._report("dock hidden", f"not detected for {age:.1f} s: at {100.0 * share:.0f} % of the speed")
+            self._hidden_reported = True
         return share
 
     def _limit_speed(self, share: float) -> None:
@@ -211,7 +230,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """The pose for the controller: that relative to the dock, which may have moved since the plan was made."""
+        """The pose for the controller: in an approach relative to the dock, which may have moved since the plan."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 
@@ -226,13 +245,13 @@ class TrajectoryDrive:
     def _reference(self) -> tuple[float, float]:
         """Time of the reference on the trajectory's own clock [s], and its rate.
 
-        A controller that follows no trajectory in time has none: there it is when the plan would be where the robot is.
+        For a controller without a reference in time, the time at which the plan passes the place of the robot.
         """
         progress = getattr(self._controller, "progress", None)
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     def _contact(self) -> EndingKind | None:
-        """How the robot is docked: contact is felt, or the goal checker says so once the robot has settled."""
+        """How the robot is docked: by contact, or by the goal checker once the robot has settled."""
         situation, settings = self._situation, self._situation.settings
         kind = situation.contact()
         if kind is not None:
@@ -244,10 +263,10 @@ class TrajectoryDrive:
         ]
         moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
         relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
-        along, _, yaw = situation.estimate.errors()  # no way is left on which the error across could be corrected
-        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma, _ in (along, yaw))
+        along, _, yaw = situation.estimate.errors()  # a lateral error can no longer be corrected
+        is_noise = all(abs(error) <= _NOISE_SIGMAS * sigma for error, sigma, _ in (along, yaw))
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
-            return None  # what is left is still being corrected
+            return None  # the feedback still corrects
         path = [Pose2(-0.1 * situation.estimate.gear, 0.0, 0.0), goal]
         is_reached = self._goal_checker.is_goal_reached(relative, goal, situation.twist, path)
         return EndingKind.DOCKED_BY_DISTANCE if is_reached else None
@@ -257,7 +276,7 @@ class TrajectoryDrive:
         now, (time, _) = situation.now, self._reference
         if time >= self.motion.trajectory.duration - _INSTANT:
             if self._is_stop:
-                raise Interrupted("stopped", "nothing that is certified leads on from here")
+                raise Interrupted("stopped", "no certified continuation exists from the current state")
             self._finished_since = self._finished_since if self._finished_since is not None else now
             if not self._is_approach:
                 return True
@@ -267,11 +286,11 @@ class TrajectoryDrive:
         if time > best + _PROGRESS:
             self._progress = time, now
         elif now - since > settings.progress_time:
-            raise Interrupted("no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s")
+            raise Interrupted("no progress", f"the motion has been at {time:.2f} s of its time for {now - since:.1f} s")
         return False
 
-    def _look_around(self) -> None:
-        """A new picture of the surroundings: does the rest of the motion still hold?"""
+    def _check_costmap(self) -> None:
+        """Check the rest of the motion against a new costmap."""
         situation = self._situation
         costmap = situation.scene.costmap
         if costmap is None or costmap is self._costmap:
@@ -282,26 +301,20 @@ class TrajectoryDrive:
         verdict = self._requests.still_holds(self.motion, costmap, max(0.0, time))
         if verdict.holds:
             self._blocked = math.inf, ""
-            self._shorter_way.look_again()
+            self._shorter_way.check_next_costmap()
             return
-        self._report("motion does not hold any more", verdict.reason)
+        self._report("motion no longer valid", verdict.reason)
         self._blocked = verdict.at_time, verdict.reason
         self._is_urgent = True
         self._requests.forget()
 
-    def _stop_in_time(self) -> None:
-        """Stop the robot in time before what is ahead, while a way round is being planned."""
-        at_time, reason = self._blocked
-        if at_time - self._reference[0] < self._situation.braking_time + _STALE_STOP:
-            raise Interrupted("obstacle ahead", reason)
-
     def _replan(self) -> None:
-        """Hand in a job where one is worth it, and take over what the last one gave."""
+        """Take over the result of the last job, or submit a job if a plan is worth it."""
         situation, settings = self._situation, self._situation.settings
         if self._requests.pending:
             result = self._requests.result(situation.now)
             if result is not None:
-                self._take(result)
+                self._take_over(result)
             return
         if self._is_stop or self._next_goal is not None or not settings.replanning:
             return
@@ -309,16 +322,16 @@ class TrajectoryDrive:
         if not self._is_urgent:
             if self._shorter_way.may_exist(self.motion, time, self._pose, self._costmap):
                 here = situation.scene.to_dock() if self._is_approach else self.motion.problem
-                self._report("plan asked for", "from rest: something that was in the way has gone")
+                self._report("plan requested", "from rest: an obstacle has gone")
                 self._is_from_rest = True
                 self._requests.submit(self._shorter_way.job(self.motion, time, here, self._costmap))
                 return
-            if not self._is_approach or situation.now - self._looked_at < _LOOK - _INSTANT:
+            if not self._is_approach or situation.now - self._checked_at < _CHECK_PERIOD - _INSTANT:
                 return
-            self._looked_at = situation.now
-            if not self._is_worth_it(time) or situation.now - self._submitted_at < self._pause:
+            self._checked_at = situation.now
+            if not self._leaves_error(time) or situation.now - self._submitted_at < self._pause:
                 return
-            self._report("plan asked for", self._where)
+            self._report("plan requested", self._error_text)
         problem = (
             situation.scene.to_dock()
             if self._is_approach
@@ -337,33 +350,30 @@ class TrajectoryDrive:
                 rate=rate,
                 pose=situation.perception.robot,
                 lead=budget + _LEAD,
-                # The controller is told where the robot is relative to the dock, so it follows the motion there.
+                # The controller gets poses relative to the dock, so the motion is driven where the dock is now.
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )
 
-    def _is_worth_it(self, time: float) -> bool:
-        """Whether feedback would leave more of the present error at the dock than is worth a plan.
+    def _leaves_error(self, time: float) -> bool:
+        """Whether feedback would leave an error at the dock that is worth a plan.
 
         Raises:
-            Interrupted: More than the dock accepts would be left without another gear.
+            Interrupted: If the remaining error would exceed the tolerances, and only a change of gear could correct it.
         """
         situation, settings = self._situation, self._situation.settings
-        trajectory = self.motion.trajectory
-        perception = situation.perception
+        trajectory, perception = self.motion.trajectory, situation.perception
         if settings.use_detections and not perception.sees_dock:
             return False
         if not 0.0 <= time < trajectory.duration or isinstance(trajectory.path.segments[-1], TurnSegment):
-            return False  # a turn at the end takes back the heading, and no way is left for an offset
-        now = trajectory.at(time)
+            return False  # a turn at the end corrects the heading and leaves no distance for an offset
+        now, gear = trajectory.at(time), situation.estimate.gear
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
         limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma
-        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, situation.estimate.gear, limits):
+        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
-            left_over = [
-                abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.estimate.gear, SHORTEST_DECAY)
-            ]
+            left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, gear, SHORTEST_DECAY)]
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
             turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
             if (off or turned) and (not cusps or now.s >= cusps[-1]):
@@ -371,21 +381,21 @@ class TrajectoryDrive:
                     TOO_FAR_OFF, f"{error.y:.3f} m and {error.yaw:.3f} rad off the path, {left:.3f} m left"
                 )
             return False
-        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.estimate.gear, DECAY)]
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, gear, DECAY)]
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
-        self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
+        self._error_text = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
         return off or turned
 
-    def _take(self, result: PlanResult) -> None:
-        """Take over what was planned, if it is of use.
+    def _take_over(self, result: PlanResult) -> None:
+        """Take over a planned motion if it is useful.
 
         Raises:
-            Interrupted: There is no way on, or a much shorter one from rest.
+            Interrupted: If there is no continuation, or a much shorter one from rest.
         """
         situation, settings = self._situation, self._situation.settings
         if self._is_from_rest:
-            self._shorter_way.take(result, self.motion, self._reference[0])
+            self._shorter_way.require_none(result, self.motion, self._reference[0])
             return
         was_urgent, self._is_urgent = self._is_urgent, False
         self._pause = settings.replan_pause
@@ -397,12 +407,157 @@ class TrajectoryDrive:
         time, rate = self._reference
         ahead = result.starts_at - time
         if ahead < -_LATE:
-            self._report("plan came too late", f"{-ahead:.3f} s after it was to take over")
+            self._report("plan came too late", f"{-ahead:.3f} s after its takeover")
             self._is_urgent = was_urgent
             return
         start = situation.now + (ahead / rate if rate > 0.0 else 0.0)
         self._is_stop = result.outcome is Outcome.STOP
-        self._give(result.motion, start)
+        self._set_path(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
-        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
+        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")
+
+
+class TubeMonitor:
+    """The place of the robot on a path, and whether it is within the certified tube.
+
+    Attributes:
+        deviation: Robot relative to the nearest pose of the path; None before the first update.
+        time: Time at which the plan passes the place of the robot, on the trajectory's own clock; non-decreasing [s].
+    """
+
+    def __init__(
+        self, motion: DrivenMotion, robot: Robot, *, is_stop: bool, report: Callable[[str, str], None]
+    ) -> None:
+        self._trajectory, self._robot, self._report = motion.trajectory, robot, report
+        self._poses = _SampledPath(motion.trajectory.path)
+        law = motion.trajectory.time_law
+        self._times_of_places = law.states[:, 0], law.times
+        self.time = 0.0
+        self.deviation: Pose2 | None = None
+        proven = not is_stop and (robot.tracking.cross > 0.0 or robot.tracking.yaw > 0.0)
+        self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
+        self._is_outside = False
+
+    def time_at(self, s: float) -> float:
+        """Return the time at which the plan passes a place [m] of the path [s]."""
+        return float(np.interp(s, *self._times_of_places))
+
+    def update(self, robot: Pose2, time: float) -> bool:
+        """Update the place of the robot, with the time of the reference on the trajectory's own clock, >= 0 [s].
+
+        Returns:
+            Whether the robot has just left the tube at a place where a new plan is useful.
+        """
+        path = self._trajectory.path
+        begin = float(self._trajectory.time_law.at(time)[0, 0])
+        place, gear = self._poses.at(begin)
+        ahead = gear * robot.in_frame_of(place).x
+        s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
+        self.deviation = off = robot.in_frame_of(self._poses.at(s)[0])
+        self.time = max(time, self.time_at(s))
+        if self._tube is None:
+            return False
+        radius = self._robot.footprint.circumscribed_radius
+        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
+        width = float(self._tube.width_at(np.array([s]))[0])
+        if moved > width:  # relative to this place; another one may be nearer
+            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
+            moved, width = float(found.displacement[0]), float(found.width[0])
+        is_outside = moved > width
+        if is_outside == self._is_outside:
+            return False
+        self._is_outside = is_outside
+        detail = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; certified: {width:.4f} m"
+        self._report("tube left" if is_outside else "tube entered", detail)
+        return is_outside and width >= _WATCHED and path.length - s > _LAST_REPLAN
+
+
+class _SampledPath:
+    """The poses of a path at equal distances, for fast interpolation."""
+
+    def __init__(self, path: Path) -> None:
+        count = max(1, math.ceil(path.length / _SAMPLES))
+        places = np.linspace(0.0, path.length, count + 1)
+        self._step = path.length / count
+        self._poses: list[list[float]] = path.poses_at(places).tolist()
+        self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
+
+    def at(self, s: float) -> tuple[Pose2, float]:
+        """Return the pose and the gear at a place [m] of the path."""
+        i = min(max(int(s / self._step), 0), len(self._poses) - 2)
+        share = s / self._step - i
+        (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
+        turned = normalize_angle(far_yaw - yaw)
+        pose = Pose2(x + share * (far_x - x), y + share * (far_y - y), yaw + share * turned)
+        return pose, self._gears[i]
+
+
+class ShorterWay:
+    """Search for a shorter motion from rest while a motion is driven around an obstacle that has gone."""
+
+    def __init__(self, situation: Situation, planned_among: Costmap | None) -> None:
+        self._situation, self._planned_among = situation, planned_among
+        self._is_new = False
+        self._submitted_at = -math.inf
+
+    def check_next_costmap(self) -> None:
+        """Compare the next costmap with the one of the plan."""
+        self._is_new = True
+
+    def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
+        """Whether an obstacle has gone in the newest costmap and a plan from rest may be shorter than the motion.
+
+        Args:
+            motion: Motion being driven.
+            time: Time of the reference on the motion's own clock [s].
+            pose: Robot in the frame of the motion.
+            costmap: The newest one.
+        """
+        situation, end = self._situation, motion.trajectory.path.end
+        pause = _PAUSE * situation.settings.replan_pause
+        if not self._is_new or situation.now - self._submitted_at < pause:
+            return False
+        self._is_new = False
+        least = pose.distance_to(end) / situation.problem.robot.limits.max_speed  # lower bound of any plan's duration
+        before = self._planned_among
+        if before is None or costmap is None or not self._is_better(least, motion, time):
+            return False
+        between = np.stack((situation.perception.robot.as_array()[:2], end.as_array()[:2]))
+        return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
+
+    def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
+        """Return the job that plans from the place of a stop; `here` is the problem except for start and costmap."""
+        situation, trajectory = self._situation, motion.trajectory
+        now = trajectory.at(min(max(time, 0.0), trajectory.duration))
+        speed = abs(situation.twist.linear)
+        stop = min(now.s + 0.5 * speed * situation.braking_time_from(speed), trajectory.path.length)
+        start = Pose2.from_sequence(trajectory.path.poses_at(np.array([stop]))[0])
+        self._submitted_at = situation.now
+        problem = dataclasses.replace(here, start=start, costmap=costmap, **FROM_REST)
+        return Job(0, situation.now, problem, _FROM_REST_BUDGET)
+
+    def require_none(self, result: PlanResult, motion: DrivenMotion, time: float) -> None:
+        """Check that the motion is not to be replaced by the result of the job.
+
+        Raises:
+            Interrupted: If the result is so much shorter that the robot should stop for it.
+        """
+        if result.motion is not None and self._is_better(result.motion.trajectory.duration, motion, time):
+            left = motion.trajectory.duration - time
+            reason = f"{result.motion.trajectory.duration:.1f} s from rest, {left:.1f} s of this one are left"
+            raise Interrupted(SHORTER_WAY, reason)
+
+    def _is_better(self, duration: float, motion: DrivenMotion, time: float) -> bool:
+        """Whether a plan from rest of this duration [s] is worth a stop."""
+        left = motion.trajectory.duration - time
+        return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
+
+
+def _has_gone(before: Costmap, now: Costmap, places: FloatArray, reach: float) -> bool:
+    """Whether an occupied cell has become free within `reach` [m] of the box of places, Shape (n, 2) [m]."""
+    low, high = before.cell_of(np.stack((places.min(axis=0) - reach, places.max(axis=0) + reach)))
+    (i, j), (i1, j1) = np.maximum(low, 0).tolist(), np.maximum(high + 1, 0).tolist()
+    rows, columns = np.nonzero(before.data[j:j1, i:i1] == LETHAL)
+    costs = now.cost_at(before.centre_of(np.column_stack((columns + i, rows + j))))
+    return bool(np.any((costs != LETHAL) & (costs != NO_INFORMATION)))

@@ -1,18 +1,16 @@
-"""A closed loop in simulation: plants, sensors, a simulated robot, runs."""
+"""Simulation: plants, sensors, a simulated robot, closed-loop runs."""
 
 from optdock.geometry.pose import pose_errors
 from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest, plant_of
-from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
+from optdock.simulation.closed_loop import RemainingPath, Run, SimulationSettings, beyond_proof, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
-from optdock.simulation.run import Run, beyond_proof, executed_clearance
-from optdock.simulation.sensors import Displaced, DockSensor, Odometry, PoseSensor, Span
-from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station
+from optdock.simulation.sensors import DockSensor, Odometry, PoseSensor
+from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station, executed_clearance
 
 __all__ = [
     "Actuation",
     "Bicycle",
     "DifferentialDrive",
-    "Displaced",
     "DockSensor",
     "Odometry",
     "Plant",
@@ -25,7 +23,6 @@ __all__ = [
     "SimulatedRobot",
     "SimulationSettings",
     "Slip",
-    "Span",
     "Station",
     "Steering",
     "SteeringAtRest",

@@ -1,15 +1,12 @@
-"""A car that takes the velocity commands of any robot: it turns its front wheels to what they ask for, in their time.
+"""The bicycle model [DeLuca2001] of a car, driven by velocity commands, and the plant of a robot by its drive.
 
-The bicycle model [DeLuca2001]: the robot's origin is the middle of the rear axle, and the yaw rate is speed / wheelbase
-* tan(steering angle). A command asks for the curvature angular / linear, so for the angle atan(wheelbase * curvature).
+The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
+requests the curvature angular / linear, and so the angle atan(wheelbase * curvature).
 
-At rest a velocity command says nothing about the wheels, for 0 / 0 is not a curvature. The base controllers in use then
-turn them straight: the steering controllers of ros2_control and the converter of teb_local_planner both make angle 0 of
-an all-zero command. That is the default here; some cars hold the last angle instead. Either way the wheels of a car at
-rest are turned by a command with the right ratio and a speed so small that nothing moves: within the dead band, or
+At rest a command has no curvature. Usual base controllers, such as the steering controllers of ros2_control and the
+converter of teb_local_planner, then steer straight, which is the default here; others hold the last angle. The wheels
+of a car at rest are steered by a command with the requested ratio and a speed without effect: within the dead band, or
 1e-6 m/s.
-
-`plant_of` is the plant of whatever robot: this one of a car, a `DifferentialDrive` of all others.
 """
 
 from __future__ import annotations
@@ -43,7 +40,7 @@ __all__ = ["Bicycle", "Steering", "SteeringAtRest", "plant_of"]
 
 
 class SteeringAtRest(str, Enum):
-    """What the front wheels do when a speed of 0 is commanded."""
+    """Steering at a commanded speed of 0."""
 
     STRAIGHTEN = "straighten"
     HOLD = "hold"
@@ -51,19 +48,19 @@ class SteeringAtRest(str, Enum):
 
 @dataclass(frozen=True)
 class Steering:
-    """How commanded angles become angles of the front wheels; the default is perfect but for the limits of the robot.
+    """Response of the front wheels to steering commands; by default limited by the robot's limits only.
 
     Args:
-        lag: Time constant of the first-order lag [s], on top of the largest rate, which the robot's limits say.
-        play: The wheels do not follow while the error is smaller than this [rad].
-        gain: True angle over the one that the steering's sensor says [1].
-        offset: True angle when the sensor says straight [rad].
-        at_rest: A `SteeringAtRest` or its word.
-        start: Where the wheels stand when the car is set down at rest, as the steering's sensor says [rad].
+        lag: Time constant of the first-order lag [s], in addition to the robot's steering rate.
+        play: Errors smaller than this are not corrected [rad].
+        gain: True angle over the measured one [1].
+        offset: True angle at a measured angle of 0 [rad].
+        at_rest: A `SteeringAtRest` or its value.
+        start: Measured angle at the beginning, at rest [rad].
 
     Raises:
-        InvalidValue: A value is not a number or not finite, the lag or the play negative, the gain not > 0, or no such
-            word.
+        InvalidValue: If a value is not a number or not finite, the lag or the play negative, the gain not > 0, or
+            `at_rest` unknown.
     """
 
     lag: float = 0.0
@@ -84,20 +81,21 @@ class Steering:
 
 @dataclass(frozen=True, eq=False)
 class Bicycle:
-    """A car; `PlantState.drive` is its speed and the steering angle that the sensor says.
+    """A car; `PlantState.drive` is its speed and the measured steering angle.
 
-    Exact on circles. While speed or angle change, sub-steps follow the arc of their mean speed and yaw rate.
+    The result is exact on circles. While speed or angle change, sub-steps follow the arc of their mean speed and yaw
+    rate.
 
     Args:
-        robot: Drive ackermann with a wheelbase; its limits cut speeds and curvatures, the steering angle and its rate.
-        actuation: Of the speed; what is angular in it must be left as it is.
-        period: Duration of a step that does not say its own [s].
-        steering: Of the front wheels.
-        slip: On the floor.
+        robot: Robot with drive ackermann and a wheelbase; its limits apply to speed, curvature and steering.
+        actuation: Response of the speed; its angular values must be the defaults.
+        period: Default duration of a step [s].
+        steering: Response of the front wheels.
+        slip: Slip.
 
     Raises:
-        InvalidValue: A robot of another drive or without a wheelbase, an angular lag, dead band or gain, or a period
-            that is not > 0.
+        InvalidValue: If the robot has another drive or no wheelbase, there is an angular lag, dead band or gain, or the
+            period is not > 0.
     """
 
     robot: Robot
@@ -115,14 +113,16 @@ class Bicycle:
         perfect = Actuation()
         for name in ("angular_lag", "angular_dead_band", "angular_gain"):
             if getattr(self.actuation, name) != getattr(perfect, name):
-                raise InvalidValue(f"actuation.{name}: a car has none; say lag, play and gain of its steering")
+                raise InvalidValue(
+                    f"actuation.{name}: must be the default for a car; set lag, play, gain of its steering"
+                )
 
     def at_rest(self, pose: Pose2) -> PlantState:
-        """The car standing at `pose`, its wheels as `Steering.start` says, no command under way."""
+        """Return the state at rest at a pose, with the wheels at `Steering.start`."""
         return self.moving(pose, Twist2())
 
     def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
-        """The car at `pose` with a steady body velocity, which goes on until the first command arrives."""
+        """Return the state at a pose with a steady body velocity, kept until the first command arrives."""
         if twist.linear != 0.0:
             true = math.atan(self.robot.limits.wheelbase * twist.angular / twist.linear)
         else:
@@ -132,10 +132,10 @@ class Bicycle:
         return PlantState(pose, actual, self._encoders(drive), 0.0, drive, drive)
 
     def step(self, state: PlantState, command: Twist2, duration: float | None = None) -> PlantState:
-        """The state `duration` [s] later, or one period later, `command` being given now.
+        """Return the state after `duration` [s], or one period, with a command given at its beginning.
 
         Raises:
-            InvalidValue: The duration is not finite and > 0.
+            InvalidValue: If the duration is not finite and > 0.
         """
         if duration is None:
             duration = self.period
@@ -155,12 +155,12 @@ class Bicycle:
         return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """The state after something hard held the car at `pose`; `stalled`: its wheels stand still too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
         drive = (0.0, state.drive[1]) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
     def _target(self, command: Twist2, last_angle: float) -> tuple[float, float]:
-        """Speed and steering angle that a command asks for."""
+        """Speed and steering angle for a command."""
         limits = self.robot.limits
         cut = admissible(command, limits, self.robot.drive)
         speed, _ = self.actuation.target(cut)
@@ -170,7 +170,7 @@ class Bicycle:
         return speed, min(max(angle, -limits.max_steering_angle), limits.max_steering_angle)
 
     def _substeps(self, seconds: float, drive: tuple[float, float], wanted: tuple[float, float]) -> int:
-        """One where speed and angle are constant."""
+        """Number of sub-steps; one while speed and angle are constant."""
         steady_speed = self.actuation.linear_lag == 0.0 or drive[0] == wanted[0]
         if steady_speed and (not self._gradual or self._aim(drive[1], wanted[1]) == drive[1]):
             return 1
@@ -179,7 +179,7 @@ class Bicycle:
     def _follow(
         self, v: float, angle: float, wanted: tuple[float, float], span: float
     ) -> tuple[float, float, float, float]:
-        """Mean speed and yaw rate of a sub-step (by Simpson's rule), then speed and angle after it."""
+        """Mean speed and yaw rate of a sub-step by Simpson's rule, and the final speed and angle."""
         lag = self.actuation.linear_lag
         mean, end = first_order(v, wanted[0], lag, span)
         begin, middle = v if lag > 0.0 else end, first_order(v, wanted[0], lag, 0.5 * span)[1]
@@ -197,11 +197,11 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Where the wheels come to rest: at the near end of the play around the wanted angle."""
+        """Final angle: the near end of the play around the wanted angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:
-        """Angle after `span` [s]: at the largest rate while the lag asks for more, then exponentially."""
+        """Angle after `span` [s]: at the largest rate first, then with exponential decay."""
         rate, lag, aim = self.robot.limits.max_steering_rate, self.steering.lag, self._aim(angle, wanted)
         if math.isfinite(rate):
             too_far = abs(aim - angle) - rate * lag
@@ -223,21 +223,23 @@ class Bicycle:
 
 
 def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Steering | None = None) -> Plant:
-    """The plant of a robot, by its drive.
+    """Return the plant of a robot: a `Bicycle` for a car, else a `DifferentialDrive`.
 
     Args:
-        robot: What drives. Of a car without a wheelbase nothing limits the steering; it gets one as long as the robot.
+        robot: The robot; a car without a wheelbase gets one of the robot's length.
         actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
-        steering: Of a car; None: perfect but for that lag.
+        steering: Steering of a car; None: perfect but for that lag.
 
     Raises:
-        InvalidValue: A car has an angular dead band or gain, or both an angular lag and a `steering`; another robot has
-            a `steering`.
+        InvalidValue: If a car has an angular dead band or gain, or both an angular lag and a `steering`, or another
+            robot has a `steering`.
     """
     actuation = actuation if actuation is not None else Actuation()
     if robot.drive is not Drive.ACKERMANN:
         if steering is not None:
-            raise InvalidValue(f"steering: is for drive: ackermann; this robot's is {robot.drive.value}")
+            raise InvalidValue(
+                f"steering: must be None unless the drive is ackermann; the drive is {robot.drive.value}"
+            )
         return DifferentialDrive(robot, actuation)
     if steering is None:
         actuation, steering = replace(actuation, angular_lag=0.0), Steering(actuation.angular_lag)

@@ -1,4 +1,4 @@
-"""The closed loop: a simulated robot, a controller and a goal checker, one control period after the other."""
+"""The closed loop of a simulated robot, a controller and a goal checker, and the record of a run."""
 
 from __future__ import annotations
 
@@ -10,54 +10,58 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import ControllerException, InvalidValue
-from optdock.geometry.pose import Pose2
+from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
+from optdock.geometry.obstacles import in_words
+from optdock.geometry.pose import Pose2, pose_errors
 from optdock.model.dock import Dock
 from optdock.model.path import PathSamples
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive
 from optdock.model.trajectory import Trajectory
 from optdock.plugins.lifecycle import LifecycleState, PluginContext
+from optdock.samples.tube import Tube
 from optdock.simulation.bicycle import plant_of
 from optdock.simulation.plant import Actuation
-from optdock.simulation.run import Run
 from optdock.simulation.sensors import PoseSensor
 from optdock.simulation.world import Sensors, SimulatedRobot
-from optdock.verification import proven_for
+from optdock.verification import TOLERANCE, end_clearances, pose_clearances, proven_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from optdock.geometry.obstacles import ObstacleSet
-    from optdock.model.measurements import Measurements
     from optdock.model.path import Path
     from optdock.model.robot import Robot
     from optdock.plugins.interfaces import Controller, GoalChecker
     from optdock.simulation.bicycle import Steering
+    from optdock.verification import Certificate
 
-__all__ = ["RemainingPath", "SimulationSettings", "run_closed_loop"]
+__all__ = ["RemainingPath", "Run", "SimulationSettings", "beyond_proof", "run_closed_loop"]
 
 logger = logging.getLogger(__name__)
 
-_LOOK_AHEAD = 20  # samples of the remaining path, 1 m: further off lies another leg, not the robot's place
+_WINDOW = 20  # samples of the remaining path, 1 m, in which the nearest one is searched
+_BUMPER = 0.002  # [m]: allowed penetration of a dock that is planned to be touched
+_BLOCK = 256  # poses per round, which bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationSettings:
-    """The world of a run; the default is perfect.
+    """Settings of a run; the default is a perfect robot.
 
     Args:
         period: Control period [s].
-        timeout: Simulated time after which the run is given up [s]; None: 1.5 times the trajectory plus 10 s.
-        actuation: Lags, latency and dead band of the drive; the angular lag of a car is that of its steering.
-        steering: Of a car; None: perfect but for that lag.
-        position_noise: Standard deviation of the measured x and y [m], white.
-        yaw_noise: Standard deviation of the measured yaw [rad], white.
-        seed: Of the noise; equal seeds give equal runs.
-        start: True pose at the beginning; None: the trajectory's start. The robot moves there as the trajectory does.
-        obstacles: For the clearance of the driven poses; None leaves it out.
+        timeout: Simulated time after which the run ends [s]; None: 1.5 times the trajectory plus 10 s.
+        actuation: Lags, latency and dead bands of the drive; the angular lag of a car is that of its steering.
+        steering: Steering of a car; None: perfect but for that lag.
+        position_noise: Standard deviation of the white noise of the measured x and y [m].
+        yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
+        seed: Seed of the noise.
+        start: True pose at the beginning; None: the trajectory's start. The initial velocity is that of the trajectory.
+        obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
 
     Raises:
-        InvalidValue: The period is not > 0, or a standard deviation or the timeout is negative or not finite.
+        InvalidValue: If the period is not > 0, or a standard deviation or the timeout negative or not finite.
     """
 
     period: float = 0.02
@@ -79,6 +83,77 @@ class SimulationSettings:
                 raise InvalidValue(f"simulation.{name}: must be finite and >= 0, got {value}")
 
 
+@dataclass(frozen=True, eq=False)
+class Run(FrozenArrays):
+    """Record of a closed-loop run; true if the robot docked.
+
+    Row k is the state at `times[k]` and the command given there.
+
+    Args:
+        times: Shape (n,) [s].
+        poses: True poses, Shape (n, 3).
+        measured: Measured poses, Shape (n, 3).
+        commands: Linear and angular, Shape (n, 2) [m/s, rad/s]; zero in the last row.
+        twists: True body velocities, Shape (n, 2) [m/s, rad/s].
+        references: Poses of the trajectory at the same times, Shape (n, 3).
+        goal: Goal pose.
+        docked: Verdict of the goal checker.
+        reason: Why the robot did not dock; empty if it did.
+        verdicts: Verdict of each goal checker at the end by name, the decisive one first.
+        min_clearance: Smallest clearance of the true poses [m]; None without obstacles.
+        differs: Differences to the certified problem: `footprint`, `limits`, `obstacles`; empty without a difference or
+            a certificate.
+
+    Attributes:
+        errors: True pose relative to the reference: along, cross [m] and yaw [rad], Shape (n, 3).
+        final_error: Last true pose relative to the goal: along, cross [m], yaw [rad].
+    """
+
+    times: FloatArray
+    poses: FloatArray
+    measured: FloatArray
+    commands: FloatArray
+    twists: FloatArray
+    references: FloatArray
+    goal: Pose2
+    docked: bool
+    reason: str = ""
+    min_clearance: float | None = None
+    verdicts: Mapping[str, bool] = field(default_factory=dict)
+    differs: tuple[str, ...] = ()
+    errors: FloatArray = field(init=False, repr=False)
+    final_error: Pose2 = field(init=False)
+
+    def __post_init__(self) -> None:
+        columns = {"poses": 3, "measured": 3, "commands": 2, "twists": 2, "references": 3}
+        object.__setattr__(self, "times", frozen_array(self.times, "run.times"))
+        for name, count in columns.items():
+            object.__setattr__(self, name, frozen_array(getattr(self, name), f"run.{name}", columns=count))
+        object.__setattr__(self, "errors", readonly(pose_errors(self.poses, self.references)))
+        last = pose_errors(self.poses[-1:], self.goal.as_array()[None])[0]
+        object.__setattr__(self, "final_error", Pose2(*last.tolist()))
+
+    def __bool__(self) -> bool:
+        return self.docked
+
+    @property
+    def collided(self) -> bool:
+        """Whether the footprint penetrated an obstacle deeper than a bumper yields."""
+        return self.min_clearance is not None and self.min_clearance < -_BUMPER
+
+    @property
+    def fault(self) -> str:
+        """Description of a collision or of a failure to dock; empty without one."""
+        if self.collided:
+            return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
+        return "" if self.docked else f"not docked: {self.reason}"
+
+    @property
+    def duration(self) -> float:
+        """Duration of the run [s]."""
+        return float(self.times[-1])
+
+
 def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     trajectory: Trajectory,
     robot: Robot,
@@ -89,116 +164,102 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     *,
     beside: Sequence[GoalChecker] = (),
 ) -> Run:
-    """Drive `trajectory` in simulation until the goal checker says docked, the controller gives up, or time is out.
+    """Drive a trajectory in simulation until the goal checker accepts, the controller fails, or the time is up.
 
-    What drives is a `SimulatedRobot` with the plant of the robot's drive, `plant_of`. Controller and checker are reset
-    first; in each period the checker is asked before the controller, as Nav2's server does.
+    The robot is a `SimulatedRobot` with the plant of its drive, `plant_of`. Controller and checkers are reset first. In
+    each period the checker is called before the controller, as in Nav2's server.
 
     Args:
-        trajectory: What to drive; the controller gets it through `set_path`.
-        robot: Its drive limits bound the plant; its footprint is used for the clearance.
-        goal: Pose handed to the goal checker.
-        controller: Ready to use; it is told the time. One that is not configured drives as a differential drive does,
-            and so is configured first where the robot is a car.
-        goal_checker: Decides.
-        settings: The world; perfect by default.
-        beside: Goal checkers that are asked once, when the run has ended; they decide nothing.
+        trajectory: Trajectory for the controller's `set_path`.
+        robot: Robot with limits and footprint.
+        goal: Goal pose for the goal checker.
+        controller: Controller; one that is not configured drives a differential drive, and is configured for a car.
+        goal_checker: Decides when the run ends.
+        settings: Settings; None: a perfect robot.
+        beside: Goal checkers called once at the end of the run, without effect on it.
 
     Raises:
-        InvalidValue: Two goal checkers have the same name, or actuation and steering are not those of the drive.
+        InvalidValue: If two goal checkers have the same name, or actuation and steering do not fit the drive.
     """
-    settings = settings or SimulationSettings()
-    if len({checker.name for checker in (goal_checker, *beside)}) <= len(beside):
-        raise InvalidValue(f"simulation: the goal checkers beside {goal_checker.name} need names of their own")
+    settings, checkers = settings or SimulationSettings(), (goal_checker, *beside)
+    if len({checker.name for checker in checkers}) <= len(beside):
+        raise InvalidValue(
+            f"simulation: goal checkers must have different names, got {goal_checker.name} twice or more"
+        )
     controller.reset()
-    for checker in (goal_checker, *beside):
+    for checker in checkers:
         checker.reset()
     if controller.state is LifecycleState.UNCONFIGURED and robot.drive is Drive.ACKERMANN:
         task = DockingProblem(trajectory.path.start, Dock(goal), robot, frame=trajectory.frame)
         controller.configure(PluginContext(controller.name, problem=task))
-        controller.set_path(Trajectory(trajectory.path, trajectory.time_law))  # what proves it is not told
+        controller.set_path(Trajectory(trajectory.path, trajectory.time_law))  # without its certificate
     else:
         controller.set_path(trajectory)
-    loop = _Loop(trajectory, robot, goal, controller, (goal_checker, *beside), settings)
-    docked, reason = loop.run()
-    return loop.result(docked=docked, reason=reason)
+    first = trajectory.at(0.0)
+    world = SimulatedRobot(
+        plant_of(robot, settings.actuation, steering=settings.steering),
+        settings.start or first.pose,
+        goal,
+        Sensors(PoseSensor(settings.position_noise, settings.yaw_noise)),
+        obstacles=settings.obstacles or None,
+        seed=settings.seed,
+        start_twist=first.twist,
+    )
+    remaining = RemainingPath(trajectory.path)
+    timeout = 1.5 * trajectory.duration + 10.0 if settings.timeout is None else settings.timeout
+    docked, reason = _drive(world, remaining, controller, goal_checker, settings.period, timeout)
+    verdicts = {goal_checker.name: docked}
+    verdicts |= {checker.name: _is_reached(checker, world, remaining) for checker in beside}
+    record = world.record()
+    reference = trajectory.sample_at(record.times)
+    return Run(
+        times=record.times,
+        poses=record.poses,
+        measured=record.measured,
+        commands=record.commands,
+        twists=record.twists[:, :2],
+        references=np.column_stack((reference.x, reference.y, reference.yaw)),
+        goal=goal,
+        docked=docked,
+        reason=reason,
+        differs=_differences(trajectory, robot, settings.obstacles),
+        min_clearance=world.clearance() if settings.obstacles else None,
+        verdicts=verdicts,
+    )
 
 
-class _Loop:
-    """One run."""
-
-    def __init__(
-        self,
-        trajectory: Trajectory,
-        robot: Robot,
-        goal: Pose2,
-        controller: Controller,
-        goal_checkers: Sequence[GoalChecker],
-        settings: SimulationSettings,
-    ) -> None:
-        self.trajectory, self.robot, self.goal = trajectory, robot, goal
-        self.controller, self.goal_checkers, self.settings = controller, goal_checkers, settings
-        self.remaining = RemainingPath(trajectory.path)
-        first = trajectory.at(0.0)
-        self.world = SimulatedRobot(
-            plant_of(robot, settings.actuation, steering=settings.steering),
-            settings.start or first.pose,
-            goal,
-            Sensors(PoseSensor(settings.position_noise, settings.yaw_noise)),
-            obstacles=settings.obstacles or None,
-            seed=settings.seed,
-            start_twist=first.twist,
-        )
-
-    def run(self) -> tuple[bool, str]:
-        """Whether docked, and why not."""
-        timeout = self.settings.timeout
-        timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
-        decisive = self.goal_checkers[0]
-        for left in range(math.ceil(timeout / self.settings.period), -1, -1):
-            now = self.world.measurements
-            if self._reached(decisive, now):
-                return True, ""
-            if left == 0:
-                break
-            assert now.pose is not None  # the sensor loses none
-            try:
-                command = self.controller.compute_velocity_commands(now.pose, now.twist, decisive, stamp=now.stamp)
-            except ControllerException as error:
-                return False, f"{type(error).__name__}: {error}"
-            self.world.advance(command, self.settings.period)
-        return False, f"timeout: not docked within {timeout:g} s"
-
-    def _reached(self, checker: GoalChecker, now: Measurements) -> bool:
+def _drive(
+    world: SimulatedRobot,
+    remaining: RemainingPath,
+    controller: Controller,
+    goal_checker: GoalChecker,
+    period: float,
+    timeout: float,
+) -> tuple[bool, str]:
+    """Run the loop; return whether the robot docked, and why not."""
+    for left in range(math.ceil(timeout / period), -1, -1):
+        if _is_reached(goal_checker, world, remaining):
+            return True, ""
+        if left == 0:
+            break
+        now = world.measurements
         assert now.pose is not None
-        return checker.is_goal_reached(now.pose, self.goal, now.twist, self.remaining.from_pose(now.pose))
+        try:
+            command = controller.compute_velocity_commands(now.pose, now.twist, goal_checker, stamp=now.stamp)
+        except ControllerException as error:
+            return False, f"{type(error).__name__}: {error}"
+        world.advance(command, period)
+    return False, f"timeout: not docked within {timeout:g} s"
 
-    def result(self, *, docked: bool, reason: str) -> Run:
-        """The run's record."""
-        verdicts = {self.goal_checkers[0].name: docked}
-        verdicts |= {
-            checker.name: self._reached(checker, self.world.measurements) for checker in self.goal_checkers[1:]
-        }
-        record = self.world.record()
-        reference = self.trajectory.sample_at(record.times)
-        return Run(
-            times=record.times,
-            poses=record.poses,
-            measured=record.measured,
-            commands=record.commands,
-            twists=record.twists[:, :2],
-            references=np.column_stack((reference.x, reference.y, reference.yaw)),
-            goal=self.goal,
-            docked=docked,
-            reason=reason,
-            differs=_differences(self.trajectory, self.robot, self.settings.obstacles),
-            min_clearance=self.world.clearance() if self.settings.obstacles else None,
-            verdicts=verdicts,
-        )
+
+def _is_reached(checker: GoalChecker, world: SimulatedRobot, remaining: RemainingPath) -> bool:
+    now = world.measurements
+    assert now.pose is not None
+    return checker.is_goal_reached(now.pose, world.dock_pose, now.twist, remaining.from_pose(now.pose))
 
 
 def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
-    """In what the world of a run is not the one that the trajectory was certified for."""
+    """Differences of a run to the problem that the trajectory was certified for."""
     proven = proven_for(trajectory)
     if proven is None:
         return ()
@@ -210,11 +271,11 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 
 
 class RemainingPath:
-    """A sampled path that is consumed from its start, monotonically, and never beyond its last two poses.
+    """A sampled path that is consumed monotonically from its start, up to its last two poses.
 
-    The robot's place is the nearest sample among the next few of the present gear segment, turns in place left out; the
-    next segment opens once the cusp's sample is reached. So the overlapping legs of a cusp are not mistaken for each
-    other, and the path-length rule of the checkers holds them off until the last leg.
+    The place of the robot is the nearest of the next samples of the present gear segment, without turns in place; the
+    next segment begins at the sample of the cusp. The overlapping segments at a cusp are thus distinguished, so that
+    the path-length rule of the checkers applies to the last one only.
 
     Args:
         path: The whole path.
@@ -225,17 +286,59 @@ class RemainingPath:
         samples = path.sample(spacing)
         gears = samples.direction
         legs = np.cumsum(np.diff(gears, prepend=gears[0]) != 0)
-        if np.any(gears):  # no place tells where in a turn the robot is
+        if np.any(gears):  # the position does not determine the progress in a turn
             legs, samples = legs[gears != 0], PathSamples(*(column[gears != 0] for column in samples))
         self._poses = [Pose2.from_sequence(row) for row in samples.poses]
         self._segment_ends = [*np.flatnonzero(np.diff(legs)).tolist(), legs.size - 1]
         self._at = 0
 
     def from_pose(self, pose: Pose2) -> Sequence[Pose2]:
-        """The poses from the robot's place to the end; at least two."""
+        """Return the poses from the place of the robot to the end; at least two."""
         if self._at in self._segment_ends[:-1]:
-            self._at += 1  # the cusp's second sample, of the next gear
+            self._at += 1  # the second sample of the cusp, of the next gear
         end = next(i for i in self._segment_ends if i >= self._at)
-        window = range(self._at, min(end, self._at + _LOOK_AHEAD) + 1)
+        window = range(self._at, min(end, self._at + _WINDOW) + 1)
         self._at = min(window, key=lambda i: math.hypot(self._poses[i].x - pose.x, self._poses[i].y - pose.y))
         return self._poses[min(self._at, len(self._poses) - 2) :]
+
+
+def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
+    """Describe how driven poses left the certified tube or clearance; empty if they did not.
+
+    A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if there is one, or
+    if the footprint is closer to an obstacle than the problem's clearance requires. Before the dock the required
+    clearance is smaller than the tube; there, and without a tube, the clearance decides. Within the dock's tolerances
+    the robot may penetrate its station by the travel of a bumper.
+
+    Args:
+        path: Path to be driven.
+        problem: Problem of the certificate.
+        certificate: Certificate of the path.
+        poses: True poses, Shape (n, 3).
+    """
+    width, faults = certificate.tube, []
+    to_go = np.hypot(poses[:, 0] - problem.goal.x, poses[:, 1] - problem.goal.y)
+    if width > 0.0:
+        moved = Tube(path, problem, certificate.start_relief).deviations(poses).displacement
+        worst = int(np.argmax(moved))
+        if moved[worst] > width:
+            off, wide = f"{1e3 * moved[worst]:.1f} mm off the path", f"the tube is {1e3 * width:.1f} mm wide"
+            faults.append(f"{off} {to_go[worst]:.3f} m before the dock, {wide}")
+    from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
+    begun, relief = end_clearances(problem).start, certificate.start_relief
+    required = problem.clearance.required_at(to_go, from_start, begun, relief)
+    obstacles, within = problem.all_obstacles, float(np.max(required)) + TOLERANCE
+    blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
+    found = [pose_clearances(block, problem.robot.footprint, obstacles, within) for block in blocks]
+    clearance, nearest = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    is_station = np.array([row >= 0 and obstacles.name_of(row) == "dock" for row in nearest.tolist()])
+    accepted = problem.dock.tolerances
+    pressed = is_station & (to_go <= math.hypot(accepted.along, accepted.cross))
+    required = np.where(pressed, problem.clearance.at_dock, required)
+    short = required - clearance - np.where(pressed, _BUMPER, TOLERANCE)
+    worst = int(np.argmax(short))
+    if short[worst] > 0.0:
+        near = in_words(obstacles.name_of(int(nearest[worst])))
+        rule = f"required are {required[worst]:.4f} m"
+        faults.append(f"{clearance[worst]:.4f} m from {near} {to_go[worst]:.3f} m before the dock, {rule}")
+    return " and ".join(faults)

@@ -1,4 +1,4 @@
-"""A robot in a simulated world: a command goes in, what the sensors say comes out, and all of it is recorded."""
+"""A simulated robot: commands in, measurements out, everything recorded."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import DockDirection
 from optdock.model.measurements import Measurements
 from optdock.simulation.plant import check_not_negative, check_seed
-from optdock.simulation.run import executed_clearance
 from optdock.simulation.sensors import DockSensor, Odometry, PoseSensor
+from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
+    from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
     from optdock.model.costmap import Costmap
     from optdock.model.measurements import Detection
     from optdock.simulation.plant import Plant
 
-__all__ = ["Record", "Sensors", "SimulatedRobot", "Station"]
+__all__ = ["Record", "Sensors", "SimulatedRobot", "Station", "executed_clearance"]
 
 _TOUCHING = 1e-9  # [m]: rounding of a pose moved to the stop
+_BLOCK = 256  # poses per round, which bounds the memory
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What the robot carries; perfect by default, and without a detector of docks.
+    """Sensors of a robot; by default perfect, without a detector of the dock.
 
     Args:
         pose: Localization.
-        odometry: Of the wheels.
-        dock: Detector; None: none.
+        odometry: Odometry of the wheels.
+        dock: Detector of the dock; None: none.
     """
 
     pose: PoseSensor = field(default_factory=PoseSensor)
@@ -46,22 +48,22 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Station:
-    """A dock that stops the robot and tells contact; geometry only, no forces.
+    """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the dock's axis. It holds a robot that drives against it; what comes from the side or
-    from behind passes, and is a collision with the station's outline if that is among the obstacles.
+    The stop is a plane across the axis of the dock. It stops a robot from the front; one from the side or from behind
+    passes, and collides with the outline of the station if the obstacles contain it.
 
     Args:
         direction: Gear of the last motion, forward or backward.
-        depth: How much deeper than docked the robot can be driven [m].
-        half_width: Farther than this beside the axis there is no stop [m].
-        switch_travel: Contact is told from this far before the stop [m].
-        switch_cross: And within this beside the axis [m].
-        switch_yaw: And within this heading error [rad].
-        stalls: Whether the wheels stand still against the stop (weak motors), or slip: odometry then goes on.
+        depth: Distance of the stop beyond the docked pose [m].
+        half_width: Half width of the stop [m].
+        switch_travel: Distance before the stop within which the switch is closed [m].
+        switch_cross: Largest lateral error with a closed switch [m].
+        switch_yaw: Largest heading error with a closed switch [rad].
+        stalls: Whether the wheels stop at the stop (weak motors), or slip, so that odometry continues.
 
     Raises:
-        InvalidValue: Not forward or backward, or a length or angle is not a number, negative or not finite.
+        InvalidValue: If the direction is not forward or backward, or a value not a number, negative or not finite.
     """
 
     direction: DockDirection = DockDirection.FORWARD
@@ -81,34 +83,34 @@ class Station:
 
     @property
     def stop(self) -> Pose2:
-        """The farthest that the robot can be driven straight in, seen from the docked pose."""
+        """Pose of the robot at the stop, relative to the docked pose."""
         return Pose2(self.depth if self.direction is DockDirection.FORWARD else -self.depth, 0.0, 0.0)
 
     def past(self, pose: Pose2) -> float:
-        """How far beyond the stop the robot is [m], seen from the docked pose; negative before it."""
+        """Return the distance beyond the stop [m] of a pose relative to the docked pose; negative before it."""
         return (pose.x if self.direction is DockDirection.FORWARD else -pose.x) - self.depth
 
     def touched(self, pose: Pose2) -> bool:
-        """Whether the switch is closed, seen from the docked pose."""
+        """Whether the switch is closed at a pose relative to the docked pose."""
         aligned = abs(pose.y) <= self.switch_cross and abs(pose.yaw) <= self.switch_yaw
         return aligned and abs(self.past(pose)) <= self.switch_travel + _TOUCHING
 
 
 @dataclass(frozen=True, eq=False)
 class Record(FrozenArrays):
-    """What happened; row k is the state at `times[k]` and the command given there.
+    """Record of a simulation; row k is the state at `times[k]` and the command given there.
 
     Attributes:
         times: Shape (n,) [s].
         poses: True poses, Shape (n, 3).
         twists: True body velocities: linear, angular, lateral, Shape (n, 3) [m/s, rad/s, m/s].
         commands: Linear and angular, Shape (n, 2) [m/s, rad/s]; zero in the last row.
-        measured: Poses as measured, Shape (n, 3); NaN where there was none.
-        odometry: Linear and angular as measured, Shape (n, 2) [m/s, rad/s].
-        docks: True poses of the docked robot, Shape (n, 3).
-        contact: What the switch said, Shape (n,); False where there is none.
-        detections: As they were delivered.
-        delivered: When, a time for each detection, Shape (m,) [s].
+        measured: Measured poses, Shape (n, 3).
+        odometry: Measured linear and angular velocity, Shape (n, 2) [m/s, rad/s].
+        docks: True docked poses, Shape (n, 3).
+        contact: State of the contact switch, Shape (n,); False without a switch.
+        detections: Detections in order of delivery.
+        delivered: Time of delivery of each detection, Shape (m,) [s].
     """
 
     times: FloatArray
@@ -124,31 +126,30 @@ class Record(FrozenArrays):
 
 
 class SimulatedRobot:
-    """A plant, its sensors and a dock, on one clock that begins at 0.
+    """A plant, its sensors and a dock on one clock, which begins at 0.
 
-    Each sensor has a random stream of its own: switching one off changes nothing in the others. The fixed frame is that
-    of `start`, `dock_pose` and the obstacles; where the *stored* dock is, only the planner knows.
+    Each sensor has its own random stream: changing one does not affect the others. The fixed frame is that of `start`,
+    `dock_pose` and the obstacles; the stored dock is known to the planner only.
 
     Args:
-        plant: What drives.
-        start: True pose of the robot.
-        dock_pose: True pose of the docked robot; may be set at any time to move the dock.
-        sensors: What it measures with.
-        obstacles: What it must not touch, the station's outline included.
-        station: Stop and contact switch of the dock; None: neither, and contact is what the plant says of it.
-        seed: Of the sensors' noise (a plant's slip has its own).
-        start_twist: Steady body velocity in which the robot begins.
+        plant: Plant of the robot.
+        start: True pose of the robot at the beginning.
+        dock_pose: True docked pose; may be set at any time to move the dock.
+        sensors: Sensors; None: perfect.
+        obstacles: Obstacles, with the outline of the station.
+        station: Stop and contact switch of the dock; None: contact is that of the plant.
+        seed: Seed of the sensors' noise; the slip of a plant has its own.
+        start_twist: Steady body velocity at the beginning.
 
     Attributes:
-        time: [s].
-        state: Of the plant, true.
-        dock_pose: See above.
-        measurements: The latest.
-        pose_sensor: For faults at a place instead of a time: `jump`.
-        dock_sensor: Likewise `lose` and `displace_next`; None without a detector.
+        time: Time [s].
+        state: True state of the plant.
+        measurements: Latest measurements.
+        pose_sensor: Reader of the localization; `jump` displaces it.
+        dock_sensor: Reader of the detector, with `lose` and `displace_next`; None without a detector.
 
     Raises:
-        InvalidValue: The seed is not a whole number >= 0.
+        InvalidValue: If the seed is not a whole number >= 0.
     """
 
     def __init__(  # noqa: PLR0913 - one parameter for each part of the world
@@ -180,10 +181,10 @@ class SimulatedRobot:
         self.measurements = self._measure(0.0)
 
     def advance(self, command: Twist2, duration: float) -> Measurements:
-        """Give a command, let `duration` [s] pass, and measure.
+        """Apply a command for `duration` [s] and return the measurements after it.
 
         Raises:
-            InvalidValue: The duration is not finite and > 0.
+            InvalidValue: If the duration is not finite and > 0.
         """
         before = self.state
         self.state = self.plant.step(before, command, duration)
@@ -195,24 +196,23 @@ class SimulatedRobot:
         return self.measurements
 
     def put(self, obstacles: ObstacleSet, costmap: Costmap | None = None) -> None:
-        """Put obstacles into the world now; the next measurements show `costmap`."""
+        """Replace the obstacles from now on; the next measurements contain `costmap`."""
         self._obstacles.append((len(self._rows), obstacles))
         self._costmap = costmap or self._costmap
 
     @property
     def error(self) -> Pose2:
-        """The robot seen from the docked pose, both true: along, cross [m] and yaw [rad]."""
+        """True pose of the robot relative to the true docked pose: along, cross [m] and yaw [rad]."""
         return self.state.pose.in_frame_of(self.dock_pose)
 
     def clearance(self) -> float:
-        """Smallest signed distance of the true footprint and an obstacle so far [m], exact at the recorded poses."""
+        """Return the smallest signed distance of the recorded true footprints to an obstacle [m]."""
         poses = np.array([row[1:4] for row in self._rows])
         footprint = self.plant.robot.footprint
-        found = (executed_clearance(footprint, poses[since:], those) for since, those in self._obstacles)
-        return min((value for value in found), default=math.inf)
+        return min((executed_clearance(footprint, poses[i:], those) for i, those in self._obstacles), default=math.inf)
 
     def record(self) -> Record:
-        """All until now."""
+        """Return the record until now."""
         rows = np.array(self._rows, dtype=np.float64)
         commands = np.array([*self._commands, (0.0, 0.0)], dtype=np.float64)
         delivered = np.array([time for time, _ in self._detections], dtype=np.float64)
@@ -231,14 +231,14 @@ class SimulatedRobot:
         )
 
     def forget(self) -> None:
-        """Drop what was recorded until now, so that a world may go on for days; `clearance` too begins anew."""
+        """Clear the record, to bound the memory of long runs; `clearance` starts again."""
         self._rows = self._rows[-1:]
         self._commands.clear()
         self._detections.clear()
         self._obstacles = [(0, obstacles) for _, obstacles in self._obstacles[-1:]]
 
     def _stop(self, before: Pose2, station: Station) -> None:
-        """Hold the robot where it has driven against the stop."""
+        """Keep the robot at the stop that it has driven against."""
         there = self.error
         beyond = station.past(there)
         if beyond <= 0.0 or abs(there.y) > station.half_width:
@@ -259,10 +259,25 @@ class SimulatedRobot:
         odometry = self.odometry.measure(state.encoders, duration)
         detections = () if self.dock_sensor is None else self.dock_sensor.measure(self.time, true, dock)
         contact = state.contact if self.station is None else self.station.touched(self.error)
-        told = (math.nan, math.nan, math.nan) if pose is None else (pose.x, pose.y, pose.yaw)
         motion = (true.x, true.y, true.yaw, twist.linear, twist.angular, twist.lateral)
         rest = (odometry.linear, odometry.angular, dock.x, dock.y, dock.yaw, float(bool(contact)))
-        self._rows.append((self.time, *motion, *told, *rest))
+        self._rows.append((self.time, *motion, pose.x, pose.y, pose.yaw, *rest))
         self._detections.extend((self.time, detection) for detection in detections)
         costmap, self._costmap = self._costmap, None
         return Measurements(self.time, pose, odometry, detections, contact, costmap)
+
+
+def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:
+    """Return the smallest signed distance between the footprint at any of the poses and any obstacle [m].
+
+    The motion between the poses is not checked.
+
+    Args:
+        footprint: Footprint of the robot.
+        poses: Shape (n, 3).
+        obstacles: Obstacles; without any, the distance is infinite.
+    """
+    best = math.inf
+    for block in np.array_split(poses, -(-len(poses) // _BLOCK)) if len(obstacles) and len(poses) else ():
+        best = min(best, float(np.min(pose_clearances(block, footprint, obstacles, best)[0])))
+    return best

@@ -34,7 +34,7 @@ from optdock.planning.replanning import Replanned, ReplanOutcome
 from optdock.plugins.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
 from optdock.reports.plan_file_verdict import PlanFileVerdict
 from optdock.samples import SampledMotionVerdict
-from optdock.simulation.run import Run
+from optdock.simulation.closed_loop import Run
 from optdock.timing.plan_checks import SegmentPlan
 from optdock.timing.start_states import StartVerdict
 from optdock.verification import Certificate, TrajectoryCertificate, Violation, certify_path, certify_trajectory

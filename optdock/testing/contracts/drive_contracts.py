@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from optdock.errors import BehaviorException, ControllerException, ControllerInvalidPath, InvalidValue
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import AtDock, Detection, Measurements
 from optdock.model.path import Direction, Path

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, PluginError
 from optdock.executor import SimpleDock
-from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.checked_inputs import CheckedDockType
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
 from optdock.model.measurements import Detection, Measurements

@@ -12,7 +12,7 @@ from nav2_msgs.action import DockRobot
 
 from optdock.errors import InvalidMessage, OptdockError
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
-from optdock.executor.contact_zone import contact_reach
+from optdock.executor.planning_scene import contact_reach
 from optdock.geometry.pose import Pose2
 from optdock_ros.control_loop import ControlLoop, TaskRun
 from optdock_ros.docking_goals import UNKNOWN, Ended, GoalOutcome, failed

@@ -1,4 +1,4 @@
-"""A small robot before a station, simulated or scripted, and what of a drive must always hold."""
+"""A simulated robot before a station, and the checks of every finished task."""
 
 import math
 from typing import NamedTuple
@@ -41,7 +41,7 @@ PERFECT = Sensors(dock=DockSensor(20.0))
 
 
 def problem_with(stored=TRUE_DOCK, obstacles=()):
-    """The robot and its dock as stored."""
+    """The robot and its stored dock."""
     dock = Dock(
         stored,
         STATION,
@@ -55,7 +55,7 @@ def problem_with(stored=TRUE_DOCK, obstacles=()):
 
 
 class Docking(NamedTuple):
-    """What came of a simulated task."""
+    """Result of a simulated task."""
 
     executor: DockingExecutor
     world: SimulatedRobot
@@ -77,14 +77,14 @@ class Docking(NamedTuple):
 
 
 def simulated(start=BEFORE_DOCK, sensors=NOISY, actuation=SLUGGISH, **kwargs):
-    """A robot in the world, the true dock at the origin."""
+    """A robot with the true dock at the origin."""
     kwargs.setdefault("plant", DifferentialDrive(ROBOT, actuation))
     station = ObstacleSet.from_footprint(STATION, TRUE_DOCK, "dock")
     return SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=sensors, obstacles=station, **kwargs)
 
 
-def run(world, problem=None, settings=None, *, rate=25.0, timeout=90.0, before=None, **kwargs):
-    """Step executor and world by turns until the task ends; `before` may change both, and the measurements."""
+def run(world, problem=None, settings=None, *, rate=20.0, timeout=90.0, before=None, **kwargs):
+    """Run executor and world until the task ends; `before` may change both, and the measurements."""
     executor = DockingExecutor(problem or problem_with(Pose2(0.03, -0.05, 0.03)), settings, **kwargs)
     times, steps, events, measurements = [], [], [], world.measurements
     while world.time < timeout and executor.ending is None:
@@ -112,7 +112,7 @@ def once(condition, act):
 
 
 def within(distance):
-    """Whether the robot is as near to the dock, on its approach."""
+    """Whether the robot approaches within this distance of the dock."""
     return lambda executor, world: (
         math.hypot(world.error.x, world.error.y) < distance and executor.state is State.APPROACHING
     )
@@ -139,7 +139,7 @@ def assert_lawful(stamps, commands, limits=LIMITS):
 
 @pytest.fixture
 def lawful():
-    """Check a finished task: it ended, at rest, by lawful commands, and touched nothing."""
+    """Check that a task ended at rest, with commands within the limits, without a collision."""
 
     def check(docking, touch=0.004):
         assert docking.ending is not None

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.executor.approach import (
+from optdock.executor.dock_estimate import (
     DECAY,
     SHORTEST_DECAY,
     can_be_planned_away,
@@ -29,7 +29,7 @@ offsets, turns, ways = st.floats(-0.1, 0.1), st.floats(-0.2, 0.2), st.floats(0.0
     gear=st.sampled_from([1.0, -1.0]),
     decay=st.sampled_from([DECAY, SHORTEST_DECAY]),
 )
-def test_errors_decay_as_the_tracking_law_says(offset, turn, way, gear, decay):
+def test_errors_decay_by_the_tracking_law(offset, turn, way, gear, decay):
     """Against its own steps: d offset / ds = turn, and the heading is pulled back by both; in both gears alike."""
     y, w, step = offset, gear * turn, way / 2000
     for _ in range(2000):
@@ -55,7 +55,7 @@ def test_reachable_offset_is_driven():
     assert reachable_offset(2.0, LIMITS) == pytest.approx(0.25 * LIMITS.max_curvature * 4.0)
 
 
-def test_an_arc_that_leads_back_is_no_error():
+def test_arc_back_to_the_path_needs_no_correction():
     """A robot on the arc that ends on the path needs less than one that is as far off and straight."""
     assert can_be_planned_away(-0.01, 0.1, 0.2, 1.0, LIMITS) == (0.25 * LIMITS.max_curvature_rate * 0.02 >= 0.1)
     assert can_be_planned_away(-0.004, 0.04, 0.2, 1.0, LIMITS)
@@ -64,7 +64,7 @@ def test_an_arc_that_leads_back_is_no_error():
     assert not can_be_planned_away(0.0, 0.0, 0.0, 1.0, LIMITS)
 
 
-def test_staging_leaves_room_to_correct_a_dock_that_is_stored_wrongly():
+def test_staging_distance_allows_to_correct_a_wrongly_stored_dock():
     problem = problem_with()
     room = staging_distance(problem) - problem.dock.final_straight
     assert reachable_offset(room, LIMITS) >= 0.15

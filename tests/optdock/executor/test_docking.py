@@ -1,4 +1,4 @@
-"""Whole tasks in simulation: the robot docks, and every fault ends under a name, at rest, without a collision."""
+"""Whole tasks in simulation: the robot docks, and every fault ends at rest, with a reason and without a collision."""
 
 import dataclasses
 import math
@@ -8,8 +8,7 @@ import pytest
 
 from optdock.errors import InvalidValue
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
-from optdock.executor.log import LogWriter
-from optdock.executor.log_reader import read_log
+from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
@@ -25,7 +24,7 @@ NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
 
 
 def pushed(aside):
-    """Somebody pushes the robot to its left [m]."""
+    """Push the robot to its left [m]."""
 
     def act(executor, world, measurements):
         world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, aside, 0.0))
@@ -33,20 +32,34 @@ def pushed(aside):
     return act
 
 
-def test_noisy_robot_docks_at_a_dock_that_is_stored_wrongly(lawful, tmp_path):
-    """Late noisy detections, a sluggish late drive, a push on the way that is worth another plan in motion.
+class Listening(InlinePlanning):
+    """Keeps the jobs."""
 
-    The log drives the same commands again, bit for bit.
+    def __init__(self):
+        super().__init__()
+        self.jobs = []
+
+    def submit(self, job):
+        self.jobs.append(job)
+        super().submit(job)
+
+
+def test_noisy_robot_docks_at_a_wrongly_stored_dock(lawful, tmp_path):
+    """Late noisy detections, a drive with lag and delay, and a push that requires another plan in motion.
+
+    The replay of the log gives the same commands, bit for bit. Detections move the estimated dock, so planning must get
+    the displacement of the running motion.
     """
-    push = once(within(0.85), pushed(0.025))
+    push, planning = once(within(0.85), pushed(0.025)), Listening()
     with LogWriter(tmp_path / "docking.log") as log:
-        docking = run(simulated(Pose2(-1.5, 0.15, 0.1), seed=1), settings=NO_STAGING, log=log, before=push)
+        world = simulated(Pose2(-1.5, 0.15, 0.1), seed=1)
+        docking = run(world, settings=NO_STAGING, log=log, before=push, planning=planning)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     error = docking.world.error
     assert abs(error.x) <= 0.01
     assert abs(error.y) <= 0.006
     assert abs(error.yaw) <= math.radians(0.8)
-    assert docking.said("plan asked for")
+    assert docking.said("plan requested")
     assert docking.said("plan new")[1:], "it was planned again on the way"
     assert State.STOPPING not in docking.states[20:-20], "in motion"
     states = [step.feedback.state for step in docking.steps]
@@ -54,16 +67,20 @@ def test_noisy_robot_docks_at_a_dock_that_is_stored_wrongly(lawful, tmp_path):
     again = replay(read_log(tmp_path / "docking.log"))
     assert again.differs_at is None
     assert again.cycles == len(docking.steps)
+    in_motion = [job for job in planning.jobs if job.running is not None]
+    assert any(job.moved.gap_to(Pose2(0.0, 0.0, 0.0)) > 1e-6 for job in in_motion)
+    for job in in_motion:
+        assert (job.moved @ job.running.problem.goal).gap_to(job.problem.goal) <= 1e-9
 
 
 @pytest.mark.parametrize("rate", [10.0, 100.0])
 def test_any_rate_docks(rate, lawful):
-    docking = run(simulated(Pose2(-0.6, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), rate=rate)
+    docking = run(simulated(Pose2(-0.4, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), rate=rate)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert abs(docking.world.error.y) <= 0.002
 
 
-def test_an_outlier_and_lost_detections_do_not_matter(lawful):
+def test_outlier_and_lost_detections_have_no_effect(lawful):
     def outlier(executor, world, measurements):
         world.dock_sensor.displace_next(Pose2(0.2, 0.22, 0.1))
 
@@ -109,13 +126,13 @@ def put_away(executor, world, measurements):
 
 
 def test_obstacle_on_the_path_is_driven_around(lawful):
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
+    docking = run(simulated(Pose2(-2.5, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
-    assert docking.said("motion does not hold any more")
+    assert docking.said("motion no longer valid")
 
 
 @pytest.mark.parametrize("goes", [True, False])
-def test_the_way_round_a_wall_is_left_where_the_wall_has_gone(goes, lawful):
+def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
     build, remove = put(1.9, 1.6), put_away if goes else lambda *_: None
 
     def before(executor, world, measurements):
@@ -123,29 +140,22 @@ def test_the_way_round_a_wall_is_left_where_the_wall_has_gone(goes, lawful):
         remove(executor, world, measurements)
 
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before)
-    touch = math.inf if goes else 0.004  # it may drive where the wall stood
+    touch = math.inf if goes else 0.004  # it may drive through the place of the wall
     assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("shorter way")) == goes
     assert (docking.times[-1] < 18.0) is goes, docking.times[-1]
 
 
-def test_wall_across_the_way_ends_the_task_at_rest(lawful):
-    settings = ExecutorSettings(navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1)
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0))
-    assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
-    assert State.WAITING_FOR_OBSTACLE in docking.states
-    assert docking.world.clearance() > 0.05
-
-
 @pytest.mark.parametrize(("ahead", "staging"), [(1.7, 2.4), (1.0, 0.8)], ids=["before the wall", "beyond the wall"])
-def test_no_robot_goes_back_where_the_dock_stays_blocked(ahead, staging, lawful):
+def test_robot_stays_at_rest_while_the_dock_is_blocked(ahead, staging, lawful):
     settings = ExecutorSettings(
-        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=staging, max_retries=2
+        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=staging, max_retries=1
     )
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, ahead))
     ending = lawful(docking)
-    assert (ending.kind, ending.num_retries) == (EndingKind.FAILED_TO_CONTROL, 2)
-    assert len(docking.said("no way from a staging pose")) == 2
+    assert (ending.kind, ending.num_retries) == (EndingKind.FAILED_TO_CONTROL, 1)
+    assert len(docking.said("no way from a staging pose")) == 1
+    assert docking.world.clearance() > 0.05
     assert State.RETURNING not in docking.states
     first = docking.states.index(State.WAITING_FOR_OBSTACLE)
     assert {step.command for step in docking.steps[first:]} == {Twist2()}
@@ -162,8 +172,8 @@ class Hanging(InlinePlanning):
         return result
 
 
-def test_a_planner_that_hangs_lets_no_robot_drive_into_what_came_into_its_way():
-    """The picture comes once and stays the same: the robot stops before the box all the same."""
+def test_robot_stops_before_a_new_obstacle_without_a_planner():
+    """The costmap comes once."""
     settings = ExecutorSettings(navigate_to_staging_pose=False)
     docking = run(
         simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, 1.6), planning=Hanging(), timeout=8.0
@@ -173,15 +183,16 @@ def test_a_planner_that_hangs_lets_no_robot_drive_into_what_came_into_its_way():
 
 
 @pytest.mark.parametrize("watchdog", [True, False])
-def test_after_a_pause_commands_begin_at_what_the_robot_does(watchdog):
-    """A process that was stopped for 2 s: the base has stopped too, or has gone on as it was told."""
+def test_after_a_pause_commands_continue_from_the_velocity_of_the_robot(watchdog):
+    """During a pause of the process the base stops by its watchdog, or keeps the last command."""
     paused = []
 
     def pause(executor, world, measurements):
         paused.append(executor.step(measurements).command)
         return world.advance(Twist2() if watchdog else world.last, 1.0)
 
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), before=once(lambda e, world: world.state.twist.linear > 0.3, pause))
+    moves = once(lambda e, world: world.state.twist.linear > 0.3, pause)
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), before=moves, timeout=5.0)
     after = [step for step in docking.steps if any(event.name == "no cycle for long" for event in step.events)]
     assert len(after) == 1
     first = docking.steps.index(after[0])
@@ -189,8 +200,7 @@ def test_after_a_pause_commands_begin_at_what_the_robot_does(watchdog):
     assert max(commands) < 0.02 if watchdog else min(commands) > 0.2, commands
 
 
-def test_localization_that_jumps_does_not_matter(lawful):
-    """At the dock the robot is where it sees itself, not where localization says."""
+def test_jump_of_the_localization_has_no_effect_at_the_dock(lawful):
 
     def act(executor, world, measurements):
         world.pose_sensor.jump(Pose2(0.0, 0.05, 0.0))
@@ -211,7 +221,7 @@ def test_localization_that_jumps_does_not_matter(lawful):
         (Pose2(0.0, 0.0, 0.0), {"contact": "touch"}, False),
     ],
 )
-def test_a_robot_that_stands_in_its_dock_is_docked_already(start, settings, docked):
+def test_robot_in_its_dock_is_already_docked(start, settings, docked):
     docking = run(simulated(start, PERFECT), problem_with(), ExecutorSettings(**settings), timeout=3.0)
     ended = docking.ending is not None and docking.ending.kind is EndingKind.ALREADY_DOCKED
     assert ended is docked
@@ -219,27 +229,27 @@ def test_a_robot_that_stands_in_its_dock_is_docked_already(start, settings, dock
 
 
 @pytest.mark.parametrize("distance", [0.6, 0.25])
-def test_a_robot_that_is_held_stands_and_goes_on_when_it_is_released(distance, lawful):
-    """For longer than any patience; it counts as no failure, and the robot may be carried elsewhere meanwhile."""
+def test_held_robot_stands_and_continues_when_released(distance, lawful):
+    """Longer than any timeout; it is no failure."""
     held = []
 
     def before(executor, world, measurements):
         if not held and within(distance)(executor, world):
             held.append(world.time)
-        return measurements._replace(held=bool(held) and world.time < held[0] + 12.0)
+        return measurements._replace(held=bool(held) and world.time < held[0] + 8.0)
 
     docking = run(simulated(seed=4), before=before)
     ending = lawful(docking)
     assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert ending.num_retries == 0
     waiting = [step.command for step in docking.steps if step.state is State.HELD]
-    assert len(waiting) > 10.0 * 25.0
+    assert len(waiting) > 6.0 * 20.0
     assert set(waiting) == {Twist2()}
     assert len(docking.said("held")) == 1
 
 
-def test_robot_that_is_pushed_aside_goes_back_as_far_as_it_must(lawful):
-    """What cannot be corrected any more is not driven to the end; a plan with another gear begins where it stands."""
+def test_pushed_robot_plans_from_its_place(lawful):
+    """An error that cannot be corrected interrupts the motion; the next plan changes the gear."""
 
     docking = run(simulated(seed=3), before=once(within(0.27), pushed(0.03)))
     ending = lawful(docking)
@@ -251,18 +261,18 @@ def test_robot_that_is_pushed_aside_goes_back_as_far_as_it_must(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
-@pytest.mark.parametrize("deep", [0.005, 0.018, 0.04])
-def test_robot_that_was_pressed_too_deep_into_its_dock_leaves_it(lawful, deep):
-    """Commands that came late, a bumper that yields, an estimate that is off: the way out is free all the same."""
+@pytest.mark.parametrize("deep", [0.005, 0.04])
+def test_undocking_from_beyond_the_docked_pose(lawful, deep):
+    """By late commands, a yielding bumper or a wrong estimate; backing out must not be blocked."""
     docking = run(simulated(Pose2(deep, 0.0, 0.0), sensors=PERFECT), problem_with(), task="undock")
     assert lawful(docking, touch=deep + 1e-3).kind is EndingKind.UNDOCKED
     assert not docking.said("backing out is blocked")
 
 
 def test_stuck_wheel_ends_the_task(lawful):
-    wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.5),))
+    wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.0),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
-    settings = ExecutorSettings(max_retries=0)
+    settings = ExecutorSettings(max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False)
     docking = run(simulated(plant=plant), settings=settings)
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
 
@@ -296,10 +306,10 @@ def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
 
 
 @pytest.mark.parametrize(
-    ("silence", "kind"), [(2.0, EndingKind.DOCKED_BY_DISTANCE), (9.0, EndingKind.FAILED_TO_CONTROL)]
+    ("silence", "kind"), [(2.0, EndingKind.DOCKED_BY_DISTANCE), (4.5, EndingKind.FAILED_TO_CONTROL)]
 )
-def test_surroundings_that_are_not_renewed_stop_the_robot(lawful, silence, kind):
-    """Without the setting they may stay as they are; with it nothing moves in a world that nobody has seen lately."""
+def test_old_costmap_stops_the_robot(lawful, silence, kind):
+    """Only with `costmap_patience`."""
     empty = Costmap(np.zeros((80, 80), dtype=np.uint8), 0.1, (-4.0, -4.0))
     silent = once(within(0.5), lambda executor, world, measurements: setattr(world, "until", world.time + silence))
 
@@ -314,32 +324,34 @@ def test_surroundings_that_are_not_renewed_stop_the_robot(lawful, silence, kind)
     assert docking.said("no costmap")
     still = [step.command == Twist2() for step in docking.steps if step.state is State.WAITING_FOR_COSTMAP]
     assert all(still)
-    trusting = run(simulated(sensors=PERFECT), before=before)
-    assert State.WAITING_FOR_COSTMAP not in trusting.states
+    if silence < 3.0:
+        unlimited = run(simulated(sensors=PERFECT), before=before, timeout=6.0)
+        assert State.WAITING_FOR_COSTMAP not in unlimited.states
 
 
 def test_contact_by_stall_and_by_signal(lawful):
-    """A station that stops the robot 8 mm deeper than the map says: it presses on until that is felt."""
+    """The station stops the robot 8 mm beyond the docked pose."""
     touch = ExecutorSettings(contact="touch")
-    deaf = simulated(sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
+    start = Pose2(-0.5, 0.0, 0.0)
+    deaf = simulated(start, sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
     docking = run(deaf, settings=touch, before=lambda e, w, m: m._replace(contact=None))
     assert lawful(docking, touch=0.009).kind is EndingKind.DOCKED_BY_STALL
     assert State.PRESSING in docking.states
-    hearing = simulated(sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
+    hearing = simulated(start, sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
     docking = run(hearing, settings=touch)
     assert lawful(docking, touch=0.009).kind is EndingKind.DOCKED_BY_SIGNAL
     assert docking.world.station.touched(docking.world.error)
 
 
-def test_contact_that_is_lost_while_stopping_is_made_again(lawful):
-    """The feedback of a late drive takes it back from its end just as the switch closes."""
+def test_contact_lost_while_stopping_is_made_again(lawful):
+    """The feedback of a late drive moves back as the switch closes."""
     docking = run(simulated(seed=3, station=Station()), settings=ExecutorSettings(contact="touch"), rate=50.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_SIGNAL
     assert docking.world.measurements.contact
 
 
 def test_undocking_out_of_contact(lawful):
-    """The robot overlaps the station by the noise of its pose: straight out first, then along a plan."""
+    """The robot overlaps the station by the noise of its pose: it backs out straight, then follows a plan."""
     world = simulated(Pose2(0.002, 0.001, 0.002), seed=5)
     docking = run(world, problem_with(), task="undock")
     assert lawful(docking).kind is EndingKind.UNDOCKED
@@ -349,35 +361,13 @@ def test_undocking_out_of_contact(lawful):
 
 
 def test_staging_from_afar(lawful):
-    docking = run(simulated(Pose2(-2.0, 0.6, 0.5), sensors=PERFECT), problem_with(TRUE_DOCK))
+    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=20.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.steps[25].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
 
 
-class Listening(InlinePlanning):
-    """Remembers the jobs."""
-
-    def __init__(self):
-        super().__init__()
-        self.jobs = []
-
-    def submit(self, job):
-        self.jobs.append(job)
-        super().submit(job)
-
-
-def test_planning_is_told_where_the_running_motion_leads_relative_to_the_dock():
-    """Detections move the estimated dock under way: the controller follows it, so that is what must be judged."""
-    planning, push = Listening(), once(within(0.85), pushed(0.025))
-    run(simulated(Pose2(-1.5, 0.15, 0.1), seed=1), settings=NO_STAGING, planning=planning, before=push)
-    asked = [job for job in planning.jobs if job.running is not None]
-    assert any(job.moved.gap_to(Pose2(0.0, 0.0, 0.0)) > 1e-6 for job in asked)
-    for job in asked:
-        assert (job.moved @ job.running.problem.goal).gap_to(job.problem.goal) <= 1e-9
-
-
-def test_a_turn_at_the_end_takes_back_the_heading():
-    """Turned by 4 degrees while it turns in the dock, with no way left to drive."""
+def test_turn_at_the_end_corrects_the_heading():
+    """Rotated by 4 degrees during a turn in the dock."""
 
     def turned(executor, world, measurements):
         world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.0, -0.07))
@@ -395,16 +385,16 @@ def test_a_turn_at_the_end_takes_back_the_heading():
 
 
 def seen_ahead(executor, world, measurements):
-    """A camera in front: the dock is seen within 30 degrees of straight ahead."""
+    """Keep the detections of a front camera, within 30 degrees of straight ahead."""
     ahead = [one for one in measurements.detections if abs(math.atan2(one.pose.y, one.pose.x)) < math.radians(30.0)]
     return measurements._replace(detections=tuple(ahead))
 
 
-@pytest.mark.parametrize(("turns", "knows_camera"), [(0, False), (1, False), (0, True)])
-def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, knows_camera, lawful):
-    """Then the way in is the odometry's; whole turns of its heading on the way count for nothing.
+@pytest.mark.parametrize(("turns", "knows_camera"), [(1, False), (0, True)])
+def test_robot_turns_to_detect_a_dock_in_reverse_with_a_front_camera(turns, knows_camera, lawful):
+    """It backs in by odometry; full turns of the heading have no effect.
 
-    Whoever knows his camera does not look from where it shows nothing.
+    With a known camera it does not try to detect the dock from a pose without a view of it.
     """
     problem = problem_with()
     dock = dataclasses.replace(problem.dock, pose=TRUE_DOCK, direction="backward", footprint=None)
@@ -414,11 +404,11 @@ def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, knows_
         problem = dataclasses.replace(problem, robot=robot, dock=dataclasses.replace(dock, marker=(0.0, 0.0)))
     start = Pose2(0.75, 0.05, 0.1 + 2.0 * math.pi * turns)
     sigmas = {"odometry_sigma": 0.002, "odometry_scale_sigma": 0.001, "odometry_drift_sigma": 0.001}
-    told = ExecutorSettings(
+    chosen = ExecutorSettings(
         **sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0
     )
     world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
-    docking = run(world, problem, told, before=seen_ahead)
+    docking = run(world, problem, chosen, before=seen_ahead)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
     assert bool(docking.said("dock not seen from here")) is not knows_camera
     assert max(abs(world.error.x), abs(world.error.y)) < 0.01
@@ -426,29 +416,30 @@ def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, knows_
     assert docking.ending.num_retries == 0
 
 
-def test_a_robot_that_is_stopped_in_its_dock_is_docked():
-    """Contact makes a plan impossible, and is no reason to go away: the robot stands where it should."""
+def test_robot_stopped_in_its_dock_is_docked():
+    """No plan begins in contact; the robot must not back out."""
     stop = once(
         within(0.006), lambda executor, world, measurements: measurements._replace(stamp=measurements.stamp + 5.0)
     )
-    docking = run(simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation()), problem_with(), NO_STAGING, before=stop)
+    world = simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation())
+    docking = run(world, problem_with(), NO_STAGING, before=stop, rate=25.0)
     assert docking.said("no cycle for long")
     assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("plan new")) == 1
     assert docking.ending.num_retries == 0
 
 
-def test_a_robot_that_is_taken_over_in_motion_is_not_jerked(tmp_path):
-    """The first command goes on from the last one that was given, whatever a late odometry says; so does a replay."""
-    told = Twist2(0.3, 0.1)
+def test_takeover_in_motion_continues_from_the_last_command(tmp_path):
+    """Independently of a late odometry; in a replay as well."""
+    last = Twist2(0.3, 0.1)
     with LogWriter(tmp_path / "taken_over.log") as log:
-        executor = DockingExecutor(problem_with(), NO_STAGING, last_command=told, log=log)
+        executor = DockingExecutor(problem_with(), NO_STAGING, last_command=last, log=log)
         world = simulated(Pose2(-1.2, 0.0, 0.0), PERFECT, Actuation())
-        measurements, commands = world.measurements._replace(twist=Twist2(0.1, 0.0)), [told]
+        measurements, commands = world.measurements._replace(twist=Twist2(0.1, 0.0)), [last]
         for _ in range(40):
             commands.append(executor.step(measurements).command)
             measurements = world.advance(commands[-1], 0.04)
-    assert commands[1] == told
+    assert commands[1] == last
     speeds = np.array([command.linear for command in commands])
     assert np.abs(np.diff(speeds, 2)).max() <= LIMITS.max_jerk * 0.04**2 + 1e-9
     assert speeds.min() == 0.0, "it stops before it plans"
@@ -458,8 +449,8 @@ def test_a_robot_that_is_taken_over_in_motion_is_not_jerked(tmp_path):
 
 
 @pytest.mark.parametrize("seen", [True, False])
-def test_the_dock_in_view_takes_the_place_of_a_lost_localization(seen, lawful):
-    """For a metre at most; without it the robot waits for a pose, and ends without one."""
+def test_detections_replace_a_lost_localization(seen, lawful):
+    """Over a metre at most; without detections the robot waits for a pose."""
 
     def lost(executor, world, measurements):
         near = world.error.x > -0.6
@@ -472,8 +463,8 @@ def test_the_dock_in_view_takes_the_place_of_a_lost_localization(seen, lawful):
     assert bool(docking.said("no pose")) is not seen
 
 
-def test_a_dock_that_is_hidden_is_waited_for_on_the_way(lawful):
-    """Somebody stands before it for 1.5 s: the robot slows down, and still has way left when it sees the dock again."""
+def test_robot_slows_down_for_a_hidden_dock(lawful):
+    """The dock is hidden for 1.5 s; some distance is left when it is detected again."""
     hidden, left = [], []
 
     def walks_by(executor, world, measurements):
@@ -484,7 +475,8 @@ def test_a_dock_that_is_hidden_is_waited_for_on_the_way(lawful):
         left.append(-world.error.x)
         return measurements._replace(detections=())
 
-    docking = run(simulated(Pose2(-0.7, 0.02, 0.0), seed=3), problem_with(), NO_STAGING, before=walks_by)
+    world = simulated(Pose2(-0.7, 0.02, 0.0), seed=3)
+    docking = run(world, problem_with(), NO_STAGING, before=walks_by, rate=25.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.said("dock hidden")
     assert left[-1] > 0.015
@@ -494,11 +486,8 @@ def test_a_dock_that_is_hidden_is_waited_for_on_the_way(lawful):
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_a_heading_that_slips_in_the_dock_is_turned_back_there(held, lawful):
-    """By 1.3 degrees, which its tolerance would accept; nothing else is off, and no way is left for a path.
-
-    Whoever is held while he turns, is where he may stay.
-    """
+def test_heading_error_in_the_dock_is_corrected_in_place(held, lawful):
+    """An error of 1.3 degrees, within the tolerance; a robot held during the correction is docked as well."""
 
     def slip(executor, world, measurements):
         world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.0, math.radians(1.3)))
@@ -514,7 +503,7 @@ def test_a_heading_that_slips_in_the_dock_is_turned_back_there(held, lawful):
 
     start = Pose2(-0.6, 0.0, 0.0)
     world = simulated(start, PERFECT, Actuation(), station=Station())
-    docking = run(world, problem_with(), NO_STAGING, before=before)
+    docking = run(world, problem_with(), NO_STAGING, before=before, rate=25.0)
     assert lawful(docking, touch=0.008).kind is EndingKind.DOCKED_BY_SIGNAL
     assert bool(docking.said("nudged")) is not held
     assert bool(held_at) is held
@@ -523,8 +512,8 @@ def test_a_heading_that_slips_in_the_dock_is_turned_back_there(held, lawful):
     assert max(abs(docking.world.error.x), abs(docking.world.error.y)) < 0.005
 
 
-def test_contact_that_is_made_again_askew_is_no_dock(lawful):
-    """The robot is turned by 4 degrees as its contact opens: pressing on closes it, and the robot looks once more."""
+def test_contact_made_again_with_a_heading_error_is_not_docked(lawful):
+    """The robot is rotated by 4 degrees as the contact opens; it presses on and is confirmed again."""
 
     def turned(executor, world, measurements):
         world.state = world.state._replace(pose=world.state.pose @ Pose2(-0.002, 0.0, math.radians(4.0)))

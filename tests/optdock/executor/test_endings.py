@@ -1,4 +1,4 @@
-"""Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
+"""Every ending, cancellation in every state, and commands within the limits for any measurements."""
 
 import dataclasses
 import itertools
@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
-from optdock.executor.log import RecordedPlanning
-from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costmap import Costmap
@@ -34,15 +33,12 @@ AHEAD = Pose2(-0.8, 0.0, 0.0)
 
 
 def perfect(start=AHEAD, **kwargs):
-    """A robot without any error."""
+    """A robot without errors."""
     return simulated(start, sensors=PERFECT, actuation=Actuation(), **kwargs)
 
 
 class StraightPlanning(RecordedPlanning):
-    """Plans that cost nothing: straight on for so many metres, from wherever the job begins, so often; or none at all.
-
-    Nobody proves them, so the executor takes them from a log only.
-    """
+    """Straight motions of this length, at most `most` times, or none; without certificates, as from a log."""
 
     def __init__(self, length=0.8, reason="", most=math.inf):
         super().__init__()
@@ -79,7 +75,7 @@ def blind(executor, world, measurements):
 
 
 def held(executor, world, measurements):
-    """Somebody holds the robot; its wheels turn."""
+    """Keep the robot in place while its wheels turn."""
     world.state = world.state._replace(pose=Pose2(-0.8, 0.0, 0.0))
 
 
@@ -105,7 +101,7 @@ ENDINGS = {
 
 
 @pytest.mark.parametrize("kind", ENDINGS, ids=lambda kind: kind.name)
-def test_ending_is_reached_and_the_robot_at_rest(kind, lawful):
+def test_every_ending_at_rest(kind, lawful):
     given_ = dict(ENDINGS[kind])
     chosen = {name: given_.pop(name) for name in list(given_) if name in ExecutorSettings.model_fields}
     world = perfect(given_.pop("start", AHEAD))
@@ -161,7 +157,7 @@ def test_cancel_in_every_state(state, lawful):
 
 
 class Recording(StraightPlanning):
-    """Keeps every job that it is given."""
+    """Keeps its jobs."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -173,8 +169,8 @@ class Recording(StraightPlanning):
 
 
 @pytest.mark.parametrize("state", [State.STAGING, State.RETURNING, State.UNDOCKING], ids=lambda state: state.name)
-def test_every_way_to_the_staging_pose_is_planned_around_the_station(state):
-    """It is an obstacle like any other, with the whole clearance: nothing is touched at that pose."""
+def test_station_is_an_obstacle_for_staging_poses(state):
+    """With the full clearance, as nothing is touched at that pose."""
     way = dict(WAYS[state])
     start, task = way.pop("start", AHEAD), way.pop("task", "dock")
     post = ObstacleSet.from_polygons([[[-1.0, 2.0], [-0.8, 2.0], [-0.8, 2.2], [-1.0, 2.2]]])
@@ -197,8 +193,8 @@ def test_every_way_to_the_staging_pose_is_planned_around_the_station(state):
     assert rule.required == rule.at_dock == 0.03
 
 
-def test_a_station_that_is_seen_elsewhere_is_an_obstacle_where_it_is_seen():
-    """Stored 20 cm to the left: the way back from a charge that failed leads around the true one."""
+def test_station_is_an_obstacle_at_its_detected_pose():
+    """The stored dock is 20 cm to the left."""
     planning, asked, stored = Recording(), [], Pose2(0.0, 0.2, 0.0)
 
     def before(executor, world, measurements):
@@ -220,8 +216,8 @@ def test_a_station_that_is_seen_elsewhere_is_an_obstacle_where_it_is_seen():
 
 
 @pytest.mark.parametrize(("sigma", "is_within"), [(0.06, True), (0.04, False)])
-def test_contact_counts_as_far_away_as_the_estimate_may_be_wrong(sigma, is_within):
-    """0.2 m before a dock that nobody has seen: within 0.05 m and three standard deviations, or beyond them."""
+def test_range_of_contact_includes_the_uncertainty(sigma, is_within):
+    """0.05 m and three standard deviations, 0.2 m before a dock without detections."""
     chosen = ExecutorSettings(**(QUICK | {"stored_position_sigma": sigma, "contact_range": 0.05}))
     for task, kind, before in (
         ("dock", EndingKind.ALREADY_DOCKED, lambda e, w, m: signal(e, w, lose(e, w, m))),
@@ -233,7 +229,7 @@ def test_contact_counts_as_far_away_as_the_estimate_may_be_wrong(sigma, is_withi
 
 
 def stands_at(distance):
-    """From so far before the dock on nothing moves, and the odometry says so."""
+    """Stop the robot at this distance before the dock."""
 
     def before(executor, world, measurements):
         if world.state.pose.x > -distance:
@@ -245,15 +241,14 @@ def stands_at(distance):
 
 
 @pytest.mark.parametrize(("distance", "kind"), [(0.03, "DOCKED_BY_STALL"), (0.4, "FAILED_TO_CONTROL")])
-def test_a_stall_is_contact_near_the_dock_only(distance, kind):
-    """Whatever else stops a robot far from its dock is not a dock."""
+def test_stall_is_contact_near_the_dock_only(distance, kind):
     chosen = ExecutorSettings(**QUICK, contact="touch", max_retries=0, progress_time=1.0, use_detections=False)
     docking = run(perfect(), problem_with(), chosen, rate=10.0, before=stands_at(distance), planning=StraightPlanning())
     assert docking.ending.kind is EndingKind[kind], docking.ending
 
 
 @pytest.mark.parametrize("overrun", [0.02, 0.05])
-def test_a_robot_that_feels_nothing_presses_on_no_farther_than_it_may(overrun, lawful):
+def test_pressing_without_contact_ends_at_the_overrun(overrun, lawful):
     chosen = ExecutorSettings(**QUICK, contact="touch", contact_overrun=overrun, max_retries=0)
     docking = run(perfect(), problem_with(), chosen, rate=25.0, before=deaf, planning=StraightPlanning())
     assert lawful(docking, touch=overrun + 0.01).kind is EndingKind.FAILED_TO_CONTROL
@@ -267,8 +262,8 @@ def deaf(executor, world, measurements):
 
 
 @pytest.mark.parametrize("distance", [0.01, 0.13])
-def test_a_robot_backs_out_no_farther_than_it_may_and_straight_as_it_came_in(distance, lawful):
-    """By the final straight of its dock in any case; pressed in deeper than that it plans from there."""
+def test_backing_out_is_straight_and_limited(distance, lawful):
+    """At least by the final straight of the dock; then it plans."""
     chosen = ExecutorSettings(**QUICK, back_out_distance=distance, use_detections=False)
     planning = Recording(reason="a wall")
     start = Pose2(0.04, 0.0, 0.0)
@@ -280,8 +275,8 @@ def test_a_robot_backs_out_no_farther_than_it_may_and_straight_as_it_came_in(dis
     assert planning.jobs
 
 
-def test_a_robot_backs_out_into_nothing_that_the_costmap_shows(lawful):
-    """A box 2 mm behind it, which no map had, is as much in its way as a wall."""
+def test_backing_out_stops_before_obstacles_of_the_costmap(lawful):
+    """A box 2 mm behind the robot."""
     cells = np.zeros((80, 80), dtype=np.uint8)
     cells[34:46, 33:34] = 254  # x from -0.35 to -0.3 m: the robot's rear is at -0.298 m
     box = ObstacleSet.from_polygons([[[-0.35, -0.3], [-0.3, -0.3], [-0.3, 0.3], [-0.35, 0.3]]])
@@ -294,7 +289,7 @@ def test_a_robot_backs_out_into_nothing_that_the_costmap_shows(lawful):
 
 
 class Answering(Recording):
-    """Answers plans in motion too: so many polls later, as the rest of a drive that begins so much later or earlier."""
+    """Answers jobs in motion after `polls` polls, with a takeover `begins` [s] after the job."""
 
     def __init__(self, polls=1, begins=0.2):
         super().__init__()
@@ -321,9 +316,9 @@ def with_tube(problem):
 
 
 def staged(planning, before, **chosen):
-    """A drive to the staging pose, straight on, by a robot whose tube is 2 cm wide."""
+    """A straight drive to the staging pose with a tube of 2 cm."""
     settings, world = ExecutorSettings(**QUICK, **chosen), perfect(Pose2(-2.0, 0.0, 0.0))
-    return run(world, with_tube(problem_with()), settings, timeout=8.0, before=before, planning=planning)
+    return run(world, with_tube(problem_with()), settings, rate=25.0, timeout=8.0, before=before, planning=planning)
 
 
 def push(executor, world, measurements):
@@ -335,8 +330,8 @@ def driving(speed):
 
 
 @pytest.mark.parametrize("pushed", [True, False])
-def test_a_robot_that_leaves_its_tube_is_planned_for_again_at_once(pushed):
-    """On the way to the staging pose too, where nothing else asks for another plan."""
+def test_leaving_the_tube_causes_a_plan(pushed):
+    """On the way to the staging pose, where no error at the dock causes one."""
     planning = Answering()
     docking = staged(planning, once(driving(0.25), push) if pushed else None)
     assert bool(docking.said("tube left")) is pushed
@@ -344,16 +339,16 @@ def test_a_robot_that_leaves_its_tube_is_planned_for_again_at_once(pushed):
 
 
 @pytest.mark.parametrize(("begins", "is_late"), [(0.2, False), (-0.2, True)])
-def test_a_plan_that_should_have_taken_over_before_now_is_not_driven(begins, is_late):
-    """Its reference would jump; another one is asked for."""
+def test_late_plan_is_not_driven(begins, is_late):
+    """Its reference would jump; another plan is requested."""
     planning = Answering(begins=begins)
     docking = staged(planning, once(driving(0.25), push))
     assert bool(docking.said("plan came too late")) is is_late
     assert len([job for job in planning.jobs if job.running is not None]) > 1
 
 
-def test_a_plan_made_before_the_newest_costmap_is_judged_by_that_one_too():
-    """It came while the plan was made: the motion before and the new one must both hold among its cells."""
+def test_plan_is_checked_against_a_costmap_newer_than_its_job():
+    """Both the running and the new motion must be checked against it."""
     planning, newest = Answering(polls=6), Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-2.0, -2.0))
     pushed = once(driving(0.25), push)
 
@@ -368,8 +363,8 @@ def test_a_plan_made_before_the_newest_costmap_is_judged_by_that_one_too():
 
 
 @pytest.mark.parametrize(("sigma", "stops"), [(0.1, True), (1e-6, False)])
-def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, stops):
-    """Long before the patience is over, where odometry is so bad that without detections no tolerance is kept."""
+def test_uncertain_dock_is_detected_again(sigma, stops):
+    """With inaccurate odometry, long before `detection_patience`."""
     chosen = ExecutorSettings(**QUICK, odometry_sigma=sigma, detection_patience=60.0)
     lost = []
 
@@ -382,7 +377,7 @@ def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, 
 
 
 @pytest.mark.parametrize("start", [AHEAD, AFAR])
-def test_what_is_planned_at_rest_begins_at_rest_whatever_the_problem_says_of_its_start(start):
+def test_plan_from_rest_ignores_the_start_state_of_the_problem(start):
     moving = dataclasses.replace(problem_with(), start_speed=0.2, start_acceleration=0.1, start_curvature=0.5)
     planning = Recording()
     run(perfect(start), moving, ExecutorSettings(**QUICK), rate=10.0, timeout=1.5, planning=planning)
@@ -390,8 +385,8 @@ def test_what_is_planned_at_rest_begins_at_rest_whatever_the_problem_says_of_its
     assert (asked.start_speed, asked.start_acceleration, asked.start_curvature) == (0.0, 0.0, None)
 
 
-def test_a_second_late_cycle_is_late_too():
-    """One long period is not a new rate: the loop runs at 50 Hz, and twice 0.1 s pass."""
+def test_one_late_cycle_does_not_change_the_rate():
+    """Two periods of 0.1 s at a rate of 50 Hz."""
     executor, stamp, late = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
     for period in (*[0.02] * 20, 0.1, 0.1, *[0.02] * 5):
         stamp += period
@@ -401,7 +396,7 @@ def test_a_second_late_cycle_is_late_too():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_dock_that_may_be_entered_in_either_gear_is_staged_for_on_the_robots_side(side):
+def test_dock_with_either_gear_is_staged_on_the_side_of_the_robot(side):
     problem = problem_with()
     either = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, direction="auto", footprint=None))
     planning = Recording()
@@ -416,7 +411,7 @@ def test_a_dock_that_may_be_entered_in_either_gear_is_staged_for_on_the_robots_s
     assert side * planning.jobs[0].problem.goal.x > 0.6
 
 
-def test_nothing_moves_before_the_first_pose_and_after_the_end():
+def test_zero_commands_before_the_first_pose_and_after_the_end():
     executor = DockingExecutor(problem_with(), planning=StraightPlanning())
     for k in range(5):
         assert executor.step(Measurements(0.1 * k, None)).command == Twist2()
@@ -426,7 +421,7 @@ def test_nothing_moves_before_the_first_pose_and_after_the_end():
     assert all(step.command == Twist2() for step in steps)
 
 
-def test_bad_parts_are_refused_by_name():
+def test_invalid_arguments_are_errors():
     with pytest.raises(InvalidValue, match="task: must be 'dock' or 'undock'"):
         DockingExecutor(problem_with(), task="park")
     with pytest.raises(InvalidValue, match="ExecutorSettings.max_retries: .*greater than or equal to 0"):
@@ -449,11 +444,11 @@ surprises = st.lists(
 )
 
 
-@settings(max_examples=6)
+@settings(max_examples=3)
 @given(script=surprises, rate=st.sampled_from([10.0, 30.0]))
 @example(script=[(5, "jump", Pose2(-0.5, 0.3, 0.5)), (10, "back", TRUE_DOCK), (3, "lost", TRUE_DOCK)], rate=30.0)
-def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate):
-    """A robot that does what it is told, and sensors that lie about it as a script says."""
+def test_commands_keep_the_limits_for_any_measurements_and_the_task_ends(script, rate):
+    """A perfect robot with scripted sensor faults."""
     chosen = ExecutorSettings(**(QUICK | {"progress_time": 1.0, "dock_approach_timeout": 3.0, "max_retries": 1}))
     executor = DockingExecutor(problem_with(), chosen, planning=StraightPlanning(0.6))
     robot, stamp, lie = Pose2(-0.8, 0.05, 0.0), 0.0, "fine"
@@ -491,8 +486,7 @@ def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate
             assert_lawful(np.array(stamps[begin:end]), np.array(commands[begin:end]))
 
 
-def test_a_thread_plans_beside_the_loop(lawful):
-    """The results come when they come; the robot waits for the first under the name of planning."""
+def test_planning_in_a_thread(lawful):
     planning = ThreadPlanning()
 
     def before(executor, world, measurements):
@@ -507,20 +501,20 @@ def test_a_thread_plans_beside_the_loop(lawful):
 
 
 class Broken(StraightPlanning):
-    """Planning with a mistake in it."""
+    """Planning that raises an exception."""
 
     def poll(self, stamp):
         raise ZeroDivisionError("oh")
 
 
-def test_a_mistake_of_a_part_ends_the_task_under_its_name(lawful):
+def test_exception_of_a_part_is_the_reason_of_the_ending(lawful):
     docking = run(perfect(), problem_with(), planning=Broken())
     assert lawful(docking).kind is EndingKind.UNKNOWN
     assert docking.ending.reason == "ZeroDivisionError: oh"
 
 
 class Unproven(InlinePlanning):
-    """Straight on, and this is not a log."""
+    """Straight motions without a certificate, not from a log."""
 
     def __init__(self):
         super().__init__()
@@ -533,9 +527,9 @@ class Unproven(InlinePlanning):
         return self.inner.poll(stamp)
 
 
-def test_a_motion_that_nobody_proved_is_not_driven(lawful):
+def test_motion_without_a_certificate_is_not_driven(lawful):
     docking = run(perfect(), problem_with(), ExecutorSettings(**QUICK), planning=Unproven())
     ending = lawful(docking)
     assert ending.kind is EndingKind.UNKNOWN
-    assert "a motion that is not proven" in ending.reason
+    assert "a motion that is not certified" in ending.reason
     assert all(step.command == Twist2() for step in docking.steps)

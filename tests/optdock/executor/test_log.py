@@ -1,4 +1,4 @@
-"""Logs: everything reads back, damage is named with file and line, a crash leaves a log."""
+"""Logs: equality after reading, errors with file and line, logs of crashed programs."""
 
 import json
 
@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 from optdock.cli import app
 from optdock.errors import InvalidFile
 from optdock.executor import ExecutorSettings
-from optdock.executor.log import LogWriter
-from optdock.executor.log_reader import read_log
+from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2
 from optdock.model.costmap import Costmap
@@ -68,7 +67,7 @@ def test_another_command_is_found(written, tmp_path):
     assert f"changed.log:{at + 1}: the command is" in result.output
 
 
-def test_command_line_says_what_happened(written, tmp_path):
+def test_command_line(written, tmp_path):
     result = CliRunner().invoke(app, ["replay", str(written[0]), "--plot", str(tmp_path / "docking.png")])
     assert result.exit_code == 0, result.output
     for said in ("ending", "cancelled", "bit for bit", "largest deviation", "plan new"):
@@ -120,7 +119,7 @@ def test_another_problem_is_refused(written, tmp_path):
     value["problem"]["dock"]["pose"][0] += 0.1
     broken = tmp_path / "other.log"
     broken.write_text(damaged(lines, 1, json.dumps(value)))
-    with pytest.raises(InvalidFile, match="other.log:1: is damaged: problem: another one than when .*dock"):
+    with pytest.raises(InvalidFile, match="other.log:1: is damaged: problem: differs from the logged one: .*dock"):
         read_log(broken)
 
 
@@ -144,7 +143,7 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(InvalidFile, match="cannot be read"):
         read_log(tmp_path / "none.log")
     (tmp_path / "empty.log").write_text("")
-    with pytest.raises(InvalidFile, match="not a single whole line"):
+    with pytest.raises(InvalidFile, match="no complete line"):
         read_log(tmp_path / "empty.log")
     with pytest.raises(InvalidFile, match="cannot be written"):
         LogWriter(tmp_path)

@@ -1,4 +1,4 @@
-"""Robot and dock brought up to date: what is believed after the pose has jumped."""
+"""Estimates of robot and dock after jumps, rotations and gaps."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ PERIOD = 0.05
 
 
 def resting(until, events=None):
-    """A robot at rest that has seen its dock until then, and when that is [s]."""
+    """A robot at rest with detections until a time, and that time [s]."""
     said = events if events is not None else []
     perception = Perception(DOCK, ExecutorSettings(), lambda name, detail: said.append(name))
     stamps = PERIOD * np.arange(round(until / PERIOD) + 1)
@@ -27,7 +27,7 @@ def seen(robot, stamp):
 
 
 def jumped():
-    """The same one, pushed aside 8 cm with its wheels at rest until its localization has said so; and when that was."""
+    """The same robot pushed by 8 cm, after the jump of its localization, and the time of that jump."""
     events = []
     perception, stamp = resting(1.0, events)
     while "pose jumped" not in events:
@@ -36,8 +36,7 @@ def jumped():
     return perception, stamp
 
 
-def test_a_detection_from_before_a_jump_of_the_pose_decides_nothing():
-    """It shows the dock as seen from where the robot stood before; the one after the jump says that it was pushed."""
+def test_detection_from_before_a_jump_has_no_effect():
     perception, at = jumped()
     before = perception.robot_from_dock
     late = Measurements(at + PERIOD, PUSHED, detections=(seen(HERE, at - 0.5 * PERIOD),))
@@ -48,15 +47,15 @@ def test_a_detection_from_before_a_jump_of_the_pose_decides_nothing():
     assert perception.robot_from_dock.gap_to(PUSHED.in_frame_of(DOCK)) < 1e-3
 
 
-def test_a_jump_of_the_localization_alone_takes_nothing_from_what_is_known_of_the_dock():
-    """As when a blind robot stands close to the dock: its odometry has seen no motion."""
+def test_jump_of_the_localization_keeps_the_estimate_of_the_dock():
+    """Odometry shows no motion."""
     perception, _ = jumped()
     assert perception.robot_from_dock.gap_to(HERE) < 1e-3
     assert perception.sigma[0] < 0.005
 
 
 @pytest.mark.parametrize("robot", [PUSHED, HERE], ids=["the robot was moved", "the localization was"])
-def test_the_first_detection_after_a_jump_says_which_of_the_two_has_moved(robot):
+def test_first_detection_after_a_jump_decides_whether_the_robot_moved(robot):
     perception, at = jumped()
     stamp = at + PERIOD
     perception.update(Measurements(stamp, PUSHED, detections=(seen(robot, stamp),)), stamp, 0.0)
@@ -64,8 +63,8 @@ def test_the_first_detection_after_a_jump_says_which_of_the_two_has_moved(robot)
     assert perception.sigma[0] < 0.005
 
 
-def test_a_turn_that_the_localization_alone_sees_is_told_until_the_dock_is_seen():
-    """A wheel slips: the localization turns little by little, as it is filtered, and the odometry does not."""
+def test_rotation_of_the_localization_is_reported_until_a_detection():
+    """A wheel slip in the filtered localization, but not in the odometry."""
     perception, stamp = resting(1.0)
     for k in range(1, 81):
         stamp += PERIOD
@@ -78,9 +77,9 @@ def test_a_turn_that_the_localization_alone_sees_is_told_until_the_dock_is_seen(
     assert abs(perception.unseen_turn) < 0.002
 
 
-@pytest.mark.parametrize(("left", "believed"), [(0.06, True), (0.6, False)], ids=["at the dock", "before it"])
-def test_after_a_gap_near_the_dock_a_detection_counts_for_more(left, believed):
-    """A wheel has slipped unseen by 8 mm on the last 5 cm: no mean of many detections will show it there."""
+@pytest.mark.parametrize(("left", "believed"), [(0.06, True), (0.6, False)], ids=["at the dock", "far away"])
+def test_detection_after_a_gap_near_the_dock_has_more_weight(left, believed):
+    """After a wheel slip of 8 mm on the last 5 cm."""
     perception, stamp, place = Perception(DOCK, ExecutorSettings(), lambda *_: None), 0.0, Pose2(-left - 0.05, 0.0, 0.0)
     for _ in range(41):
         perception.update(Measurements(stamp, place, detections=(seen(place, stamp),)), stamp, 0.0)

@@ -1,4 +1,4 @@
-"""The executor's planning drives what it judges: the running plan, where it is followed, for the robot where it is."""
+"""Planning of the executor: the plan that is kept is the one that was checked, for the pose of the robot."""
 
 import dataclasses
 
@@ -61,12 +61,12 @@ def decided(world, aside, moved=None, budget=1e-9):
         (0.06, -0.011, False),
     ],
 )
-def test_what_goes_on_is_what_was_judged(gap, aside, kept):
+def test_kept_plan_is_checked_at_the_pose_of_the_robot(gap, aside, kept):
     found = decided(among((2.6, -0.25 - gap - 0.3)), aside)
     assert (found.outcome is Outcome.KEPT) is kept
 
 
-def test_what_is_followed_relative_to_the_dock_is_judged_there():
+def test_moved_plan_is_checked_at_its_displacement():
     moved = Pose2(0.0, -0.03, 0.0)
     world = dataclasses.replace(
         among((2.6, -0.25 - 0.07 - 0.3)), dock=dataclasses.replace(PROBLEM.dock, pose=moved @ PROBLEM.goal)
@@ -86,7 +86,7 @@ def test_a_new_motion_begins_at_the_robot_and_ends_at_the_dock():
     assert found.motion.plan.path.end.gap_to(world.goal) <= 1e-6
 
 
-def test_a_motion_is_that_of_its_plan():
+def test_motion_must_be_that_of_its_plan():
     plan = plan_of()
     assert DrivenMotion.of(plan).trajectory is plan.trajectory
     other = Trajectory(plan.path.moved(Pose2(0.0, 0.3, 0.0)), plan.trajectory.time_law)
@@ -95,7 +95,7 @@ def test_a_motion_is_that_of_its_plan():
             DrivenMotion(*parts)
 
 
-def test_nothing_follows_what_is_no_plan():
+def test_motion_without_a_plan_cannot_be_replanned():
     plan = plan_of()
     job = Job(1, 0.0, PROBLEM, 0.1, DrivenMotion(plan.trajectory, PROBLEM), 1.0, 1.0, None, 0.0)
     found = planned(job)

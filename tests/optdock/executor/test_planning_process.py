@@ -1,4 +1,4 @@
-"""Planning in another process: the same plans, what is shared stays shared, and a process that dies is replaced."""
+"""Planning in another process: equal plans, shared objects, replacement of a process that dies."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def job(number, obstacles=(), **kwargs):
     return Job(number, 0.0, problem_with(obstacles=obstacles), 5.0)._replace(**kwargs)
 
 
-def test_plans_as_this_process_does_and_shares_what_crosses_twice(process):
+def test_plans_are_equal_in_both_processes_and_costmaps_are_shared(process):
     empty = Costmap(np.zeros((60, 60), dtype=np.uint8), 0.1, (-3.0, -3.0))
     problem = problem_with().among(empty)
     asked = job(7, problem=problem)
@@ -42,7 +42,7 @@ def test_plans_as_this_process_does_and_shares_what_crosses_twice(process):
     assert process.planned(again).outcome in {Outcome.NEW, Outcome.KEPT}
 
 
-def test_a_refusal_says_why_with_its_code(process):
+def test_error_has_reason_and_code(process):
     in_the_dock = [[[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]]
     refused = process.planned(job(3, in_the_dock))
     assert refused.outcome is Outcome.FAILED

@@ -15,7 +15,7 @@ from PIL import Image
 
 from optdock.config import load_scenario
 from optdock.errors import InvalidFile
-from optdock.executor.log_reader import read_log
+from optdock.executor.log import read_log
 from optdock.io.guarded_file import MostBytes, check_regular, parse_json, read_bytes, read_text
 from optdock.io.maps import load_map
 from optdock.io.parking_cases import load_obca, load_tpcap

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optdock.executor.contact_zone import with_contact_zone
+from optdock.executor.planning_scene import with_contact_zone
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.costmap import Costmap

@@ -33,7 +33,7 @@ from optdock.model.robot import Robot
 from optdock.model.trajectory import TimeLaw, Trajectory
 from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, plan_two_segment
 from optdock.samples.tube import Tube
-from optdock.simulation.run import Run
+from optdock.simulation.closed_loop import Run
 from optdock.simulation.world import Record
 from optdock.verification import proximity
 from smoothers.scp.basis import basis_for

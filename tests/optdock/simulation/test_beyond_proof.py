@@ -1,4 +1,4 @@
-"""What a run that left what is proven says, and what a run that did not."""
+"""Descriptions of driven poses outside of the certified tube or clearance."""
 
 import functools
 
@@ -27,12 +27,12 @@ def plan(cross=0.0):
 
 
 def left(asked, *offsets):
-    """What is said of poses that are off the path, along, across and turned, each at s [m]."""
+    """Description of poses with offsets (along, across, yaw) from the path at s [m]."""
     poses = [asked.path.pose_at(s) @ Pose2(*off) for s, off in ((1.0, (0.0, 0.0, 0.0)), *offsets)]
     return beyond_proof(asked.path, asked.problem, asked.certificate, np.array([pose.as_array() for pose in poses]))
 
 
-def test_a_run_on_the_path_says_nothing():
+def test_poses_on_the_path_are_within():
     assert left(plan()) == ""
     assert left(plan(0.02), (0.5, (0.0, 0.015, 0.0))) == ""
 
@@ -46,7 +46,7 @@ def test_without_a_tube_the_clearance_decides():
     )
 
 
-def test_with_a_tube_its_width_counts_whatever_stands_around():
+def test_with_a_tube_its_width_decides():
     assert "30.0 mm off the path 2.500 m before the dock, the tube is 20.0 mm wide" in left(
         plan(0.02), (0.5, (0.0, -0.03, 0.0))
     )
@@ -57,4 +57,4 @@ def test_at_the_dock_a_bumper_yields_by_two_millimetres():
     end = asked.path.length
     assert left(asked, (end, (0.0019, 0.0, 0.0))) == ""
     assert "from dock" in left(asked, (end, (0.0025, 0.0, 0.0)))
-    assert left(asked, (end, (-0.005, 0.005, 0.0))) == ""  # where the tube is nothing any more
+    assert left(asked, (end, (-0.005, 0.005, 0.0))) == ""  # where the tube has no width

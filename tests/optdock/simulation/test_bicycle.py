@@ -1,4 +1,4 @@
-"""The car against closed forms: circles, wheels that turn at a constant rate, and what commands say at rest."""
+"""The car, compared with closed forms: circles, constant steering rates, commands at rest."""
 
 import math
 
@@ -38,7 +38,7 @@ def drive(plant, commands, state=None, duration=0.02):
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-0.59, 0.59), st.lists(st.floats(0.001, 0.2), min_size=1, max_size=10))
-def test_a_constant_steering_angle_drives_a_circle_exactly_at_any_periods(v, angle, durations):
+def test_constant_steering_angle_drives_an_exact_circle(v, angle, durations):
     state = car().at_rest(ORIGIN)
     for duration in durations:
         state = car().step(state, command(v, angle), duration)
@@ -49,7 +49,7 @@ def test_a_constant_steering_angle_drives_a_circle_exactly_at_any_periods(v, ang
 
 @pytest.mark.parametrize("v", [0.5, -0.5])
 @pytest.mark.parametrize("duration", [0.01, 0.05, 0.13])
-def test_wheels_turning_at_a_constant_rate_drive_the_curve_of_their_integral(v, duration):
+def test_constant_steering_rate_drives_the_integrated_curve(v, duration):
     plant, rate, count = car(rate=0.3), 0.3, round(1.3 / duration)
     end = drive(plant, [command(v, 0.59)] * count, plant.moving(ORIGIN, Twist2(v)), duration)
     t = np.linspace(0.0, count * duration, 20001)
@@ -60,9 +60,9 @@ def test_wheels_turning_at_a_constant_rate_drive_the_curve_of_their_integral(v, 
     assert (end.pose.x, end.pose.y) == pytest.approx(expected, abs=2e-6)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.floats(0.02, 0.5), st.floats(0.1, 2.0), st.floats(-0.5, 0.5), st.floats(0.005, 0.1))
-def test_the_steering_is_cut_at_its_rate_and_then_lags(lag, rate, wanted, duration):
+def test_steering_has_a_rate_limit_and_a_lag(lag, rate, wanted, duration):
     end, t, exact = drive(car(rate, lag=lag), [command(0.1, wanted)] * 8, duration=duration), 0.0, 0.0
     step = 8 * duration / 2000
     while t < 8 * duration - 0.5 * step:  # Euler's rule, 2000 steps
@@ -87,21 +87,21 @@ def test_the_angle_never_exceeds_its_limit():
 
 class TestAtRest:
     @pytest.mark.parametrize(("word", "angle"), [("straighten", 0.0), ("hold", 0.3)])
-    def test_the_wheels_are_straightened_or_held(self, word, angle):
+    def test_steering_straightens_or_holds(self, word, angle):
         plant = car(at_rest=word)
         end = drive(plant, [command(0.3, 0.3), Twist2(), Twist2(0.0, 1.0)])
         assert end.twist == Twist2(0.0, 0.0)
         assert end.drive == pytest.approx((0.0, angle))
 
     @pytest.mark.parametrize("sign", [1.0, -1.0])
-    def test_the_ratio_of_a_speed_within_the_dead_band_turns_them(self, sign):
+    def test_commands_within_the_dead_band_steer(self, sign):
         plant = car(0.5, Actuation(linear_dead_band=0.01))
         end = drive(plant, [command(sign * 0.001, 0.3)] * 50)
         assert end.drive == pytest.approx((0.0, 0.3))
         assert end.pose == ORIGIN
 
 
-def test_wheels_with_play_stop_short_and_stay_until_the_error_is_larger():
+def test_play_of_the_steering():
     plant = car(1.0, play=0.02)
     end = drive(plant, [command(0.3, 0.2)] * 50)
     assert end.drive[1] == pytest.approx(0.18)
@@ -109,20 +109,20 @@ def test_wheels_with_play_stop_short_and_stay_until_the_error_is_larger():
     assert drive(plant, [command(0.3, 0.1)] * 50, end).drive[1] == pytest.approx(0.12)
 
 
-def test_a_steering_out_of_line_is_unseen_by_the_sensors():
+def test_encoders_do_not_show_gain_and_offset_of_the_steering():
     end = drive(car(gain=1.1, offset=0.05), [command(0.3, 0.2)] * 3)
     assert end.encoders.angular == pytest.approx(0.3 * math.tan(0.2) / BASE)
     assert end.twist.angular == pytest.approx(0.3 * math.tan(0.27) / BASE)
 
 
-def test_slip_takes_from_a_car_what_it_takes_from_any():
+def test_slip_of_a_car():
     plant = Bicycle(car().robot, slip=Slip(lost=0.1, drift=0.05))
     end = plant.step(plant.at_rest(ORIGIN), Twist2(1.0), 0.5)
     assert (end.pose.x, end.pose.y) == pytest.approx((0.45, 0.025))
 
 
 @given(st.floats(0.1, 1.0), st.floats(-0.5, 0.5))
-def test_it_goes_on_as_it_began_until_a_command_arrives(v, angle):
+def test_initial_motion_continues_until_a_command_arrives(v, angle):
     plant = car(0.5, Actuation(latency=0.1), gain=1.1, offset=0.02)
     twist = command(v, angle)
     end = plant.step(plant.moving(ORIGIN, twist), Twist2(), 0.1)
@@ -134,18 +134,18 @@ def test_it_goes_on_as_it_began_until_a_command_arrives(v, angle):
     [
         (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits())), "drive: must be ackermann for a car"),
         (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits(), Drive.ACKERMANN)), "wheelbase: must be > 0"),
-        (lambda: car(actuation=Actuation(angular_lag=0.1)), "actuation.angular_lag: a car has none"),
+        (lambda: car(actuation=Actuation(angular_lag=0.1)), "actuation.angular_lag: must be the default for a car"),
         (lambda: car(gain=0.0), "steering.gain"),
         (lambda: car(at_rest="spin"), "steering.at_rest: must be one of straighten, hold"),
         (lambda: DifferentialDrive(car().robot, period=-1.0), "plant.period"),
     ],
 )
-def test_bad_values_are_refused(build, message):
+def test_invalid_values_are_errors(build, message):
     with pytest.raises(InvalidValue, match=message):
         build()
 
 
-def test_the_plant_of_a_robot_is_that_of_its_drive():
+def test_plant_of_each_drive():
     late = Actuation(linear_lag=0.1, angular_lag=0.2, latency=0.06)
     robot = car(0.5).robot
     plant = plant_of(robot, late)
@@ -161,7 +161,7 @@ def test_the_plant_of_a_robot_is_that_of_its_drive():
             wrong()
 
 
-def test_a_car_without_a_wheelbase_turns_as_it_is_told():
+def test_car_without_a_wheelbase_follows_the_command():
     robot = Robot(Footprint.rectangle(0.6, 0.2, 0.5), MotionLimits(max_curvature=1.0), Drive.ACKERMANN)
     end = drive(plant_of(robot), [Twist2(0.4, 0.2)] * 50)
     expected = drive(DifferentialDrive(robot), [Twist2(0.4, 0.2)] * 50)
@@ -170,7 +170,7 @@ def test_a_car_without_a_wheelbase_turns_as_it_is_told():
 
 
 @pytest.mark.parametrize("at_rest", ["hold", "straighten"])
-def test_wheels_begin_where_they_are_said_to_stand(at_rest):
+def test_initial_steering_angle(at_rest):
     plant = car(0.5, start=0.4, at_rest=at_rest)
     state = plant.at_rest(ORIGIN)
     assert state.drive == pytest.approx((0.0, 0.4))

@@ -1,4 +1,4 @@
-"""The closed loop: what is reached, in which worlds, and how a run that fails says so."""
+"""The closed loop: accuracy with errors of drive and sensors, and the reasons of failed runs."""
 
 import math
 
@@ -42,21 +42,11 @@ def run(trajectory, settings=None, **parameters):
 
 @pytest.mark.parametrize("name", DRIVES)
 class TestEveryDrive:
-    def test_is_tracked_to_a_tenth_of_a_millimetre_in_a_perfect_world(self, name):
+    def test_perfect_robot_tracks_to_a_tenth_of_a_millimetre(self, name):
         found = run(DRIVES[name])
         assert found.docked, found.reason
         assert np.all(np.abs(found.errors) < 1e-4)
         assert np.hypot(found.final_error.x, found.final_error.y) < 0.003
-
-    def test_is_tracked_to_millimetres_with_lag_and_noise_once_the_delay_is_compensated(self, name):
-        world = SimulationSettings(actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.003, seed=4)
-        found = run(DRIVES[name], world, preview=0.15)
-        assert found.docked, found.reason
-        along, cross, _ = np.abs(late(found, DRIVES[name], 0.15)).max(axis=0)
-        assert along < 0.015
-        assert cross < 0.003
-        assert abs(found.final_error.y) < 0.002
-        assert abs(found.final_error.yaw) < math.radians(0.4)
 
     def test_recovers_from_an_offset_at_the_start(self, name):
         found = run(DRIVES[name], SimulationSettings(start=START @ Pose2(-0.03, 0.04, 0.1)))
@@ -65,11 +55,23 @@ class TestEveryDrive:
         assert abs(found.final_error.yaw) < math.radians(0.1)
 
 
+@pytest.mark.parametrize("name", ["reverse s curve", "cusp"])
+def test_lag_and_noise_leave_millimetres_with_preview(name):
+    world = SimulationSettings(actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.003, seed=4)
+    found = run(DRIVES[name], world, preview=0.15)
+    assert found.docked, found.reason
+    along, cross, _ = np.abs(late(found, DRIVES[name], 0.15)).max(axis=0)
+    assert along < 0.015
+    assert cross < 0.003
+    assert abs(found.final_error.y) < 0.002
+    assert abs(found.final_error.yaw) < math.radians(0.4)
+
+
 @pytest.mark.parametrize(
     ("name", "linear", "angular"),
-    [("s curve", 0.93, 1.0), ("cusp", 1.07, 1.0), ("cusp", 1.0, 0.9), ("s curve", 1.0, 1.1), ("cusp", 0.95, 1.07)],
+    [("s curve", 0.93, 1.1), ("cusp", 1.07, 0.9), ("cusp", 0.95, 1.07)],
 )
-def test_feedback_makes_up_for_wheels_that_are_not_as_they_should_be(name, linear, angular):
+def test_feedback_compensates_gain_errors(name, linear, angular):
     world = SimulationSettings(actuation=Actuation(linear_gain=linear, angular_gain=angular))
     found = run(DRIVES[name], world)
     assert found.docked, found.reason
@@ -77,7 +79,7 @@ def test_feedback_makes_up_for_wheels_that_are_not_as_they_should_be(name, linea
     assert abs(found.final_error.yaw) < math.radians(0.6)
 
 
-@settings(max_examples=7)
+@settings(max_examples=3)
 @given(
     st.sampled_from(sorted(DRIVES)),
     st.floats(-0.05, 0.05),
@@ -85,7 +87,7 @@ def test_feedback_makes_up_for_wheels_that_are_not_as_they_should_be(name, linea
     st.floats(-0.15, 0.15),
     st.integers(0, 1000),
 )
-def test_it_arrives_from_any_small_offset_whatever_the_noise(name, along, cross, yaw, seed):
+def test_docks_from_any_small_offset_with_noise(name, along, cross, yaw, seed):
     world = SimulationSettings(
         start=START @ Pose2(along, cross, yaw), actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.002, seed=seed
     )
@@ -95,7 +97,7 @@ def test_it_arrives_from_any_small_offset_whatever_the_noise(name, along, cross,
     assert abs(found.final_error.yaw) < math.radians(1.2)
 
 
-def test_preview_is_what_removes_the_delay():
+def test_preview_compensates_the_delay():
     world = SimulationSettings(actuation=SLUGGISH)
     drive = DRIVES["s curve"]
     without, with_preview = (np.abs(late(run(drive, world, preview=p), drive, p)).max(axis=0) for p in (0.0, 0.15))
@@ -103,19 +105,18 @@ def test_preview_is_what_removes_the_delay():
 
 
 def late(found, drive, delay):
-    """Errors against the trajectory that begins late by the drive's delay, as the robot does. Shape (n, 3)."""
+    """Errors against the trajectory shifted by the delay of the drive, Shape (n, 3)."""
     then = drive.sample_at(found.times - delay)
     return pose_errors(found.poses, np.column_stack((then.x, then.y, then.yaw)))
 
 
 def overshoot(found):
-    """How far the robot went beyond the goal, in a forward drive [m]."""
+    """Largest distance beyond the goal in a forward drive [m]."""
     return float(pose_errors(found.poses, np.tile(found.goal.as_array(), (len(found.poses), 1)))[:, 0].max())
 
 
-@pytest.mark.parametrize("name", ["straight", "s curve"])
-def test_an_unknown_delay_is_found_before_it_drives_the_robot_into_its_dock(name):
-    world, drive = SimulationSettings(actuation=SLUGGISH), DRIVES[name]
+def test_unknown_delay_is_estimated_before_the_dock():
+    world, drive = SimulationSettings(actuation=SLUGGISH), DRIVES["s curve"]
     at_rest = DockGoalChecker(along_tolerance=0.005, cross_tolerance=0.01)
     found = {
         preview: run_closed_loop(drive, ROBOT, drive.path.end, TrackingController(preview=preview), at_rest, world)
@@ -127,11 +128,8 @@ def test_an_unknown_delay_is_found_before_it_drives_the_robot_into_its_dock(name
 
 
 @pytest.mark.parametrize("looks_at_its_room", [True, False])
-def test_a_robot_at_its_top_speed_makes_up_for_its_lag_before_it_brakes(looks_at_its_room, monkeypatch):
-    """It cannot catch up by driving faster, so the reference must wait; braking late ends beyond the goal.
-
-    Unless it brakes for the place where it is to rest, however late its reference does.
-    """
+def test_robot_at_its_largest_speed_brakes_in_time_with_lag(looks_at_its_room, monkeypatch):
+    """It cannot catch up, so either the reference waits, or the robot brakes for its goal."""
     if not looks_at_its_room:
         monkeypatch.setattr(TrackingController, "_room", lambda *_: math.inf)
     drive = straight_drive(START)
@@ -148,15 +146,15 @@ def test_a_robot_at_its_top_speed_makes_up_for_its_lag_before_it_brakes(looks_at
     assert TrackingController().parameters.slow_down_lag == 0.002
 
 
-@pytest.mark.parametrize("offset", [Pose2(-0.03, 0.04, 0.1), Pose2(-0.05, 0.05, 0.0), Pose2(0.0, 0.12, 0.0)])
-def test_a_robot_beside_its_start_leaves_no_gear_out(offset):
+@pytest.mark.parametrize("offset", [Pose2(-0.05, 0.05, 0.1), Pose2(0.0, 0.12, 0.0)])
+def test_robot_off_its_start_drives_every_gear(offset):
     found = run(DRIVES["cusp"], SimulationSettings(start=START @ offset))
     cusp = DRIVES["cusp"].path.pose_at(DRIVES["cusp"].path.cusps[0])
     assert min(cusp.distance_to(Pose2.from_sequence(pose)) for pose in found.poses) < 0.02
     assert found.docked, found.reason
 
 
-def test_a_drive_that_begins_in_motion_is_driven_in_motion():
+def test_trajectory_that_begins_in_motion():
     whole = straight_drive(START)
     begun = whole.at(2.0)
     path = Path((clothoid(begun.pose, [0.0, whole.path.length - begun.s], [0.0, 0.0]),))
@@ -167,22 +165,22 @@ def test_a_drive_that_begins_in_motion_is_driven_in_motion():
     assert np.all(np.abs(found.errors) < 1e-3)
 
 
-def test_a_collision_is_a_fault_even_of_a_docked_run():
+def test_collision_is_a_fault_of_a_docked_run():
     drive = straight_drive(START)
     side = Pose2.from_sequence(drive.path.poses_at(1.0)[0]) @ Pose2(0.0, 0.28, 0.0)
     faults = []
-    for aside in (0.0, -0.001, -0.035):
+    for aside in (-0.001, -0.035):
         post = Footprint.rectangle(0.03, 0.03, 0.06)
         obstacles = ObstacleSet.from_footprint(post, side @ Pose2(0.0, aside, 0.0), "post")
         found = run(drive, SimulationSettings(obstacles=obstacles))
         assert found.docked
         assert found.collided is bool(found.fault)
         faults.append(found.fault)
-    assert faults[:2] == ["", ""]
-    assert faults[2].startswith("collided: the footprint went 0.03")
+    assert faults[0] == ""
+    assert faults[1].startswith("collided: the footprint went 0.03")
 
 
-def test_mirrored_worlds_give_mirrored_runs():
+def test_reversed_runs_equal_forward_runs():
     there = run(s_curve_drive(Pose2(0.0, 0.0, 0.0)), SimulationSettings(start=Pose2(0.0, 0.03, 0.1)))
     back = run(
         s_curve_drive(Pose2(0.0, 0.0, math.pi), Direction.REVERSE), SimulationSettings(start=Pose2(0.0, 0.03, 3.2416))
@@ -195,13 +193,14 @@ def test_mirrored_worlds_give_mirrored_runs():
 
 def test_equal_seeds_give_equal_runs_and_others_differ():
     def commands(seed):
-        return run(DRIVES["straight"], SimulationSettings(position_noise=0.002, yaw_noise=0.002, seed=seed)).commands
+        world = SimulationSettings(position_noise=0.002, yaw_noise=0.002, seed=seed, timeout=1.5)
+        return run(DRIVES["straight"], world).commands
 
     assert np.array_equal(commands(7), commands(7))
     assert not np.array_equal(commands(7)[:50], commands(8)[:50])
 
 
-def test_the_record_fits_together():
+def test_shapes_and_periods_of_the_record():
     found = run(DRIVES["straight"], SimulationSettings(position_noise=0.001, seed=1))
     n = len(found.times)
     assert np.allclose(np.diff(found.times), 0.02)
@@ -212,7 +211,7 @@ def test_the_record_fits_together():
     assert found.min_clearance is None
 
 
-def test_the_clearance_is_that_of_the_true_poses():
+def test_clearance_is_that_of_the_true_poses():
     wall = ObstacleSet.from_polygons([[[-1.0, 0.4], [4.0, 0.4], [4.0, 0.6], [-1.0, 0.6]]])
     drive = straight_drive(Pose2(0.0, 0.0, 0.0))
     found = run(drive, SimulationSettings(obstacles=wall, position_noise=0.003, seed=2))
@@ -221,7 +220,7 @@ def test_the_clearance_is_that_of_the_true_poses():
     assert found.min_clearance == pytest.approx(0.4 - max(corners.max(), rear.max()), abs=1e-12)
 
 
-def test_a_run_that_cannot_arrive_says_timeout():
+def test_timeout_is_the_reason_of_an_unfinished_run():
     unreachable = SimulationSettings(timeout=2.0)
     found = run(DRIVES["straight"], unreachable)
     assert not found.docked
@@ -230,7 +229,7 @@ def test_a_run_that_cannot_arrive_says_timeout():
     assert found.duration == pytest.approx(2.0)
 
 
-def test_a_controller_that_gives_up_is_quoted():
+def test_error_of_the_controller_is_the_reason():
     found = run(DRIVES["straight"], SimulationSettings(start=START @ Pose2(0.0, 0.8, 0.0)))
     assert not found.docked
     assert found.reason.startswith("NoValidControl: TrackingController: 0.800 m and 0.000 rad from the reference")

@@ -1,4 +1,4 @@
-"""A simulated robot: what it tells and what it records agree, contact stops it, and noise is repeatable."""
+"""The simulated robot: measurements, record, contact and reproducible noise."""
 
 import math
 
@@ -37,29 +37,29 @@ PERIODS = [0.02, 0.05, 0.01, 0.12, 0.033] * 8
 
 def driven(sensors=None, command=BENT, start=AHEAD, periods=PERIODS, **world):
     robot = SimulatedRobot(world.pop("plant", PLANT), start, world.pop("dock", ORIGIN), sensors, **world)
-    told = [robot.measurements, *(robot.advance(command, period) for period in periods)]
-    return robot, told
+    measured = [robot.measurements, *(robot.advance(command, period) for period in periods)]
+    return robot, measured
 
 
-def test_a_perfect_one_tells_the_truth_and_records_what_it_told():
-    robot, told = driven()
+def test_perfect_sensors_measure_and_record_the_true_state():
+    robot, measured = driven()
     record = robot.record()
     assert record.times == pytest.approx(np.cumsum([0.0, *PERIODS]))
-    assert [one.stamp for one in told] == record.times.tolist()
+    assert [one.stamp for one in measured] == record.times.tolist()
     assert np.array_equal(record.measured, record.poses)
-    assert np.array_equal([one.pose.as_array() for one in told], record.poses)
+    assert np.array_equal([one.pose.as_array() for one in measured], record.poses)
     assert np.array_equal(record.odometry, record.twists[:, :2])
     assert np.all(record.commands[:-1] == [0.2, 0.1])
-    assert told[-1].detections == ()
-    assert told[-1].contact is None
+    assert measured[-1].detections == ()
+    assert measured[-1].contact is None
 
 
-def test_what_is_forgotten_changes_nothing_that_follows():
-    kept, told = driven(NOISY, seed=3)
+def test_forget_has_no_effect_on_later_measurements():
+    kept, measured = driven(NOISY, seed=3)
     robot, before = driven(NOISY, seed=3, periods=PERIODS[:20])
     robot.forget()
     after = [robot.advance(BENT, period) for period in PERIODS[20:]]
-    assert [*before, *after] == told
+    assert [*before, *after] == measured
     whole, rest = kept.record(), robot.record()
     assert np.array_equal(rest.poses, whole.poses[20:])
     assert np.array_equal(rest.commands, whole.commands[20:])
@@ -85,15 +85,15 @@ def test_switching_a_sensor_off_changes_nothing_in_the_others(left_out):
 
 def test_no_random_number_is_used_by_two_sensors():
     sensors = Sensors(PoseSensor(1.0), Odometry(linear_sigma=1.0), DockSensor(rate=100.0, position_sigma=1.0))
-    _, told = driven(sensors, Twist2(), ORIGIN, [0.01] * 300)
-    poses = [value for one in told for value in (one.pose.x, one.pose.y)]
-    detections = [value for one in told for seen in one.detections for value in (seen.pose.x, seen.pose.y)]
-    noises = np.sort(poses + detections + [one.twist.linear for one in told])
+    _, measured = driven(sensors, Twist2(), ORIGIN, [0.01] * 300)
+    poses = [value for one in measured for value in (one.pose.x, one.pose.y)]
+    detections = [value for one in measured for seen in one.detections for value in (seen.pose.x, seen.pose.y)]
+    noises = np.sort(poses + detections + [one.twist.linear for one in measured])
     assert len(noises) > 1400
     assert np.min(np.diff(noises)) > 1e-12
 
 
-def test_without_a_station_contact_is_what_the_plant_says():
+def test_contact_of_the_plant_without_a_station():
     class Touching(DifferentialDrive):
         def step(self, state, command, duration=None):
             return super().step(state, command, duration)._replace(contact=True)
@@ -101,16 +101,16 @@ def test_without_a_station_contact_is_what_the_plant_says():
     assert driven(plant=Touching(ROBOT))[1][-1].contact is True
 
 
-def test_the_true_dock_is_what_the_detector_sees_even_when_it_moves():
+def test_detector_measures_a_moved_dock():
     robot, _ = driven(Sensors(dock=DockSensor(rate=100.0)), dock=Pose2(0.05, 0.02, 0.03))
     robot.dock_pose = Pose2(0.1, 0.0, 0.0)
     robot.advance(Twist2(), round(robot.time + 0.02, 2) - robot.time)
-    told = robot.measurements
-    assert (told.pose @ told.detections[-1].pose).gap_to(robot.dock_pose) < 1e-9
+    measured = robot.measurements
+    assert (measured.pose @ measured.detections[-1].pose).gap_to(robot.dock_pose) < 1e-9
     assert np.all(robot.record().docks[-2:] == [[0.05, 0.02, 0.03], [0.1, 0.0, 0.0]])
 
 
-def test_a_controller_drives_it_as_it_drives_the_closed_loop():
+def test_closed_loop_equals_a_loop_over_the_simulated_robot():
     trajectory = s_curve_drive(Pose2(0.4, -0.2, 0.3))
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
     run = run_closed_loop(
@@ -135,21 +135,21 @@ def test_a_controller_drives_it_as_it_drives_the_closed_loop():
 
 class TestStation:
     @pytest.mark.parametrize(("direction", "sign"), [("forward", 1.0), ("backward", -1.0)])
-    def test_a_robot_is_held_at_the_stop_and_the_switch_says_so(self, direction, sign):
+    def test_stop_and_switch(self, direction, sign):
         start = Pose2(-sign * 0.3, 0.01, 0.02)
         dock = Pose2(3.0, 2.0, 1.0)
         station = Station(direction, depth=0.005)
-        robot, told = driven(None, Twist2(sign * 0.2), dock @ start, [0.02] * 150, dock=dock, station=station)
+        robot, measured = driven(None, Twist2(sign * 0.2), dock @ start, [0.02] * 150, dock=dock, station=station)
         along = np.array([Pose2(*row).in_frame_of(dock).x for row in robot.record().poses])
         assert np.max(sign * along) == pytest.approx(0.005, abs=1e-9)
-        assert [one.contact for one in told] == (sign * along > 0.002 - 1e-9).tolist()
-        assert told[-1].contact is True
-        assert told[-1].twist.linear == 0.0
+        assert [one.contact for one in measured] == (sign * along > 0.002 - 1e-9).tolist()
+        assert measured[-1].contact is True
+        assert measured[-1].twist.linear == 0.0
         assert robot.state.twist.linear == 0.0
 
-    def test_wheels_that_slip_go_on_in_the_odometry(self):
-        robot, told = driven(None, Twist2(0.2), periods=[0.02] * 200, station=Station(stalls=False))
-        assert told[-1].twist.linear == pytest.approx(0.2)
+    def test_odometry_continues_with_slipping_wheels(self):
+        robot, measured = driven(None, Twist2(0.2), periods=[0.02] * 200, station=Station(stalls=False))
+        assert measured[-1].twist.linear == pytest.approx(0.2)
         assert robot.state.twist.linear == 0.0
 
     def test_it_can_be_left_again(self):
@@ -160,22 +160,18 @@ class TestStation:
         assert robot.error.x < -0.1
         assert robot.measurements.contact is False
 
-    def test_beside_it_nothing_stops(self):
-        robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.2, 0.0), [0.02] * 150, station=Station())
-        assert robot.error.x > 0.1
-        assert not any(one.contact for one in told)
-
-    def test_from_behind_nothing_stops(self):
-        robot, _ = driven(None, Twist2(0.2), Pose2(0.1, 0.0, 0.0), [0.02] * 50, station=Station())
-        assert robot.error.x == pytest.approx(0.268, abs=0.001)
-
-    def test_without_the_right_heading_the_switch_stays_open(self):
-        robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.0, 0.15), [0.02] * 150, station=Station())
-        assert robot.error.x == pytest.approx(0.0, abs=1e-9)
-        assert told[-1].contact is False
+    @pytest.mark.parametrize(
+        ("start", "periods", "x"),
+        [(Pose2(-0.3, 0.2, 0.0), 150, 0.268), (Pose2(0.1, 0.0, 0.0), 50, 0.268), (Pose2(-0.3, 0.0, 0.15), 150, 0.0)],
+        ids=["no stop beside the station", "no stop from behind", "heading error"],
+    )
+    def test_no_contact(self, start, periods, x):
+        robot, measured = driven(None, Twist2(0.2), start, [0.02] * periods, station=Station())
+        assert robot.error.x == pytest.approx(x, abs=0.001)
+        assert measured[-1].contact is False
 
 
-def test_clearance_counts_an_obstacle_only_from_when_it_was_put_there():
+def test_clearance_counts_obstacles_from_the_time_of_put():
     wall = ObstacleSet.from_polygons([[[0.6, -1.0], [0.7, -1.0], [0.7, 1.0], [0.6, 1.0]]])
     behind = ObstacleSet.from_polygons([[[-0.9, -1.0], [-0.7, -1.0], [-0.7, 1.0], [-0.9, 1.0]]])
     robot, _ = driven(None, Twist2(0.2), Pose2(-0.5, 0.0, 0.0), [0.02] * 100, obstacles=wall)
@@ -195,6 +191,6 @@ def test_clearance_counts_an_obstacle_only_from_when_it_was_put_there():
         (lambda: SimulatedRobot(PLANT, ORIGIN, ORIGIN).advance(Twist2(), 0.0), "plant.duration"),
     ],
 )
-def test_bad_values_are_refused(build, message):
+def test_invalid_values_are_errors(build, message):
     with pytest.raises(InvalidValue, match=message):
         build()

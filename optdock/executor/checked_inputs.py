@@ -1,0 +1,157 @@
+"""Validation of what drivers and dock types deliver: invalid measurements are dropped, invalid answers are errors."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from optdock.errors import PluginError
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.costmap import Costmap
+from optdock.model.measurements import Detection, Measurements, OdometryPose
+from optdock.plugins.outcomes import Contact
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.model.measurements import AtDock
+    from optdock.plugins.interfaces import DockType
+
+__all__ = ["CheckedDockType", "Intake", "usable"]
+
+
+class Intake(NamedTuple):
+    """The valid part of a set of measurements.
+
+    Attributes:
+        measurements: Invalid fields are replaced by their neutral value; an invalid stamp by NaN.
+        has_twist: Whether the body velocity is valid.
+        faults: Event name and received value of each invalid field.
+    """
+
+    measurements: Measurements
+    has_twist: bool
+    faults: tuple[tuple[str, str], ...]
+
+
+def usable(given: object) -> Intake:
+    """Return the valid part of measurements; accepts any object, None included."""
+    if not isinstance(given, Measurements):
+        return Intake(Measurements(math.nan, None), has_twist=False, faults=(_fault("measurements", given),))
+    kept: dict[str, Any] = given._asdict()
+    invalid = [name for name, (accepts, _) in _ACCEPTED.items() if not accepts(kept[name])]
+    faults = [_fault(name, kept[name]) for name in invalid]
+    kept |= {name: _ACCEPTED[name][1] for name in invalid}
+    detections = tuple(one for one in kept["detections"] if _is_detection(one))
+    faults += [_fault("detection", one) for one in kept["detections"] if not _is_detection(one)]
+    if "pose_stamp" in invalid:
+        kept["pose"] = None
+    measurements = Measurements(**kept | {"detections": detections})
+    return Intake(measurements, "twist" not in invalid, tuple(faults))
+
+
+def _fault(name: str, value: object) -> tuple[str, str]:
+    return f"{name.replace('_', ' ')} not used", f"got {value!r:.80}"
+
+
+def _is_finite(value: object) -> bool:
+    return type(value) is not bool and isinstance(value, numbers.Real) and math.isfinite(value)
+
+
+def _is_odometry(value: object) -> bool:
+    return isinstance(value, OdometryPose) and isinstance(value.pose, Pose2) and _is_finite(value.stamp)
+
+
+def _is_detection(value: object) -> bool:
+    if not (isinstance(value, Detection) and isinstance(value.pose, Pose2)):
+        return False
+    return all(_is_finite(one) for one in (value.stamp, value.position_sigma, value.yaw_sigma))
+
+
+def _is_a(*kinds: type) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, kinds)
+
+
+def _is_none_or(accepts: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda value: value is None or accepts(value)
+
+
+# For each field: the test of validity, and the neutral value that replaces an invalid one.
+_ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
+    "stamp": (_is_finite, math.nan),
+    "pose": (_is_none_or(_is_a(Pose2)), None),
+    "twist": (_is_a(Twist2), Twist2()),
+    "detections": (_is_a(tuple, list), ()),
+    "contact": (_is_none_or(_is_a(bool)), None),
+    "costmap": (_is_none_or(_is_a(Costmap)), None),
+    "odometry": (_is_none_or(_is_odometry), None),
+    "pose_stamp": (_is_none_or(_is_finite), None),
+    "held": (_is_a(bool), True),
+    "current": (_is_none_or(_is_finite), None),
+}
+
+
+class CheckedDockType:
+    """A dock type whose answers are validated; exceptions of the dock type are passed on.
+
+    Raises:
+        PluginError: From every method and property, if the answer violates the contract of `DockType`.
+    """
+
+    def __init__(self, dock_type: DockType) -> None:
+        self._dock_type = dock_type
+
+    def contact(self, now: AtDock) -> Contact | None:
+        """`DockType.contact`."""
+        found = self._dock_type.contact(now)
+        return found if found is None or isinstance(found, Contact) else self._refuse("contact", "a Contact", found)
+
+    @property
+    def is_pressed_on(self) -> bool:
+        """`DockType.is_pressed_on`."""
+        return self._checked_bool("is_pressed_on", self._dock_type.is_pressed_on)
+
+    @property
+    def waits_for_charge(self) -> bool:
+        """`DockType.waits_for_charge`."""
+        return self._checked_bool("waits_for_charge", self._dock_type.waits_for_charge)
+
+    def is_charging(self, measurements: Measurements) -> bool:
+        """`DockType.is_charging`."""
+        return self._checked_bool("is_charging", self._dock_type.is_charging(measurements))
+
+    def staging_poses(self, gear: float, distance: float) -> tuple[Pose2, ...]:
+        """`DockType.staging_poses`; at least one."""
+        found = self._dock_type.staging_poses(gear, distance)
+        if not (isinstance(found, Sequence) and found and all(isinstance(pose, Pose2) for pose in found)):
+            self._refuse("staging_poses", "a sequence of at least one Pose2", found)
+        return tuple(found)
+
+    def detections(self, measurements: Measurements) -> tuple[Detection, ...]:
+        """`DockType.detections`."""
+        found = self._dock_type.detections(measurements)
+        if not (isinstance(found, Sequence) and all(_is_detection(one) for one in found)):
+            self._refuse("detections", "a sequence of Detection with finite numbers", found)
+        return tuple(found)
+
+    @property
+    def back_out_distance(self) -> float:
+        """`DockType.back_out_distance` [m]; finite and positive."""
+        found = self._dock_type.back_out_distance
+        if not (_is_finite(found) and found > 0.0):
+            self._refuse("back_out_distance", "a finite number > 0", found)
+        return float(found)
+
+    def reset(self) -> None:
+        """`DockType.reset`."""
+        self._dock_type.reset()
+
+    def _checked_bool(self, name: str, found: object) -> bool:
+        return bool(found) if isinstance(found, bool | np.bool_) else self._refuse(name, "a bool", found)
+
+    def _refuse(self, name: str, wanted: str, found: object) -> NoReturn:
+        raise PluginError(f"{type(self._dock_type).__name__}.{name}: must be {wanted}, got {found!r:.80}")
