@@ -35,6 +35,7 @@ __all__ = [
 
 # The unit of a number stands where its value will: a unit in square brackets would be taken for markup, and not shown.
 SECONDS, METRES, RADIANS = "SECONDS", "METRES", "RADIANS"
+_SLOW = 2.0  # [s], after which a command shows its progress
 
 ScenarioArgument: TypeAlias = Annotated[Path, typer.Argument(help="Scenario file (YAML).", show_default=False)]
 BudgetOption: TypeAlias = Annotated[
@@ -160,15 +161,20 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
 
 @contextmanager
 def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar on stderr, on terminals only.
+    """A progress bar with the estimated time left on stderr, on terminals only and after two seconds.
 
-    It advances by one at every call of the function it yields, which takes what has just been done.
+    It advances by one at every call of the function it yields, which takes the name of the finished item.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, advance=1, description=f"{what}: {done}")
+        task = progress.add_task(what, total=total, visible=False)
+
+        def advance(done: str) -> None:
+            is_slow = (progress.tasks[0].elapsed or 0.0) > _SLOW
+            progress.update(task, advance=1, description=f"{what}: {done}", visible=is_slow)
+
+        yield advance

@@ -182,10 +182,7 @@ def test_samples_alone_are_not_called_certified(planned):
         lines = result.stdout.splitlines()
         assert lines[0].split(maxsplit=1) == ["verdict", "path certified, motion not refuted and not proven"]
         assert "samples agree with each other, the path and the limits" in lines[-1]
-        assert (
-            "between samples (100 ms) unproven: the jerk, and if it keeps its limit speed to within 0.0025 m/s"
-            in lines[-1]
-        )
+        assert lines[-1].endswith("the motion between them (100 ms) is not proven")
         assert result.stdout.count("certified") == 1
 
 
@@ -339,8 +336,8 @@ def test_certify_notices_a_path_through_an_obstacle(planned):
         ("acceleration", lambda v: [x + 1.0 for x in v], "acceleration [m/s^2]: "),
         ("jerk", lambda v: [3.0 for x in v], "jerk [m/s^3]: 3 at t = 0.000 s, limit 2"),
         ("x", lambda v: [*v[:9], v[9] + 0.01, *v[10:]], "pose at t = 0.900 s is 0.00"),
-        ("speed", lambda v: [*v[:-1], 0.05], "end: speed 0.05 m/s"),
-        ("speed", lambda v: [0.05, *v[1:]], "start speed: 0.05 m/s, the robot drives 0 m/s"),
+        ("speed", lambda v: [*v[:-1], 0.05], "end speed [m/s]: 0.05"),
+        ("speed", lambda v: [0.05, *v[1:]], "start speed [m/s]: 0.05, the robot has 0"),
     ],
 )
 def test_certify_notices_a_motion_that_breaks_its_limits(planned, column, change, fault):
