@@ -1,6 +1,6 @@
 """Pictures of plans, motions and runs; needs the extra `plot`.
 
-Nothing here changes a result: every function takes finished values and writes one file.
+Every function draws finished values into one file.
 """
 
 from optdock.plotting.animation import save_animation

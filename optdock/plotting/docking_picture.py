@@ -1,4 +1,4 @@
-"""The picture of a docking that was logged: measured and estimated poses, and commands."""
+"""Picture of a logged docking: measured and estimated poses, and commands."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def save_docking_picture(
     """Draw a docking from above, and its commands over time.
 
     Args:
-        target: Where; the suffix chooses the format.
-        problem: What was asked for.
-        measured: Poses as measured, Shape (n, 3).
-        estimates: Poses as filtered, Shape (m, 3).
-        commands: Time, linear and angular, Shape (k, 3) [s, m/s, rad/s].
+        target: File to write; the suffix gives the format.
+        problem: The docking problem.
+        measured: Measured poses, Shape (n, 3).
+        estimates: Filtered poses, Shape (m, 3).
+        commands: Time, linear and angular velocity, Shape (k, 3) [s, m/s, rad/s].
 
     Raises:
         MissingExtra: Matplotlib is not installed.

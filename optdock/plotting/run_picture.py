@@ -1,4 +1,4 @@
-"""The picture of a simulated run: where the robot really drove, and how far off it was."""
+"""Picture of a simulated run: driven poses and tracking errors."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 __all__ = ["save_run_picture"]
 
-_FOOTPRINTS = 24  # drawn, equally far apart
+_FOOTPRINTS = 24  # drawn at equal distances
 
 
 def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
     """Draw the driven poses over the planned ones, and the tracking errors and speeds over time.
 
     Args:
-        target: Where; the suffix chooses the format.
-        problem: What was planned.
-        run: What happened.
-        title: Above the picture.
+        target: File to write; the suffix gives the format.
+        problem: The docking problem.
+        run: The simulated run.
+        title: Title of the picture.
 
     Raises:
         MissingExtra: Matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""The camera's view in a picture: the marker, and the cone at some poses from which it must be seen."""
+"""Drawing of the camera's view: the marker, and the camera's cone at some poses."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_cone", "draw_view"]
 
-_CONES = 4  # along the stretch: more of them hide each other
-_BEYOND = 1.08  # of the distance of the marker, or of the nearest range: cones are drawn so far, if they reach so far
+_CONES = 4  # along the path; more would hide each other
+_BEYOND = 1.08  # length of a drawn cone over the distance of the marker, or over the minimum range
 _ARC = 0.05  # [rad] between the points of an arc, at most
 
 
 def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
-    """The marker; and cones along the part of a path that must see it, with the arcs of their ranges."""
+    """Draw the marker, and cones along the part of the path where the marker must be in view."""
     axes.plot(
         *view.marker, "*", color=COLOURS["goal"], markeredgecolor="black", markersize=13, label="marker", zorder=6.5
     )
@@ -41,13 +41,13 @@ def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
 
 
 def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
-    """The cone at one pose of the robot, Shape (3,), at which the marker is out of view."""
+    """Draw the cone at a pose of the robot, Shape (3,), where the marker is out of view."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
     draw_shapes(axes, [_cone(view, pose)], style)
 
 
 def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
-    """The outline of what the camera sees from a pose of the robot, Shape (n, 2) [m]."""
+    """Outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
     camera = view.camera
     distance = float(view.margins(pose[None]).distance[0])
     reach = min(camera.max_range, max(_BEYOND * distance, _BEYOND * camera.min_range))
@@ -57,7 +57,7 @@ def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
 
 
 def _sector(camera: Camera, reach: float) -> FloatArray:
-    """The part of a ring that lies within the cone, in the camera's frame, up to `reach` [m]. Shape (n, 2) [m]."""
+    """Outline of the cone in the camera's frame, from the minimum range to `reach` [m]. Shape (n, 2) [m]."""
     half = 0.5 * camera.field_of_view
     angles = np.linspace(-half, half, max(2, math.ceil(2.0 * half / _ARC)))
     arc = np.column_stack((np.cos(angles), np.sin(angles)))
