@@ -286,7 +286,7 @@ def test_certify_says_that_a_file_holds_no_motion(planned):
     pathlib.Path("path.json").write_text(json.dumps(document))
     result = run("certify", "path.json", folder / "bay.yaml")
     assert result.exit_code == 0
-    assert result.stdout.splitlines()[-1].split(maxsplit=1) == ["motion", "none in the file, the path alone is judged"]
+    assert result.stdout.splitlines()[-1].split(maxsplit=1) == ["motion", "none in the file, only the path is checked"]
 
 
 def test_certify_judges_a_path_that_optdock_did_not_make(planned):
@@ -313,7 +313,7 @@ def test_certify_refuses_a_plan_of_another_frame(planned):
     pathlib.Path("odom.json").write_text(json.dumps({**document, "frame": "odom"}))
     result = run("certify", "odom.json", folder / "bay.yaml")
     assert result.exit_code == 3
-    assert "not certified: the plan stands in frame 'odom', the scenario in 'map'" in result.stderr
+    assert "not certified: the frame of the plan is 'odom', that of the scenario 'map'" in result.stderr
     pathlib.Path("unnamed.json").write_text(json.dumps({**document, "frame": ""}))
     assert run("certify", "unnamed.json", folder / "bay.yaml").exit_code == 0
 
@@ -360,7 +360,7 @@ def test_certify_refuses_a_file_without_a_path(planned):
     result = run("certify", "empty.json", folder / "bay.yaml")
     assert (result.exit_code, result.stderr) == (
         3,
-        "not certified: the file holds no path, its status is GoalOccupied\n",
+        "not certified: the file has no path, its status is GoalOccupied\n",
     )
 
 
@@ -569,7 +569,7 @@ def test_no_result_overwrites_another(other):
     write()
     result = run("plan", "bay.yaml", "--out", "plan.json", "--csv", other)
     assert result.exit_code == 2
-    assert result.stderr.endswith("is asked for twice, and one result would overwrite the other\n")
+    assert result.stderr.endswith("is given twice, and one result would overwrite the other\n")
     assert not pathlib.Path("plan.json").exists()
     assert run("plan", "bay.yaml", "--out", "/dev/null", "--csv", "/dev/null").exit_code == 0
 
