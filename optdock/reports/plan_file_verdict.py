@@ -296,9 +296,9 @@ class _Claims:
         if not certificate.certified and plan.status == CERTIFIED:
             yield f"status is {CERTIFIED!r}, the path is not"
         yield from self._false_verdict("certificate", self._claimed, certificate, "the path is")
-        yield from self._false_of_path()
+        yield from self._false_numbers()
         if certificate.certified and not self._others:
-            yield from self._false_clearances()
+            yield from self._false_place()
             proof, claimed = self._motion.proof, self._claimed.get("trajectory")
             if proof is not None and isinstance(claimed, dict):
                 yield from self._false_verdict("certificate.trajectory", claimed, proof, "the motion is")
@@ -317,64 +317,43 @@ class _Claims:
         if said is True and claimed.get("violations"):
             yield f"{name}.violations are there, though {name}.certified is true"
 
-    def _false_of_path(self) -> Iterator[str]:
-        """Values that depend on the path only."""
-        claimed, here = self._claimed, self._certificate
-        for name, value, unit in (
-            ("max_curvature", here.max_curvature, "1/m"),
-            ("max_curvature_rate", here.max_curvature_rate, "1/m^2"),
-        ):
-            said = _number(claimed, name, math.inf)
-            if said is None:
-                continue
-            exact = self._of_path and "path" in claimed
-            # Differences of rounded poses are too large; only values below are false then.
-            if (exact and not _same(said, value)) or said < value * (1.0 - _ROUNDED) - TOLERANCE:
-                yield f"certificate.{name} is {said:.6g} {unit}, the path has {value:.6g} {unit}"
-        length = _number(claimed, "length", math.inf)
-        if length is not None and not _same(length, here.length):
-            yield f"certificate.length is {length:.6g} m, the path is {here.length:.6g} m long"
-
-    def _false_clearances(self) -> Iterator[str]:
-        """Values of path and problem; clearances are accurate to `SHARPNESS`."""
-        here = self._certificate
-        sharp = SHARPNESS + TOLERANCE
-        for name, value, near in (
-            ("min_clearance", here.min_clearance, sharp),
-            ("required_clearance", here.required_clearance, sharp),
-            ("start_relief", here.start_relief, TOLERANCE),
-            ("tube", here.tube, TOLERANCE),
+    def _false_numbers(self) -> Iterator[str]:
+        """Numbers of the certificate; clearances are accurate to `SHARPNESS`, margins hold for the same path only."""
+        here, sharp = self._certificate, SHARPNESS + TOLERANCE
+        of_problem = here.certified and not self._others
+        same, exact = of_problem and self._of_path, self._of_path and "path" in self._claimed
+        bend, rate = here.max_curvature, here.max_curvature_rate
+        view = math.nan if here.view_margin is None else here.view_margin
+        for name, value, unit, near, is_comparable in (
+            ("length", here.length, "m", TOLERANCE * (1.0 + here.length), True),
+            ("max_curvature", bend, "1/m", TOLERANCE * (1.0 + bend), exact),
+            ("max_curvature_rate", rate, "1/m^2", TOLERANCE * (1.0 + rate), exact),
+            ("min_clearance", here.min_clearance, "m", sharp, of_problem),
+            ("required_clearance", here.required_clearance, "m", sharp, of_problem),
+            ("start_relief", here.start_relief, "m", TOLERANCE, of_problem),
+            ("tube", here.tube, "m", TOLERANCE, of_problem),
+            ("margin", here.margin, "m", sharp, same),
+            ("view_margin", view, "m", TOLERANCE, same),
         ):
             said = _number(self._claimed, name, math.inf)
-            if said is not None and not _near(said, value, near):
-                yield f"certificate.{name} is {said:.6g} m, proven are {value:.6g} m"
-        margin, most = _number(self._claimed, "margin", math.inf), here.min_clearance - here.required_clearance
-        # The margin is reproduced for the same path only. For another path it is at most the difference at the least
-        # clearance.
-        wrong = margin is not None and margin != here.margin and not margin <= most + sharp
-        if margin is not None and (wrong or (self._of_path and not (_near(margin, here.margin, sharp)))):
-            yield f"certificate.margin is {margin:.6g} m, proven are {here.margin:.6g} m"
-        yield from self._false_view()
-        yield from self._false_place()
-        nearest = self._claimed.get("nearest")
-        obstacles = self._problem.all_obstacles
-        if nearest is not None and nearest not in {obstacles.name_of(row) for row in range(len(obstacles))} | {""}:
-            yield f"certificate.nearest is {shown(nearest)}, no obstacle has this name"
-        elif nearest == "" and here.nearest:
-            yield f"certificate.nearest is empty, {here.nearest} is nearest"
-
-    def _false_view(self) -> Iterator[str]:
-        """The margin of the view, for the same path only."""
-        said, here = _number(self._claimed, "view_margin", math.inf), self._certificate.view_margin
-        if said is None or not self._of_path:
-            return
-        if here is None:
-            yield f"certificate.view_margin is {said:.6g} m, but no view is required"
-        elif not _near(said, here, TOLERANCE):
-            yield f"certificate.view_margin is {said:.6g} m, proven are {here:.6g} m"
+            if said is None:
+                continue
+            wrong = is_comparable and not _near(said, value, near)
+            # Differences of rounded poses are too large; only values below are false then.
+            wrong |= name.startswith("max_") and said < value * (1.0 - _ROUNDED) - TOLERANCE
+            # For another path the margin is at most the difference at the least clearance.
+            most = here.min_clearance - here.required_clearance + sharp
+            wrong |= name == "margin" and of_problem and said != value and not said <= most
+            if wrong:
+                yield f"certificate.{name} is {said:.6g} {unit}, proven is {value:.6g} {unit}"
 
     def _false_place(self) -> Iterator[str]:
-        """The place of the least clearance."""
+        """Obstacle and place of the least clearance."""
+        nearest, obstacles = self._claimed.get("nearest"), self._problem.all_obstacles
+        if nearest == "" and self._certificate.nearest:
+            yield f"certificate.nearest is empty, {self._certificate.nearest} is nearest"
+        elif nearest and nearest not in {obstacles.name_of(row) for row in range(len(obstacles))}:
+            yield f"certificate.nearest is {shown(nearest)}, no obstacle has this name"
         here, at = self._certificate, _number(self._claimed, "at_s", math.nan)
         if at is None or not self._of_path or not math.isfinite(here.min_clearance) or _same(at, here.at_s):
             return

@@ -254,9 +254,9 @@ def test_phases_that_break_a_limit_are_refuted(planned):
 @pytest.mark.parametrize(
     ("key", "value", "claim"),
     [
-        ("min_clearance", 0.5, "certificate.min_clearance is 0.5 m, proven are 0.02 m"),
-        ("max_curvature", 0.1, "certificate.max_curvature is 0.1 1/m, the path has 0.39"),
-        ("length", 2.0, "certificate.length is 2 m, the path is 3.13"),
+        ("min_clearance", 0.5, "certificate.min_clearance is 0.5 m, proven is 0.02 m"),
+        ("max_curvature", 0.1, "certificate.max_curvature is 0.1 1/m, proven is 0.39"),
+        ("length", 2.0, "certificate.length is 2 m, proven is 3.13"),
     ],
 )
 def test_a_false_claim_is_named(planned, key, value, claim):
