@@ -24,13 +24,14 @@ from optdock.plotting.scene import (
     DRAWN_BY_THE_MAP,
     OutlineStyle,
     draw_arrow,
+    draw_cone,
     draw_footprints,
     draw_scene,
     draw_shapes,
     draw_sweep,
+    draw_view,
     view_of,
 )
-from optdock.plotting.view_drawing import draw_cone, draw_view
 from optdock.verification import TOLERANCE, pose_clearances
 
 if TYPE_CHECKING:

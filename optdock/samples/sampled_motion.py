@@ -78,11 +78,11 @@ class Rounding(NamedTuple):
 
     @classmethod
     def of(cls, motion: SampledMotion) -> Rounding:
-        """Half a unit of the last decimal of each kind of column; times on an even grid are exact."""
+        """Half a unit of the last decimal of each kind of column; times on an even grid are exact, others to 5e-7."""
         steps = np.diff(motion.t)
         even = bool(np.ptp(steps) <= 1e-9 * steps[0])
         resolution = float(np.spacing(np.max(np.abs(motion.t))))
-        time = resolution if even else max(resolution, half_unit(motion.t, most=0.0))
+        time = resolution if even else max(resolution, half_unit(motion.t, most=0.5 * EXACT))
         return cls._make([half_unit(motion.x, motion.y), *map(half_unit, motion[3:]), time])
 
 

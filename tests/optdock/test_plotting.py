@@ -33,8 +33,7 @@ from optdock.plotting import plan_picture, save_animation, save_plan_picture, sa
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
-from optdock.plotting.scene import draw_scene, view_of
-from optdock.plotting.view_drawing import _cone
+from optdock.plotting.scene import _cone, draw_scene, view_of
 from optdock.simulation import Run
 from optdock.verification import certify_path
 
