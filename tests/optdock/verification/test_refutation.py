@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.families import FEASIBLE_FAMIDAMAGES, instance
+from experiments.families import FEASIBLE_FAMILIES, instance
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
@@ -146,9 +146,9 @@ def test_samples_of_wheels_that_turn_too_fast_are_refuted(period):
     assert "rest" in [violation.kind for violation in found]
 
 
-@pytest.mark.parametrize("number", range(len(FEASIBLE_FAMIDAMAGES)))
+@pytest.mark.parametrize("number", range(len(FEASIBLE_FAMILIES)))
 def test_no_family_is_refuted_at_any_period(number):
-    drawn = instance(sorted(FEASIBLE_FAMIDAMAGES)[number], number % 3)
+    drawn = instance(sorted(FEASIBLE_FAMILIES)[number], number % 3)
     timer = create_plugin(TimeParameterizer, ("NearOptimal", "Windowed")[number % 2])
     limits = dataclasses.replace(
         drawn.problem.robot.limits,
