@@ -42,20 +42,20 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
     name = PLUGIN_DEFAULTS[kind]
     if not isinstance(section, Mapping):
         return PluginChoice(name, {})
-    asked = section.get("plugin", name)
+    chosen = section.get("plugin", name)
     parameters = {str(key): value for key, value in section.items() if key != "plugin"}
     if not section:
         return PluginChoice(name, {})
-    if not isinstance(asked, str):
-        faults.append(Fault((kind, "plugin"), f"must be text, got {shown(asked)}"))
+    if not isinstance(chosen, str):
+        faults.append(Fault((kind, "plugin"), f"must be text, got {shown(chosen)}"))
         return PluginChoice(name, {})
     try:
-        plugin = load_plugin(INTERFACES[plural(kind)], asked)
+        plugin = load_plugin(INTERFACES[plural(kind)], chosen)
     except PluginError as error:
         faults.append(Fault((kind, "plugin"), str(error)))
         return PluginChoice(name, {})
     faults.extend(parameter_faults(plugin, parameters, (kind,)))
-    return PluginChoice(asked, parameters)
+    return PluginChoice(chosen, parameters)
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
@@ -79,8 +79,8 @@ def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], bas
         return faults_of(error, lambda key: fields if not key else (), base)
     # Every field's description ends in its unit.
     given = ((name, value, _UNIT.search(fields[name].description or "")) for name, value in parameters.items())
-    asked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
-    return [Fault((*base, name), fault) for name, fault in asked if fault]
+    checked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
+    return [Fault((*base, name), fault) for name, fault in checked if fault]
 
 
 def plural(kind: str) -> str:

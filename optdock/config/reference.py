@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KeyReference", "plugin_reference", "scenario_reference", "scenario_schema"]
 
-Schema: TypeAlias = "dict[str, Any]"  # JSON: no narrower type says more
+Schema: TypeAlias = "dict[str, Any]"  # JSON
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _REFS = "#/$defs/{model}"

@@ -101,13 +101,13 @@ def load_scenario(source: str | Path) -> Scenario:
     if faults or document is None:
         raise InvalidFile(report(faults, located))
     _warn_of_outside_origin(source, document.robot.value().footprint)
-    asked = planners(choices.pop("planner"), located.value.get("planner"))
+    planner = planners(choices.pop("planner"), located.value.get("planner"))
     return Scenario(
         problem=_problem(document, costmap, located),
         time_budget=document.time_budget,
         source=source,
         default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
-        planner=asked,
+        planner=planner,
         **choices,
     )
 

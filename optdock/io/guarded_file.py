@@ -158,7 +158,7 @@ def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"key {shown(key)} stands twice in one object")
+            raise ValueError(f"key {shown(key)} is repeated in one object")
         found[key] = value
     return found
 

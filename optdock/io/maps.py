@@ -187,7 +187,7 @@ def _refuse_picture(path: Path) -> None:
     """Refuse an image given instead of the YAML file, and name the YAML file."""
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
-        named = f"beside it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
+        named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
         raise InvalidFile(f"{path}: is a picture; name the YAML file {named}")
 
 

@@ -131,7 +131,7 @@ def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
     if mark is not None and text[mark.index : mark.index + 1] == "\t":
-        return f"{where}: is not valid YAML: a tab stands where only spaces may; indent with spaces"
+        return f"{where}: is not valid YAML: a tab where only spaces are allowed; indent with spaces"
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
     if "nesting depth" in reason:  # limit of libyaml since PyYAML 6.0.4
         return f"{where}: is nested too deeply"
@@ -252,6 +252,6 @@ class _Reader:
             key = self._key_of(key_node)
             if key in first:
                 self.faults.append(
-                    f"{self._place(key_node)}: {shortened(str(key))}: stands here again; first in line {first[key]}"
+                    f"{self._place(key_node)}: {shortened(str(key))}: is repeated; first in line {first[key]}"
                 )
             first.setdefault(key, key_node.start_mark.line + 1)

@@ -104,8 +104,8 @@ def _refuse_contradictions(plan: PlanFile) -> None:
     if plan.impossibility is not None:
         wrong = [name for name in held if name in ("path", "trajectory", "certificate")]
         if wrong or plan.status == CERTIFIED:
-            beside = wrong[0] if wrong else f"status {CERTIFIED!r}"
-            raise InvalidFile(f"impossibility: a proof that no motion exists contradicts {beside}")
+            other = wrong[0] if wrong else f"status {CERTIFIED!r}"
+            raise InvalidFile(f"impossibility: a proof that no motion exists contradicts {other}")
     if plan.status == CERTIFIED and "path" not in held:
         raise InvalidFile(f"status: is {CERTIFIED!r}, but the file has no path")
     if "error" in held and not _is_refusal(plan):
@@ -309,12 +309,12 @@ class _Claims:
     def _false_verdict(
         self, name: str, claimed: Mapping[str, object], verdict: Certificate | TrajectoryCertificate, subject: str
     ) -> Iterator[str]:
-        said = claimed.get("certified")
-        if said is True and not verdict.certified:
+        claim = claimed.get("certified")
+        if claim is True and not verdict.certified:
             yield f"{name}.certified is true, {subject} not certified"
-        elif said is False and verdict.certified and not self._others:
+        elif claim is False and verdict.certified and not self._others:
             yield f"{name}.certified is false, {subject} certified"
-        if said is True and claimed.get("violations"):
+        if claim is True and claimed.get("violations"):
             yield f"{name}.violations are there, though {name}.certified is true"
 
     def _false_numbers(self) -> Iterator[str]:
@@ -335,17 +335,17 @@ class _Claims:
             ("margin", here.margin, "m", sharp, same),
             ("view_margin", view, "m", TOLERANCE, same),
         ):
-            said = _number(self._claimed, name, math.inf)
-            if said is None:
+            claim = _number(self._claimed, name, math.inf)
+            if claim is None:
                 continue
-            wrong = is_comparable and not _near(said, value, near)
+            wrong = is_comparable and not _near(claim, value, near)
             # Differences of rounded poses are too large; only values below are false then.
-            wrong |= name.startswith("max_") and said < value * (1.0 - _ROUNDED) - TOLERANCE
+            wrong |= name.startswith("max_") and claim < value * (1.0 - _ROUNDED) - TOLERANCE
             # For another path the margin is at most the difference at the least clearance.
             most = here.min_clearance - here.required_clearance + sharp
-            wrong |= name == "margin" and of_problem and said != value and not said <= most
+            wrong |= name == "margin" and of_problem and claim != value and not claim <= most
             if wrong:
-                yield f"certificate.{name} is {said:.6g} {unit}, proven is {value:.6g} {unit}"
+                yield f"certificate.{name} is {claim:.6g} {unit}, proven is {value:.6g} {unit}"
 
     def _false_place(self) -> Iterator[str]:
         """Obstacle and place of the least clearance."""
@@ -362,8 +362,8 @@ class _Claims:
             return
         found, least = self._clearance_at(at), max(self._clearance_at(here.at_s), here.min_clearance)
         if not found <= least + SHARPNESS:
-            said = f"where the clearance is {found:.6g} m, not {here.min_clearance:.6g} m"
-            yield f"certificate.at_s is {at:.6g} m, {said}"
+            claim = f"where the clearance is {found:.6g} m, not {here.min_clearance:.6g} m"
+            yield f"certificate.at_s is {at:.6g} m, {claim}"
 
     def _clearance_at(self, s: float) -> float:
         pose, problem = self._path.pose_at(s), self._problem
@@ -373,12 +373,12 @@ class _Claims:
         duration, ratios = _number(claimed, "duration", math.inf), claimed.get("ratios")
         if duration is not None and not _same(duration, proof.duration):
             yield f"certificate.trajectory.duration is {duration:.6g} s, the motion takes {proof.duration:.6g} s"
-        for name, said in ratios.items() if isinstance(ratios, dict) else ():
+        for name, claim in ratios.items() if isinstance(ratios, dict) else ():
             value = proof.ratios.get(name)
             if value is None:
                 yield f"certificate.trajectory.ratios.{shown(name)} is the ratio of no limit"
-            elif not is_number(said) or not _same(said, value):
-                yield f"certificate.trajectory.ratios.{name} is {shown(said)}, proven is {value:.6g}"
+            elif not is_number(claim) or not _same(claim, value):
+                yield f"certificate.trajectory.ratios.{name} is {shown(claim)}, proven is {value:.6g}"
 
     def _false_guess(self) -> Iterator[str]:
         """The raw path has the ends of the path."""
@@ -410,13 +410,13 @@ def _number(claimed: Mapping[str, object], name: str, null: float) -> float | No
     """The number of a key; `null` for null, which means infinity, and None without the key."""
     if name not in claimed:
         return None
-    said = claimed[name]
-    return null if said is None else float(np.float64(said))  # type: ignore[arg-type]  # a number, as files are read
+    claim = claimed[name]
+    return null if claim is None else float(np.float64(claim))  # type: ignore[arg-type]  # a number, as files are read
 
 
-def _same(said: float, value: float) -> bool:
-    return _near(said, value, TOLERANCE * (1.0 + abs(value)))
+def _same(claim: float, value: float) -> bool:
+    return _near(claim, value, TOLERANCE * (1.0 + abs(value)))
 
 
-def _near(said: float, value: float, near: float) -> bool:
-    return said == value or abs(said - value) <= near  # infinities are equal
+def _near(claim: float, value: float, near: float) -> bool:
+    return claim == value or abs(claim - value) <= near  # infinities are equal

@@ -92,10 +92,10 @@ def _tightest_rows(plan: DockPlan) -> list[Row]:
     poses, required = plan.path.poses_at(s), problem.clearance.required
     ends = problem.goal, problem.start
     from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-    asked = problem.clearance.required_at(
+    required_here = problem.clearance.required_at(
         from_goal, from_start, end_clearances(problem).start, plan.certificate.start_relief
     )
-    s, poses = s[asked >= required], poses[asked >= required]
+    s, poses = s[required_here >= required], poses[required_here >= required]
     if not s.size or not len(problem.all_obstacles):
         return []
     clearances, obstacles = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
@@ -104,8 +104,8 @@ def _tightest_rows(plan: DockPlan) -> list[Row]:
         return []
     what = in_words(problem.all_obstacles.name_of(int(obstacles[k])))
     margin = clearances[k] - required
-    said = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
-    return [Row("least margin", said)]
+    text = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
+    return [Row("least margin", text)]
 
 
 def _straight_rows(plan: DockPlan) -> list[Row]:
@@ -179,8 +179,8 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
         Row("driving time", f"{run.duration:.2f} s"),
     ]
     if run.verdicts:
-        said = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
-        rows.insert(2 if left else 1, Row("goal checkers", ", ".join(said)))
+        text = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
+        rows.insert(2 if left else 1, Row("goal checkers", ", ".join(text)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
     if deviations is not None:
@@ -198,13 +198,13 @@ def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
     outside = deviations.excess > 0.0
     to_go = np.hypot(run.poses[:, 0] - run.goal.x, run.poses[:, 1] - run.goal.y)
     if width == 0.0:
-        said = "none is proven; robot.tracking asks for one"
+        text = "none is proven; robot.tracking asks for one"
     elif not outside.any():
-        said = f"kept, {1e3 * width:.1f} mm wide before it tapers"
+        text = f"kept, {1e3 * width:.1f} mm wide before it tapers"
     else:
         worst = int(np.argmax(deviations.excess))
-        said = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
-    return [Row("off the path", needed), Row("tube", said)]
+        text = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
+    return [Row("off the path", needed), Row("tube", text)]
 
 
 def _largest_error(errors: FloatArray) -> str:

@@ -9,7 +9,7 @@ jerk limit J and steps of h:
     place, speed         |s1 - s0 - h (|v0| + |v1|) / 2| <= J h^3 / 12, at rests max(A, D) h^2 / 4
 
 They are checked for neighbours and for samples 2, 4, 8, ... apart, where rounding weighs less; in a turn in place
-likewise for yaw, yaw rate and yaw acceleration. At each sample the columns must keep the limits, and yaw rate and yaw
+also for yaw, yaw rate and yaw acceleration. At each sample the columns must keep the limits, and yaw rate and yaw
 acceleration must be those of the path's curvature k and its rate r: w = |v| k, w' = a k + v^2 r. Between two parts of
 the path the robot rests, which takes max(sqrt(2 v / J), a / J) from the sample before and to the sample behind.
 
@@ -60,7 +60,7 @@ __all__ = ["SampledMotionVerdict", "are_rounded_phases", "check_sampled_motion",
 # [m], [rad]: largest deviation from the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
 # along a curve of 2 1/m that is 1.4e-3 rad.
 OFF_PATH = 2e-3
-_ARITHMETIC = 1e-9  # rounding of what is computed here from numbers around 1
+_ARITHMETIC = 1e-9  # rounding of sums of numbers around 1
 _STEERED = 1e-4  # relative, of a steering time: six decimals of a curvature, and the tolerance of the proof
 _DECIMALS = 6  # of rounded phases
 _ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of the numbers of rounded phases; ten units, as they may be rounded twice

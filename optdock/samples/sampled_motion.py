@@ -144,8 +144,8 @@ def runs_of(motion: SampledMotion, path: Path, limits: MotionLimits, rounding: R
     if found == [part.kind for part in parts]:
         pairs = zip(parts, groups, strict=True)
         return [part._replace(first=int(group[0]), last=int(group[-1])) for part, group in pairs]
-    does, asked = (", ".join(_NAMES[kind] for kind in kinds) for kinds in (found, [part.kind for part in every]))
-    return Violation("direction", f"direction: the motion {does or 'rests'}; the path {asked}", 0.0, 1.0)
+    driven, wanted = (", ".join(_NAMES[kind] for kind in kinds) for kinds in (found, [part.kind for part in every]))
+    return Violation("direction", f"direction: the motion {driven or 'rests'}; the path {wanted}", 0.0, 1.0)
 
 
 def _parts(path: Path) -> list[Run]:
