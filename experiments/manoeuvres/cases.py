@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from experiments.parking_cases import OBCA_SCENES, load_tpcap, obca_cases
 from experiments.real_maps import DRAWN_SCENARIOS, FRONT_CHARGER, REAR_CHARGER, ROBOT, SCENARIOS, problem_of
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.io.parking_cases import OBCA_SCENES, load_tpcap, obca_cases
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.verification import pose_clearances

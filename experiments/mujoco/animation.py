@@ -13,7 +13,7 @@ import numpy as np
 
 from experiments.mujoco.plant import MujocoPhysics, load_mujoco
 from optdock.errors import InvalidValue, MissingExtra
-from optdock.plotting.gif import frame_count, save_gif
+from optdock.plotting.animation import frame_count, save_gif
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

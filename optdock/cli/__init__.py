@@ -1,6 +1,6 @@
 """The command line: `optdock plan | simulate | certify | compare | demo | replay | calibrate | bag | import | ...`.
 
-Commands load the library when they run, so that `--help` stays quick.
+Commands import the library when they run, so that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def plugins(
     *,
     nav2_params: Annotated[
         Path | None,
-        typer.Option(help="List what this Nav2 parameter file asks for, and what of it is provided here."),
+        typer.Option(help="List the plugins in this Nav2 parameter file, and which of them are provided here."),
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
@@ -81,10 +81,10 @@ def plugins(
 
 def schema(
     *,
-    out: Annotated[Path | None, typer.Option(help="Write it here instead of printing it.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write instead of printing.")] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """The JSON schema of scenario files, for editors: every key, with the parameters of every installed plugin."""
+    """Print the JSON schema of scenario files for editors, with the parameters of every installed plugin."""
     with reported(verbose=verbose):
         from optdock.config import scenario_schema
         from optdock.io.atomic_file import write_text

@@ -29,23 +29,23 @@ def bag(  # noqa: PLR0913 - one parameter per option
     *,
     scenario: Annotated[
         Path | None,
-        typer.Option(help="Scenario of a plan or run: for its map, the swept outlines and the closest point."),
+        typer.Option(help="Scenario of a plan or run, for the map, the swept outlines and the closest point."),
     ] = None,
     frame: Annotated[
-        str, typer.Option(help="What to call the coordinate frame; default: as the file or the scenario does.")
+        str, typer.Option(help="Name of the coordinate frame; default: that of the file or the scenario.")
     ] = "",
-    base_frame: Annotated[str, typer.Option(help="The robot's frame.")] = "base_link",
-    start: Annotated[
-        float, typer.Option(metavar=SECONDS, help="Time at which it begins, since 1970; of a log: added to its own.")
-    ] = 0.0,
-    unstamped: Annotated[bool, typer.Option("--unstamped", help="Commands as Twist, not TwistStamped.")] = False,
+    base_frame: Annotated[str, typer.Option(help="Frame of the robot.")] = "base_link",
+    start: Annotated[float, typer.Option(metavar=SECONDS, help="Start time since 1970; for a log, an offset.")] = 0.0,
+    unstamped: Annotated[
+        bool, typer.Option("--unstamped", help="Write commands as Twist instead of TwistStamped.")
+    ] = False,
     verbose: VerboseOption = False,
 ) -> None:
     """Record a plan, a simulated run or the log of a docking for RViz, Foxglove or PlotJuggler.
 
-    Topics: plan and docking_trajectory (Path), odom, cmd_vel, tf, markers, diagnostics, map; of runs measured_pose and
-    reference_pose; of logs detected_dock_pose and the costmap. A plan's motion is recorded as if driven exactly.
-    The other way round: optdock import bag
+    Topics: plan and docking_trajectory (Path), odom, cmd_vel, tf, markers, diagnostics, map; for runs measured_pose and
+    reference_pose; for logs detected_dock_pose and the costmap. The motion of a plan is recorded as driven exactly.
+    Recordings are read by optdock import bag.
     """
     with reported(verbose=verbose):
         from optdock.ros.bag import write_bag
@@ -63,7 +63,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
         was_there = out.exists()
         write_bag(out, messages, LATCHED)
         topics = len({message.topic for message in messages})
-        instead = ", in place of the one before" if was_there else ""
+        instead = ", replacing the previous recording" if was_there else ""
         typer.echo(f"written: {out}, {len(messages)} messages on {topics} topics{instead}")
 
 
@@ -76,7 +76,7 @@ def _checked(names: Names) -> Names:
 
 
 def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Iterator[BagMessage]:
-    """What to write of a file, whichever of the three it is."""
+    """The messages of a plan file, run file or log."""
     from optdock.ros.contents import log_messages, plan_messages, run_messages
 
     kind = _format_of(source)
@@ -84,7 +84,7 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
         from optdock.executor.log import read_log
 
         if problem is not None:
-            raise InvalidValue("--scenario: is for plans and runs; the log of a docking has its own problem in it")
+            raise InvalidValue("--scenario: is for plans and runs; the log of a docking contains its problem")
         yield from log_messages(read_log(source), names)
     elif kind.startswith("optdock-run/"):
         from optdock.io.run_file import load_run
@@ -96,12 +96,12 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
         try:
             yield from plan_messages(load_plan(source), names, problem)
         except (InvalidFile, InvalidValue) as error:
-            said = str(error)
-            raise InvalidFile(said if said.startswith(str(source)) else f"{source}: {said}") from error
+            text = str(error)
+            raise InvalidFile(text if text.startswith(str(source)) else f"{source}: {text}") from error
 
 
 def _format_of(source: Path) -> str:
-    """What a file says of its format; empty where it says nothing, which its reader will tell."""
+    """The format name in a file; empty without one."""
     from optdock.io.guarded_file import MostBytes, parse_json, read_text
 
     try:

@@ -26,30 +26,32 @@ def calibrate(
     write: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write what was found as keys of scenarios and settings (YAML).", show_default=False
+            metavar="FILE", help="Write the results as keys of scenarios and settings (YAML).", show_default=False
         ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the table here as well.", show_default=False)
+        Path | None, typer.Option(metavar="FILE", help="Write the table to a file as well.", show_default=False)
     ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="PICTURE", help="Draw residuals and fits; the suffix chooses the format.", show_default=False
+            metavar="PICTURE", help="Draw residuals and fits; the suffix gives the format.", show_default=False
         ),
     ] = None,
     coverage: Annotated[
         int,
-        typer.Option(metavar="PERCENT", min=1, max=99, help="Of dockings, to stay inside the tube, robot.tracking."),
+        typer.Option(
+            metavar="PERCENT", min=1, max=99, help="Percentage of dockings to stay inside the tube, robot.tracking."
+        ),
     ] = 99,
     verbose: VerboseOption = False,
 ) -> None:
-    """Estimate from recorded drives what is true of a robot, its sensors and its dock, with 95 % intervals.
+    """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % intervals.
 
-    Latency and lag of the drive, wheels, odometry, detections, localization, the stored dock and the tube that is
-    driven; or why these recordings cannot tell. More recordings, narrower intervals: take ten dockings at least.
+    The parameters are latency and lag of the drive, wheels, odometry, detections, localization, the stored dock and the
+    driven tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten dockings.
     """
-    # Before NumPy is loaded: on a busy machine the threads of the linear algebra wait for each other, see docs.
+    # Must precede the import of NumPy: on a busy machine, linear algebra threads block each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with reported(verbose=verbose):
         from optdock.calibration import as_text, as_yaml, read_recording, save_calibration_picture

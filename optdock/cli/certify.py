@@ -23,12 +23,12 @@ def certify(
     *,
     verbose: VerboseOption = False,
 ) -> None:
-    """Judge a whole plan file, also one that optdock did not make: prove it, or name every rule it breaks.
+    """Check a plan file from any source: prove it, or list every broken rule.
 
-    The path is proven or refused. The motion is proven where the file holds its phases; samples alone can be refuted,
-    never proven, and what they leave open is said. Every other number must be what is found here, or is named as not
-    judged. Exit status 0: path and motion certified, as far as the file holds them, and no claim of it is false; 4: the
-    file is a refusal, and its proof that no motion exists holds; 2: it contradicts itself; else 3.
+    The path is proven or refuted. The motion is proven if the file has its phases; samples alone can be refuted but not
+    proven. Other values are compared with the values computed here, or listed as not judged. Exit status 0: path and
+    motion are certified, as far as the file has them, and no value is false; 4: the file is a refusal with a valid
+    proof that no motion exists; 2: the file contradicts itself; otherwise 3.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -46,10 +46,10 @@ def certify(
 
 
 def _verdict(source: Path, problem: DockingProblem) -> PlanFileVerdict:
-    """The verdict on a file; contradictions are reported by name.
+    """Return the verdict on a file.
 
     Raises:
-        InvalidFile: The file cannot be read, breaks its format, or contradicts itself.
+        InvalidFile: If the file cannot be read, breaks its format, or contradicts itself.
     """
     from optdock.errors import InvalidFile
     from optdock.io.plan_file import load_plan

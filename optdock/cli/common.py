@@ -1,4 +1,4 @@
-"""What the commands share: options, errors on stderr, a progress bar."""
+"""Options, error messages and the progress bar of all commands."""
 
 from __future__ import annotations
 
@@ -33,53 +33,54 @@ __all__ = [
     "working",
 ]
 
-# The unit of a number stands where its value will: a unit in square brackets would be taken for markup, and not shown.
+# Units as metavars: a unit in square brackets would be parsed as markup.
 SECONDS, METRES, RADIANS = "SECONDS", "METRES", "RADIANS"
+_SLOW = 2.0  # [s], after which a command shows its progress
 
 ScenarioArgument: TypeAlias = Annotated[Path, typer.Argument(help="Scenario file (YAML).", show_default=False)]
 BudgetOption: TypeAlias = Annotated[
     float | None,
-    typer.Option(metavar=SECONDS, help="Wall clock for planning; instead of the scenario's.", show_default=False),
+    typer.Option(metavar=SECONDS, help="Wall-clock time for planning, instead of the scenario's.", show_default=False),
 ]
 PlotOption: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         metavar="PICTURE",
-        help="Draw what was found, or what stands in the way; the suffix chooses the format, such as .png or .svg.",
+        help="Draw the plan, or the obstacle in the way; the suffix gives the format, such as .png or .svg.",
         show_default=False,
     ),
 ]
 VerboseOption: TypeAlias = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Say on stderr what is done; before or after the command.")
+    bool, typer.Option("--verbose", "-v", help="Log to stderr; before or after the command.")
 ]
 
 
 class _Console(logging.Formatter):
-    """A warning as such, and what the library does with the name of the module."""
+    """Log format: warnings by level, other records by module."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line of a record."""
+        """Return the line of a record."""
         begin = record.levelname.lower() if record.levelno >= logging.WARNING else record.name
         return f"{begin}: {super().format(record)}"
 
 
 class _Once(logging.Filter):
-    """Lets every warning through once: a file that is read twice has the same fault twice."""
+    """Filter that passes every warning once, as a file may be read twice."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._said: set[str] = set()
+        self._seen: set[str] = set()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is new."""
-        said = record.getMessage()
-        is_new = record.levelno < logging.WARNING or said not in self._said
-        self._said.add(said)
+        """Whether the record is no repeated warning."""
+        message = record.getMessage()
+        is_new = record.levelno < logging.WARNING or message not in self._seen
+        self._seen.add(message)
         return is_new
 
 
 def listen(*, verbose: bool) -> None:
-    """Show warnings of the library on stderr, each once, and what it does where that is asked for."""
+    """Log warnings of the library to stderr, each once; with `verbose` also information."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Console())
     handler.addFilter(_Once())
@@ -91,11 +92,11 @@ def listen(*, verbose: bool) -> None:
 
 @contextmanager
 def reported(*, verbose: bool) -> Iterator[None]:
-    """Turn every error of the library into a message on stderr and an exit status.
+    """Convert errors of the library to messages on stderr and exit statuses.
 
     Raises:
-        Exit: The block raised an `OptdockError`. Faults of files are said line by line, failures in one line that
-            begins with their name.
+        Exit: If the block raises an `OptdockError`. Faults of files are printed line by line, failures in one line that
+            begins with the name of the error.
     """
     listen(verbose=verbose)
     try:
@@ -107,16 +108,16 @@ def reported(*, verbose: bool) -> Iterator[None]:
 
 
 def one_line(error: OptdockError) -> str:
-    """A failure by its name and reason."""
+    """Return the name and the message of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def check_picture(option: str, picture: Path | None) -> None:
-    """Refuse a picture that could not be drawn, before the work that it would show.
+    """Check the format of a picture before the work.
 
     Raises:
-        InvalidValue: Its suffix names no picture format.
-        MissingExtra: Matplotlib is not installed.
+        InvalidValue: If the suffix is not that of a picture format.
+        MissingExtra: If Matplotlib is not installed.
     """
     if picture is not None:
         from optdock.plotting.canvas import format_of
@@ -128,15 +129,15 @@ def check_picture(option: str, picture: Path | None) -> None:
 
 
 def spare(source: Path | None, *targets: Path | None) -> None:
-    """Refuse to write over the file that is read, and to write two results into one file.
+    """Check that no output file is the input file or another output file.
 
     Raises:
-        InvalidValue: A target is that file, or that of another result; devices such as /dev/null take any number.
+        InvalidValue: If one is; devices such as /dev/null may be named several times.
     """
     files = [target for target in targets if target is not None and (target.is_file() or not target.exists())]
     for i, file in enumerate(files):
         if file.resolve() in [other.resolve() for other in files[:i]]:
-            raise InvalidValue(f"{file}: is asked for twice, and one result would overwrite the other")
+            raise InvalidValue(f"{file}: is given twice, and one result would overwrite the other")
     for target in targets:
         if (
             source is not None
@@ -149,10 +150,10 @@ def spare(source: Path | None, *targets: Path | None) -> None:
 
 
 def checked_positive(option: str, value: float | None, unit: str) -> None:
-    """Refuse a value that is given and not finite and > 0.
+    """Check that a given value is finite and > 0.
 
     Raises:
-        InvalidValue: It is not.
+        InvalidValue: If it is not.
     """
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise InvalidValue(f"{option}: must be finite and > 0 {unit}, got {value}")
@@ -160,15 +161,20 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
 
 @contextmanager
 def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar on stderr, on terminals only.
+    """A progress bar with the estimated time left on stderr, on terminals only and after two seconds.
 
-    It advances by one at every call of the function it yields, which takes what has just been done.
+    It advances by one at every call of the function it yields, which takes the name of the finished item.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, advance=1, description=f"{what}: {done}")
+        task = progress.add_task(what, total=total, visible=False)
+
+        def advance(done: str) -> None:
+            is_slow = (progress.tasks[0].elapsed or 0.0) > _SLOW
+            progress.update(task, advance=1, description=f"{what}: {done}", visible=is_slow)
+
+        yield advance

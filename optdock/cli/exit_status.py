@@ -1,4 +1,4 @@
-"""Exit statuses: one meaning each, the same for every command."""
+"""Exit statuses of all commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["EXIT_STATUSES", "ExitStatus", "status_of"]
 
 
 class ExitStatus(IntEnum):
-    """How a command ended, for scripts; `EXIT_STATUSES` says what each means."""
+    """Exit status of a command; `EXIT_STATUSES` has the meanings."""
 
     CERTIFIED = 0
     UNEXPECTED = 1
@@ -26,22 +26,22 @@ class ExitStatus(IntEnum):
 
 EXIT_STATUSES: Mapping[ExitStatus, str] = {
     ExitStatus.CERTIFIED: (
-        "certified, and nothing that was read is refuted; where it is driven, docked without a collision; of a command "
-        "that judges nothing: done"
+        "certified, and nothing in the input is refuted; simulated drives docked without a collision; other commands: "
+        "done"
     ),
     ExitStatus.UNEXPECTED: "an error in optdock itself, with a traceback: please report it",
     ExitStatus.BAD_INPUT: (
-        "bad input: usage, an option, a plugin's name, or a file that cannot be read or contradicts itself"
+        "bad input: usage, an option, the name of a plugin, or a file that cannot be read or contradicts itself"
     ),
     ExitStatus.NOT_CERTIFIED: (
-        "refuted or unproven: no certified plan was found, a rule is broken, a claim of a file is false, a motion is "
-        "known by samples only, a run did not dock, a replay differs"
+        "refuted or unproven: no certified plan was found, a rule is broken, a value in a file is false, a motion "
+        "is known by samples only, a run did not dock, a replay differs"
     ),
-    ExitStatus.IMPOSSIBLE: "impossible, which is proven: no motion exists; never try it again as it is",
-    ExitStatus.TIMED_OUT: "the time was over before there was a certified plan: try again with more of it",
+    ExitStatus.IMPOSSIBLE: "impossible: it is proven that no motion exists for this problem",
+    ExitStatus.TIMED_OUT: "timed out before a certified plan was found: try again with a larger time budget",
 }
 
-# The first class that an error is of decides.
+# The first matching class decides.
 _STATUSES: tuple[tuple[type[OptdockError], ExitStatus], ...] = (
     (InvalidFile, ExitStatus.BAD_INPUT),
     (InvalidValue, ExitStatus.BAD_INPUT),
@@ -54,7 +54,7 @@ _STATUSES: tuple[tuple[type[OptdockError], ExitStatus], ...] = (
 
 
 def status_of(error: OptdockError | type[OptdockError]) -> ExitStatus:
-    """The exit status of a command that an error ends.
+    """Return the exit status of a command that ends with an error.
 
     >>> status_of(NoMotionExists), status_of(InvalidFile("a.yaml: is empty"))
     (<ExitStatus.IMPOSSIBLE: 4>, <ExitStatus.BAD_INPUT: 2>)

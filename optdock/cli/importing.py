@@ -1,10 +1,10 @@
-"""`optdock import tpcap | obca | nav2 | bag`: what others describe, as scenario files."""
+"""`optdock import nav2 | bag`: scenario files of Nav2's files and of recordings."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,79 +13,12 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
-    from optdock.io.parking_cases import ParkingCase
     from optdock.model.costs import OccupancyRule
     from optdock.model.problem import ClearanceRule
 
 __all__ = ["app"]
 
-# [s]: what a manoeuvre with cusps may take; a file can be changed.
-_BUDGET = 1.0
-
-app = typer.Typer(
-    help="Make a scenario file of a public parking case, or of Nav2's files or recordings.", no_args_is_help=True
-)
-
-OutOption: TypeAlias = Annotated[
-    Path, typer.Option("--out", "-o", help="Scenario file to write (YAML).", show_default=False)
-]
-BudgetOption: TypeAlias = Annotated[
-    float, typer.Option(metavar=SECONDS, help="Wall clock for planning, written into the scenario.")
-]
-
-
-@app.command()
-def tpcap(
-    file: Annotated[Path, typer.Argument(help="Case of the competition (CSV).", show_default=False)],
-    *,
-    out: OutOption,
-    time_budget: BudgetOption = _BUDGET,
-    verbose: VerboseOption = False,
-) -> None:
-    """A case of the ITSC 2022 competition of automated parking, with the competition's car; clearance 0.
-
-    For example: optdock import tpcap Case1.csv -o case1.yaml
-    """
-    with reported(verbose=verbose):
-        from optdock.io.parking_cases import load_tpcap
-
-        spare(file, out)
-        _write_parking(out, load_tpcap(file), time_budget, f"TPCAP, {file.name}")
-
-
-@app.command()
-def obca(
-    file: Annotated[Path, typer.Argument(help="Scenes (JSON): vehicle, start_grid, scenes.", show_default=False)],
-    *,
-    scene: Annotated[str, typer.Option(help="backwards or parallel.", show_default=False)],
-    start: Annotated[int, typer.Option(help="Which start of the grid, from 0: y by y, for each x.")] = 0,
-    out: OutOption,
-    time_budget: BudgetOption = _BUDGET,
-    verbose: VerboseOption = False,
-) -> None:
-    """A scene of the OBCA paper from one of its starts, with the file's car and clearance.
-
-    For example: optdock import obca scenes.json --scene parallel --start 3 -o parallel3.yaml
-    """
-    with reported(verbose=verbose):
-        spare(file, out)
-        _write_parking(out, _asked(file, scene, start), time_budget, f"OBCA, {file.name}, scene {scene}, start {start}")
-
-
-def _asked(file: Path, scene: str, start: int) -> ParkingCase:
-    from optdock.io.parking_cases import load_obca
-
-    try:
-        return load_obca(file, scene, start)
-    except InvalidValue as error:
-        raise InvalidValue(f"--{error}") from error
-
-
-def _write_parking(out: Path, case: ParkingCase, time_budget: float, note: str) -> None:
-    from optdock.config import Scenario, save_scenario
-
-    checked_positive("--time-budget", time_budget, "s")
-    _tell(save_scenario(out, Scenario(case.problem, time_budget), obstacles=case.obstacles, note=note))
+app = typer.Typer(help="Make scenario files of Nav2's files or of recordings.", no_args_is_help=True)
 
 
 @app.command()
@@ -97,16 +30,18 @@ def nav2(  # noqa: PLR0913 - one parameter per option
     map_: Annotated[Path, typer.Option("--map", help="Map (map_server YAML).", show_default=False)],
     start: Annotated[str, typer.Option(metavar="X,Y,YAW", help="Start pose, in m, m, rad.", show_default=False)],
     docks: Annotated[Path | None, typer.Option(help="Dock database; default: docks in the parameters.")] = None,
-    dock: Annotated[str | None, typer.Option(help="Name of the dock; needed where there are several.")] = None,
-    out: OutOption,
-    time_budget: BudgetOption = _BUDGET,
+    dock: Annotated[str | None, typer.Option(help="Name of the dock; required if there are several.")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Scenario file to write (YAML).", show_default=False)],
+    time_budget: Annotated[
+        float, typer.Option(metavar=SECONDS, help="Wall-clock time for planning in the scenario.")
+    ] = 1.0,
     verbose: VerboseOption = False,
 ) -> None:
-    """The way into a dock that Nav2's files describe: parameters, map and dock database.
+    """Write a scenario of a docking from Nav2's parameters, map and dock database.
 
-    The scenario names the map where its cells block the same as the parameters' global costmap; else a map is drawn
-    beside it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml --docks docks.yaml
-    --dock home --start 3.5,1.5,0.1 -o home.yaml
+    The scenario refers to the map if its cells block the same as the global costmap of the parameters; otherwise a map
+    is written next to it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml --docks
+    docks.yaml --dock home --start 3.5,1.5,0.1 -o home.yaml
     """
     with reported(verbose=verbose):
         import dataclasses
@@ -121,7 +56,9 @@ def nav2(  # noqa: PLR0913 - one parameter per option
         found = nav2_scenario(nav2_params, map_, start, docks_source=docks, dock_name=dock)
         typer.echo(table(found.costmap_rows))
         note = f"{nav2_params.name}, {map_.name}, dock {dock or 'the only one'}"
-        _tell(save_scenario(out, dataclasses.replace(found, time_budget=time_budget), map_source=map_, note=note))
+        _print_files(
+            save_scenario(out, dataclasses.replace(found, time_budget=time_budget), map_source=map_, note=note)
+        )
 
 
 @app.command()
@@ -144,32 +81,34 @@ def bag(  # noqa: PLR0913 - one parameter per option
     odom_topic: Annotated[str, typer.Option(metavar="TOPIC", help="Default: /odom, else /odometry/filtered.")] = "",
     base_frame: Annotated[str, typer.Option(help="The robot's frame; default: the odometry's child frame.")] = "",
     footprint: Annotated[
-        str, typer.Option(help="Outline, a list of corners in Nav2's syntax; instead of the recording's.")
+        str, typer.Option(help="Outline as a list of corners in Nav2's syntax, instead of the recording's.")
     ] = "",
-    radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
-    clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,
+    radius: Annotated[
+        float | None, typer.Option(metavar=METRES, help="Radius of a round robot, instead of the recording's outline.")
+    ] = None,
+    clearance: Annotated[float, typer.Option(metavar=METRES, help="Required clearance of path and drive.")] = 0.0,
     contact: Annotated[
         float | None,
         typer.Option(
             metavar=METRES,
-            help="Occupied cells so near to the edge of the outline where the path ends are the dock that it touches, "
-            "and free; default: the diagonal of a cell. 0: none.",
+            help="Occupied cells within this distance of the outline at the end of the path belong to the dock and are "
+            "free; default: the diagonal of a cell.",
             show_default=False,
         ),
     ] = None,
     occupied_from: Annotated[
-        int, typer.Option(help="Occupancy from which a cell of an OccupancyGrid is occupied; of many SLAM maps 65.")
+        int, typer.Option(help="Occupancy from which a cell of an OccupancyGrid is occupied; 65 for many SLAM maps.")
     ] = 100,
-    since: Annotated[float, typer.Option(metavar=SECONDS, help="Leave out what was received earlier.")] = 0.0,
+    since: Annotated[float, typer.Option(metavar=SECONDS, help="Ignore messages received earlier.")] = 0.0,
     until: Annotated[
-        float | None, typer.Option(metavar=SECONDS, help="Leave out what was received later.", show_default=False)
+        float | None, typer.Option(metavar=SECONDS, help="Ignore messages received later.", show_default=False)
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """A docking out of a robot's recording, for optdock certify: map, planned path and driven poses.
+    """Extract map, planned path and driven poses of a docking from a recording, for optdock certify.
 
-    The last path, the last costmap and what was driven, in the costmap's frame. Which pose collides, where and by how
-    much: optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; the same for
+    The last path, the last costmap and the driven poses are written in the frame of the costmap. To find collisions:
+    optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; likewise
     failed/drive.json
     """
     with reported(verbose=verbose):
@@ -178,7 +117,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
         from optdock.ros.field import FieldOptions, FieldTopics, field_docking, judged_poses, save_field_docking
 
         end = math.inf if until is None else until
-        _check_stretch(since, end)
+        _check_interval(since, end)
         _check_distance("--contact", contact)
         asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
         topics = FieldTopics().instead(asked)
@@ -190,10 +129,10 @@ def bag(  # noqa: PLR0913 - one parameter per option
         judged, rows = judged_poses(found, rule, contact)
         written = save_field_docking(out, judged, found, file.name)
         typer.echo(table([*found.rows, *rows]))
-        _tell(written)
+        _print_files(written)
 
 
-def _check_stretch(since: float, until: float) -> None:
+def _check_interval(since: float, until: float) -> None:
     if not 0.0 <= since < until:
         raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {until}")
 
@@ -214,15 +153,15 @@ def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, Occupan
 
 
 def _outline(text: str, radius: float | None) -> Footprint | None:
-    """The outline that was given; None where none was."""
+    """The outline given as an option, or None."""
     from optdock.geometry.footprint import Footprint
 
     if text and radius is not None:
-        raise InvalidValue("--radius: --footprint says the outline already")
+        raise InvalidValue("--radius: cannot be given with --footprint")
     if radius is not None:
         return Footprint.from_radius(radius)
     return Footprint.from_string(text) if text else None
 
 
-def _tell(written: tuple[Path, ...]) -> None:
+def _print_files(written: tuple[Path, ...]) -> None:
     typer.echo(f"written: {', '.join(map(str, written))}")

@@ -1,4 +1,4 @@
-"""`optdock plan` and `optdock compare`, and how every command plans."""
+"""`optdock plan` and `optdock compare`, and the planning of all commands."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _NAV2 = "Instead of a scenario"
 
 
 class PlanOutputs(NamedTuple):
-    """Where a plan goes, or the reason why there is none, and how finely it is sampled there; None: not there.
+    """Output files of a plan or a failure, and the sampling; None: not written.
 
     Args:
         file: Plan file.
-        picture: Of the plan.
-        spacing: Largest distance of path samples [m].
-        period: Largest step of trajectory samples [s].
+        picture: Picture of the plan.
+        spacing: Largest distance between path samples [m].
+        period: Largest time between trajectory samples [s].
     """
 
     file: Path | None = None
@@ -62,14 +62,14 @@ def plan(  # noqa: PLR0913 - one parameter per option
     out: Annotated[Path, typer.Option(help="Plan file to write (JSON).")] = Path("plan.json"),
     time_budget: BudgetOption = None,
     spacing: Annotated[
-        float, typer.Option(metavar=METRES, help="Largest distance of path samples in the file.")
+        float, typer.Option(metavar=METRES, help="Largest distance between path samples in the file.")
     ] = _USUAL.spacing,
     period: Annotated[
-        float, typer.Option(metavar=SECONDS, help="Largest step of trajectory samples in the file.")
+        float, typer.Option(metavar=SECONDS, help="Largest time between trajectory samples in the file.")
     ] = _USUAL.period,
     csv: Annotated[
         Path | None,
-        typer.Option(help="Write the trajectory as a table (CSV), sampled by --period.", show_default=False),
+        typer.Option(help="Write the trajectory as CSV, sampled with --period.", show_default=False),
     ] = None,
     plot: PlotOption = None,
     profile: Annotated[
@@ -93,7 +93,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Plan one docking and write a certified plan file, or the reason why there is none.
+    """Plan one docking and write a certified plan file, or the reason of the failure.
 
     For example, after `optdock demo`: optdock plan demo/scenario.yaml --out plan.json --plot plan.png
     """
@@ -105,7 +105,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
         check_picture("--profile", profile)
         spare(scenario, out, csv, plot, profile)
         found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
-        _plan_and_tell(found, time_budget, PlanOutputs(out, plot, spacing, period), profile, csv)
+        _plan_and_report(found, time_budget, PlanOutputs(out, plot, spacing, period), profile, csv)
 
 
 class _Nav2Sources(NamedTuple):
@@ -131,7 +131,7 @@ def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     raise InvalidValue("give either a scenario file, or --nav2-params with --map, --dock and --start")
 
 
-def _plan_and_tell(
+def _plan_and_report(
     scenario: Scenario, time_budget: float | None, outputs: PlanOutputs, profile: Path | None, csv: Path | None
 ) -> None:
     from optdock.reports.report import limit_rows, plan_rows, table
@@ -152,15 +152,15 @@ def _plan_and_tell(
 
 
 def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOutputs = _USUAL) -> DockPlan:
-    """The certified plan of a scenario; what a failure leaves is written and drawn with its reason.
+    """Return the certified plan of a scenario; on failure, the partial results are written and drawn.
 
     Args:
-        scenario: What to plan.
-        time_budget: Instead of the scenario's [s].
-        outputs: Where a failure goes.
+        scenario: The scenario.
+        time_budget: Wall-clock time instead of the scenario's [s].
+        outputs: Output files of a failure.
 
     Raises:
-        OptdockError: There is no certified plan, see `plan_dock`; or the plan file cannot be written.
+        OptdockError: If no certified plan is found, see `plan_dock`, or a file cannot be written.
     """
     from optdock.io.plan_file import save_plan
     from optdock.planning.plan import PartialPlan
@@ -181,8 +181,8 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
     """Write and draw a certified plan.
 
     Raises:
-        InvalidFile: A file cannot be written.
-        InvalidValue: The samples would be too many.
+        InvalidFile: If a file cannot be written.
+        InvalidValue: If there are too many samples.
     """
     if outputs.file is not None:
         found.save(outputs.file, spacing=outputs.spacing, period=outputs.period)
@@ -191,7 +191,7 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
 
 @contextmanager
 def _secondary() -> Iterator[None]:
-    """A picture of a failure that cannot be written hides nothing of the failure."""
+    """Print errors of the picture of a failure, so that the failure itself is raised."""
     try:
         yield
     except OptdockError as error:
@@ -205,7 +205,7 @@ def _draw(
     verdict: str,
     refusal: OptdockError | None = None,
 ) -> None:
-    """Whatever exists of a plan, drawn into the scene."""
+    """Draw a plan or partial plan into the scene."""
     if target is None:
         return
     from optdock.plotting import save_plan_picture
@@ -222,7 +222,7 @@ def _draw(
 
 
 def draw_profile(target: Path, scenario: Scenario, found: DockPlan) -> None:
-    """The motion of a plan over time, with its limits."""
+    """Draw the motion of a plan over time, with its limits."""
     from optdock.plotting import save_profile_picture
 
     problem = scenario.problem
@@ -240,9 +240,9 @@ def compare(
     ),
     verbose: VerboseOption = False,
 ) -> None:
-    """Compare the raw path with the smoothed one: a table here, a CSV and pictures in a folder.
+    """Compare raw and smoothed paths of scenarios: print a table, write a CSV and pictures.
 
-    Exit status: the highest that a scenario would have by itself.
+    The exit status is the highest of the scenarios.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -268,10 +268,10 @@ def compare(
 
 
 def _scenarios_among(sources: list[Path]) -> list[Path]:
-    """The files that say that they are scenarios; the others are named on stderr.
+    """Return the scenario files; others are reported on stderr.
 
     Raises:
-        InvalidFile: None is one.
+        InvalidFile: If there is no scenario file.
     """
     found = [source for source in sources if _is_scenario(source)]
     for source in sources:
@@ -283,7 +283,7 @@ def _scenarios_among(sources: list[Path]) -> list[Path]:
 
 
 def _is_scenario(source: Path) -> bool:
-    """Whether a file says so, or cannot be read, which reading it will explain."""
+    """Whether a file has the format of scenarios, or cannot be read."""
     from optdock.io.guarded_file import MostBytes, read_bytes
 
     if source.is_dir():
@@ -296,19 +296,19 @@ def _is_scenario(source: Path) -> bool:
 
 
 def _compared(scenario: Scenario, picture: Path) -> tuple[list[PathFigures], ExitStatus]:
-    """Both rows of one scenario and how it ended, and its picture; a failure becomes a row and a line on stderr."""
+    """Return the rows and the exit status of a scenario and draw it; a failure becomes a row and a line on stderr."""
     from optdock.planning.plan import PartialPlan
     from optdock.reports.comparison import PathFigures, figures_of
 
-    name, drawn = scenario.source.stem, PlanOutputs(picture=picture)
+    name, outputs = scenario.source.stem, PlanOutputs(picture=picture)
     try:
-        found = solved(scenario, outputs=drawn)
+        found = solved(scenario, outputs=outputs)
     except OptdockError as error:
         if status_of(error) is ExitStatus.BAD_INPUT:
             raise
         typer.echo(f"{name}: {one_line(error)}", err=True)
         raw, failed = PartialPlan.left_by(error).raw_path, PathFigures(name, "smoothed", type(error).__name__)
         return ([failed] if raw is None else [figures_of(scenario, "raw", raw), failed]), status_of(error)
-    write(scenario, found, drawn)
+    write(scenario, found, outputs)
     smoothed = figures_of(scenario, "smoothed", found.path, found.trajectory.duration)
     return [figures_of(scenario, "raw", found.raw_path), smoothed], ExitStatus.CERTIFIED

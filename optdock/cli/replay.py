@@ -22,15 +22,13 @@ def replay(
     *,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PICTURE", help="Draw what was driven; the suffix chooses the format.", show_default=False
-        ),
+        typer.Option(metavar="PICTURE", help="Draw the drive; the suffix gives the format.", show_default=False),
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Drive the log of a docking again: say what happened, and whether every command comes out the same, bit for bit.
+    """Replay the log of a docking: print its events, and whether every command is reproduced bit for bit.
 
-    Exit status 0: it does; 3: it does not, as of another version of the library.
+    Exit status 0: all commands are reproduced; 3: a command differs, for example with another version of the library.
     """
     with reported(verbose=verbose):
         from optdock.executor.log import read_log
@@ -68,7 +66,7 @@ def _rows(log: DockingLog, again: Replay) -> list[tuple[str, str]]:
         ("replay", "every command the same, bit for bit" if again.differs_at is None else "another command"),
     ]
     if log.cut_off:
-        rows.append(("log", "its last line is cut off, and left out"))
+        rows.append(("log", "the last line is truncated and ignored"))
     began = first.measurements.stamp
     for cycle in log.cycles:
         rows += [

@@ -38,10 +38,10 @@ __all__ = ["WorldDeviations", "demo", "driven", "simulate"]
 
 
 class WorldDeviations(NamedTuple):
-    """How the simulated world differs from the plan.
+    """Disturbances of the simulation.
 
     Args:
-        position_noise: Standard deviation of the measured x and y [m]; a docking sensor at close range has about this.
+        position_noise: Standard deviation of the measured x and y [m]; the default is typical of a docking sensor.
         yaw_noise: Standard deviation of the measured yaw [rad].
         lag: Time constant with which speed and yaw rate, or the steering of a car, follow their commands [s].
         latency: Delay of the commands [s], taken to the nearest quarter of the control period.
@@ -61,12 +61,12 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     *,
     out: Annotated[Path, typer.Option(help="Run file to write (JSON).")] = Path("run.json"),
     time_budget: BudgetOption = None,
-    seed: Annotated[int, typer.Option(help="Of the measurement noise; equal seeds give equal runs.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the measurement noise; equal seeds give equal runs.", min=0)] = 0,
     position_noise: Annotated[
-        float, typer.Option(metavar=METRES, help="Of the measured x and y, standard deviation.")
+        float, typer.Option(metavar=METRES, help="Standard deviation of the measured x and y.")
     ] = _USUAL.position_noise,
     yaw_noise: Annotated[
-        float, typer.Option(metavar=RADIANS, help="Of the measured yaw, standard deviation.")
+        float, typer.Option(metavar=RADIANS, help="Standard deviation of the measured yaw.")
     ] = _USUAL.yaw_noise,
     lag: Annotated[float, typer.Option(metavar=SECONDS, help="Time constant of the drive.")] = _USUAL.lag,
     latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = _USUAL.latency,
@@ -76,9 +76,9 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Plan, then drive the plan in closed loop with lag, latency and noise; say how exactly the robot ends.
+    """Plan, then drive the plan in closed loop with lag, latency and noise; print the errors.
 
-    A run that does not dock, that collides, or that leaves what the certificate proves ends with status 3.
+    The exit status is 3 if the run does not dock, collides, or leaves the region proven by the certificate.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -107,9 +107,9 @@ def demo(
     ),
     verbose: VerboseOption = False,
 ) -> None:
-    """Run the built-in scenario from start to finish: plan, prove, time, drive, draw.
+    """Run the built-in scenario: plan, prove, time, drive, draw.
 
-    Its files stay beside the results, ready to be changed: optdock plan demo/scenario.yaml
+    Its files are written next to the results and can be edited: optdock plan demo/scenario.yaml
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -137,16 +137,16 @@ def demo(
 
 
 def _program() -> str:
-    """What to type for this program: its name where the shell finds it, else its file."""
+    """The command of this program: its name if it is in PATH, otherwise its file."""
     called = sys.argv[0]
     return called if Path(called).stem == "optdock" and shutil.which("optdock") is None else "optdock"
 
 
 def _demo_files(folder: Path) -> Path:
-    """The built-in scenario and its map, copied into a folder; the scenario's file there.
+    """Copy the built-in scenario and its map into a folder and return the scenario file.
 
     Raises:
-        InvalidFile: A file cannot be written.
+        InvalidFile: If a file cannot be written.
     """
     from optdock.config import demo_scenario
     from optdock.io.atomic_file import replacing
@@ -160,7 +160,7 @@ def _demo_files(folder: Path) -> Path:
 
 
 def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[Path | None, Path | None]) -> None:
-    """The run as a file, as a picture and as an animation, where they are asked for."""
+    """Write the run as a file, and as a picture and an animation if requested."""
     from optdock.io.atomic_file import write_text
     from optdock.reports.report import run_json
 
@@ -178,10 +178,10 @@ def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[P
 
 
 def _refuse_fault(run: Run, left: str) -> None:
-    """Leave with a line on stderr where a run did not dock, collided on its way, or left what is proven.
+    """Report on stderr that a run did not dock, collided, or left the proven region.
 
     Raises:
-        Exit: There is a fault.
+        Exit: If it did.
     """
     faults = [*([run.fault] if run.fault else []), *([f"left what is proven: {left}"] if left else [])]
     for fault in faults:
@@ -191,18 +191,18 @@ def _refuse_fault(run: Run, left: str) -> None:
 
 
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations = _USUAL) -> Run:
-    """The plan driven in closed loop by the scenario's controller until its goal checker says docked.
+    """Simulate the plan with the controller of the scenario until its goal checker reports docked.
 
-    What the DockGoalChecker says at the end stands beside it: it alone judges the heading as well.
+    The result of the DockGoalChecker, which also checks the heading, is added at the end.
 
     Args:
-        scenario: Names controller and goal checker.
-        plan: What to drive.
-        seed: Of the noise.
+        scenario: Scenario with controller and goal checker.
+        plan: The plan.
+        seed: Seed of the noise.
         world: Noise, lag and latency.
 
     Raises:
-        InvalidValue: A parameter of a plugin or of the world is wrong.
+        InvalidValue: If a parameter is invalid.
     """
     from optdock.plugins.interfaces import Controller, GoalChecker
     from optdock.plugins.lifecycle import PluginContext
@@ -216,7 +216,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations
     beside = [] if isinstance(checker, type(second)) else [second]
     for plugin in (controller, checker, *beside):
         plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
-    # A controller that was promised a period is called with that.
+    # A controller with a configured period is called with that period.
     period = float(controller.parameters.model_dump().get("period") or SimulationSettings.period)
     settings = SimulationSettings(
         period=period,
@@ -230,7 +230,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations
 
 
 def _deviations(plan: DockPlan, run: Run) -> Deviations:
-    """How far a run is off the path of its plan."""
+    """Deviations of a run from the path of its plan."""
     from optdock.samples.tube import Tube
 
     return Tube(plan.path, plan.problem, plan.certificate.start_relief).deviations(run.poses)
@@ -245,7 +245,7 @@ def _checked(world: WorldDeviations) -> WorldDeviations:
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
     try:
         Actuation(world.lag, world.lag, world.latency)
-    except InvalidValue as error:  # of what is finite and >= 0, the latency alone has another rule
+    except InvalidValue as error:  # among finite values >= 0, only the latency has another rule
         raise InvalidValue(f"--latency: {str(error).partition(': ')[2]}") from error
     fault = unit_fault(world.yaw_noise, "rad")
     if fault:

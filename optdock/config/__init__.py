@@ -1,4 +1,4 @@
-"""Scenario files in, frozen values out; and what may stand in them."""
+"""Reading, writing and reference of scenario files."""
 
 from optdock.config.reference import KeyReference, plugin_reference, scenario_reference, scenario_schema
 from optdock.config.scenario import Scenario, demo_scenario, load_scenario

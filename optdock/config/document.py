@@ -1,8 +1,8 @@
-"""The structure of a scenario file, `optdock-scenario/1`: keys, types, defaults, and the values they stand for.
+"""Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
-Rules about values live in the constructors of the values; here they are called key by key, so that one reading
-reports every fault. What is said about a key (`_key`) is all that the scenario reference and the JSON schema of
-`optdock.config.reference` say about it; descriptions hold their unit in brackets.
+The constructors of the values check their rules; the models call them key by key, so that every fault is reported. The
+scenario reference and the JSON schema of `optdock.config.reference` are made of the descriptions of the keys (`_key`),
+which have their unit in brackets.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
 _FARTHEST = 1e8  # [m]; as for polygons
-# What Nav2 and its planners and controllers call the same things.
+# Names of the same quantities in Nav2, its planners and controllers.
 _SYNONYMS = {
     "min_turning_radius": "max_curvature",
     "minimum_turning_radius": "max_curvature",
@@ -123,9 +123,9 @@ def _distance(value: float) -> float:
 
 @dataclass(frozen=True)
 class _Parsed:
-    """Annotation: the field is what `parse` makes of the value; pydantic does not look into its type.
+    """Annotation of a field whose value is the result of `parse`.
 
-    `schema` is what a JSON schema says of the value, `form` how a person writes it.
+    `schema`: JSON schema of the value; `form`: notation of the value for people.
     """
 
     parse: Callable[[object], object]
@@ -186,15 +186,15 @@ def _key(
     """A key of the file.
 
     Args:
-        description: What it is, with its unit in brackets.
-        default: Its default; without one it is required.
-        absent: What its absence means, where the default does not say so.
-        above: Exclusive lower bound, as the constructors have it.
-        least: Inclusive lower bound.
-        finite: Whether infinity, which YAML writes `.inf`, is refused.
+        description: Description with the unit in brackets.
+        default: Default; without one the key is required.
+        absent: Meaning of a missing key, if not the default.
+        above: Exclusive lower bound of the constructor.
+        least: Inclusive lower bound of the constructor.
+        finite: Whether infinity, `.inf` in YAML, is refused.
     """
-    said = {"exclusiveMinimum": above, "minimum": least, "x-absent": absent or None, "x-finite": finite or None}
-    extra: Any = {name: value for name, value in said.items() if value is not None}
+    values = {"exclusiveMinimum": above, "minimum": least, "x-absent": absent or None, "x-finite": finite or None}
+    extra: Any = {name: value for name, value in values.items() if value is not None}
     return Field(default, description=description, json_schema_extra=extra)
 
 
@@ -232,7 +232,7 @@ else:
 
 
 class LimitsDocument(_LimitKeys):
-    """`robot.limits`; what is not given keeps the default of `MotionLimits`."""
+    """`robot.limits`; missing keys have the defaults of `MotionLimits`."""
 
     @field_validator("*")
     @classmethod
@@ -270,12 +270,12 @@ class TrackingDocument(_Part):
 class CameraDocument(_Part):
     """`robot.camera`."""
 
-    mount: PoseValue = _key("of the camera in the robot's frame; it looks along the x axis of this pose [m, m, rad]")
-    field_of_view: Number = _key(
-        "whole angle of its cone, at most 2 pi, which sees all around [rad]", above=0, finite=True
+    mount: PoseValue = _key(
+        "pose of the camera in the robot's frame; the optical axis is the x axis of this pose [m, m, rad]"
     )
-    min_range: Number = _key("nearest distance of the marker [m]", 0.0, least=0, finite=True)
-    max_range: Number = _key("farthest distance of the marker [m]", math.inf, above=0, absent="unlimited")
+    field_of_view: Number = _key("full angle of the cone, at most 2 pi [rad]", above=0, finite=True)
+    min_range: Number = _key("smallest distance of the marker [m]", 0.0, least=0, finite=True)
+    max_range: Number = _key("largest distance of the marker [m]", math.inf, above=0, absent="unlimited")
 
     @field_validator("field_of_view", "min_range", "max_range")
     @classmethod
@@ -300,24 +300,24 @@ class RobotDocument(_Part):
     footprint: FootprintValue | None = _key(
         "outline in the robot's frame, whose origin follows the path [m]", None, absent="radius must be given"
     )
-    radius: Number | None = _key("of a round robot [m]", None, above=0, absent="footprint must be given")
-    drive: Drive = _key("how it steers", Drive.DIFFERENTIAL)
+    radius: Number | None = _key("radius of a round robot [m]", None, above=0, absent="footprint must be given")
+    drive: Drive = _key("kind of drive", Drive.DIFFERENTIAL)
     turns_in_place: StrictBool = _key(
-        "whether its paths may turn where it stands; for a differential drive with limits of yaw rate and acceleration",
+        "whether paths may turn in place; for a differential drive with limits of yaw rate and yaw acceleration",
         False,  # noqa: FBT003 - as pydantic's Field
     )
     tracking: TrackingDocument = _key(
-        "how far it may be off its path: what is proven holds for every pose within",
+        "tracking tube: the certificate holds for every pose in it",
         TrackingDocument(),
         absent="no tube",
     )
     camera: CameraDocument | None = _key(
-        "what it detects the dock's marker with, a cone; see dock.visible_distance", None, absent="none"
+        "camera that detects the dock's marker; see dock.visible_distance", None, absent="none"
     )
     reverse_price: Number = _key(
-        "what a metre in reverse is worth beside its time when plans are compared [s/m]", 0.0, least=0, finite=True
+        "price of a metre in reverse in addition to its duration, to compare plans [s/m]", 0.0, least=0, finite=True
     )
-    limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
+    limits: LimitsDocument = _key("limits of the motion", LimitsDocument(), absent="each limit's own default")
 
     @field_validator("radius")
     @classmethod
@@ -358,27 +358,27 @@ class DockDocument(_Part):
         "outline of the station in the docked robot's frame, an obstacle [m]", None, absent="no obstacle"
     )
     direction: DockDirection = _key(
-        "gear of the last motion; auto: the planner chooses by the side of the start", DockDirection.AUTO
+        "gear of the last motion; auto: chosen by the side of the start", DockDirection.AUTO
     )
-    final_straight: Number = _key("straight run at the end of the path [m]", 0.0, least=0, finite=True)
+    final_straight: Number = _key("length of the straight end of the path [m]", 0.0, least=0, finite=True)
     approach_speed: Speed = _key(
-        "largest speed over the last approach_distance [m/s]", math.inf, above=0, absent="no slower stretch"
+        "largest speed over the last approach_distance [m/s]", math.inf, above=0, absent="no slow part"
     )
     approach_distance: Distance = _key(
-        "length of the slow stretch at the end of the path; needed by approach_speed [m]", 0.0, least=0, finite=True
+        "length of the slow part at the end of the path; required by approach_speed [m]", 0.0, least=0, finite=True
     )
     marker: PointValue | None = _key(
         "point that the robot's camera detects, in the docked robot's frame, as footprint [m]", None, absent="none"
     )
     visible_distance: Distance = _key(
-        "the marker must be in the view of robot.camera from so far before the end of the path on; needs marker [m]",
+        "distance before the end of the path from which the marker must be in view; needs marker [m]",
         0.0,
         least=0,
         finite=True,
         absent="nowhere",
     )
     blind_distance: Distance = _key(
-        "but not over the last so many metres, less than visible_distance [m]", 0.0, least=0, finite=True
+        "last distance without required view, less than visible_distance [m]", 0.0, least=0, finite=True
     )
 
     @field_validator("final_straight")
@@ -418,12 +418,12 @@ class DockDocument(_Part):
 class StartDocument(_Part):
     """`start`."""
 
-    pose: PoseValue = _key("where the robot is [m, m, rad]")
+    pose: PoseValue = _key("pose of the robot [m, m, rad]")
     speed: Annotated[Speed, Field(allow_inf_nan=False)] = _key(
-        "signed, negative in reverse [m/s]", 0.0, finite=True, absent="at rest"
+        "signed speed, negative in reverse [m/s]", 0.0, finite=True, absent="at rest"
     )
     curvature: Annotated[Number, Field(allow_inf_nan=False)] | None = _key(
-        "of the path's first point along the travel, left positive [1/m]",
+        "curvature of the path at its start along the travel, left positive [1/m]",
         None,
         finite=True,
         absent="free at rest, 0 in motion",
@@ -434,7 +434,7 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """The curvature the path must start with: as given; else free at rest and straight in motion [1/m]."""
+        """The start curvature of the path [1/m]: as given, else free at rest (None) and 0 in motion."""
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
@@ -442,28 +442,28 @@ _CLEARANCE = ClearanceRule()
 
 
 class ClearanceDocument(_Part):
-    """`clearance`; one number holds everywhere, also at the dock."""
+    """`clearance`; a single number holds everywhere, also at the dock."""
 
-    required: Distance = _key("away from the dock [m]", _CLEARANCE.required, least=0, finite=True)
-    at_dock: Distance = _key("at the dock, at most `required` [m]", _CLEARANCE.at_dock, least=0, finite=True)
+    required: Distance = _key("clearance away from the dock [m]", _CLEARANCE.required, least=0, finite=True)
+    at_dock: Distance = _key("clearance at the dock, at most `required` [m]", _CLEARANCE.at_dock, least=0, finite=True)
     taper: Distance = _key(
-        "distance from the dock over which it grows from at_dock to required [m]",
+        "distance over which the clearance grows from at_dock to required [m]",
         _CLEARANCE.taper,
         least=0,
         finite=True,
     )
     dock_run: Distance = _key(
-        "distance from the dock within which at_dock is enough; from there it grows [m]",
+        "distance from the dock within which at_dock is required [m]",
         _CLEARANCE.dock_run,
         least=0,
         finite=True,
     )
     at_start: Distance | None = _key(
-        "as at_dock, for a start that is itself nearer to something than required, as one in a dock is [m]",
+        "as at_dock, for a start with less clearance than required, such as in a dock [m]",
         None,
         least=0,
         finite=True,
-        absent="the robot may come 5 mm nearer than it starts, at most half as near",
+        absent="5 mm less than the clearance of the start, at least half of it",
     )
 
     @model_validator(mode="after")
@@ -481,7 +481,7 @@ def _clearance(value: object) -> object:
 
 
 class _OrNumber:
-    """Annotation: in the JSON schema, a number may stand here too."""
+    """Annotation: the JSON schema also accepts a number."""
 
     def __get_pydantic_json_schema__(
         self, core: core_schema.CoreSchema, handler: GetJsonSchemaHandler
@@ -493,37 +493,37 @@ class _OrNumber:
 class ScenarioDocument(_Part):
     """A whole scenario file."""
 
-    format: Literal["optdock-scenario/1"] = _key("what this file is")
+    format: Literal["optdock-scenario/1"] = _key("format of the file")
     frame: str = _key("name of the coordinate frame", "map")
     map: str | None = _key(
-        "map (map_server YAML), relative to this file; unknown cells and the world beyond it are obstacles",
+        "map (map_server YAML), relative to this file; unknown cells and the area outside are obstacles",
         None,
-        absent="only the obstacles below count",
+        absent="only the obstacles below",
     )
     obstacles: Annotated[list[PolygonValue], BeforeValidator(_not_too_many)] = _key(
         "polygons, convex or not, in either orientation [m]", [], absent="none"
     )
     robot: RobotDocument = _key("outline, drive and limits")
-    dock: DockDocument = _key("where the robot must end, and how")
-    start: StartDocument = _key("where and how the robot begins")
+    dock: DockDocument = _key("goal of the robot")
+    start: StartDocument = _key("start of the robot")
     clearance: Annotated[ClearanceDocument, BeforeValidator(_clearance), _OrNumber()] = _key(
-        "distance that the footprint keeps from everything; one number holds everywhere, also at the dock [m]",
+        "required distance of the footprint from obstacles; a single number holds everywhere, also at the dock [m]",
         ClearanceDocument(),
         absent="each key's own default",
     )
     time_budget: Number = _key("wall-clock time for planning [s]", DEFAULT_TIME_BUDGET, above=0, finite=True)
     planner: Section = _key(
-        "what makes the raw path, and its parameters",
+        "planner of the raw path, and its parameters",
         {},
         absent=" and then ".join(DEFAULT_PLANNERS),
     )
-    smoother: Section = _key("what smooths it, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
-    timing: Section = _key("what times it, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
+    smoother: Section = _key("smoother, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
+    timing: Section = _key("time parameterizer, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
     controller: Section = _key(
-        "what drives in `optdock simulate`, and its parameters", {}, absent=PLUGIN_DEFAULTS["controller"]
+        "controller of `optdock simulate`, and its parameters", {}, absent=PLUGIN_DEFAULTS["controller"]
     )
     goal_checker: Section = _key(
-        "what decides there that the robot has arrived, and its parameters",
+        "goal checker of `optdock simulate`, and its parameters",
         {},
         absent=PLUGIN_DEFAULTS["goal_checker"],
     )
@@ -537,17 +537,17 @@ class ScenarioDocument(_Part):
 
 
 def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
-    """The keys that the mapping at `key` accepts."""
+    """Return the keys of the mapping at `key`."""
     model: type[BaseModel] | None = ScenarioDocument
     for part in key:
         field = model.model_fields.get(str(part)) if model else None
-        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of one that may be left out
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional one
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return tuple(model.model_fields) if model else ()
 
 
 def synonym(key: tuple[str | int, ...], value: object) -> str:
-    """`; write ...` for a key that others call so, with its value where a file would hold another; or "".
+    """Return `; write ...` for a key of another program, with the converted value, or "".
 
     >>> synonym(("robot", "limits", "min_turning_radius"), 0.5)
     '; write max_curvature: 2, that is 1 / radius'

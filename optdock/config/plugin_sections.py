@@ -1,4 +1,4 @@
-"""The plugin sections of a scenario: `{plugin: NAME, parameter: value, ...}`."""
+"""Plugin sections of a scenario: `{plugin: NAME, parameter: value, ...}`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 
-# The plugin of a section that names none; of several planners the first, whose parameters a section may give.
+# Default plugins of the sections; of several planners the first, whose parameters may be given.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
     "planner": DEFAULT_PLANNERS[0],
     "smoother": DEFAULT_SMOOTHER,
@@ -32,37 +32,37 @@ _UNIT = re.compile(r"\[(rad|m/s)\]$")
 
 
 def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoice:
-    """The plugin and parameters that a section asks for.
+    """Return the plugin and the parameters of a section.
 
     Args:
         kind: Key of the section.
-        section: Its value; a value that is not a mapping is left to the structure's check.
-        faults: Where an unknown plugin and every wrong parameter are noted.
+        section: Its value; values that are not mappings are reported by the model.
+        faults: List to which an unknown plugin and invalid parameters are added.
     """
     name = PLUGIN_DEFAULTS[kind]
     if not isinstance(section, Mapping):
         return PluginChoice(name, {})
-    asked = section.get("plugin", name)
+    chosen = section.get("plugin", name)
     parameters = {str(key): value for key, value in section.items() if key != "plugin"}
     if not section:
         return PluginChoice(name, {})
-    if not isinstance(asked, str):
-        faults.append(Fault((kind, "plugin"), f"must be text, got {shown(asked)}"))
+    if not isinstance(chosen, str):
+        faults.append(Fault((kind, "plugin"), f"must be text, got {shown(chosen)}"))
         return PluginChoice(name, {})
     try:
-        plugin = load_plugin(INTERFACES[plural(kind)], asked)
+        plugin = load_plugin(INTERFACES[plural(kind)], chosen)
     except PluginError as error:
         faults.append(Fault((kind, "plugin"), str(error)))
         return PluginChoice(name, {})
     faults.extend(parameter_faults(plugin, parameters, (kind,)))
-    return PluginChoice(asked, parameters)
+    return PluginChoice(chosen, parameters)
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
-    """The planners that a file asks for: the one that it names, or the default ones, the first with its parameters.
+    """Return the planner that is named, or the default planners, the first with the given parameters.
 
     Args:
-        choice: What `plugin_choice` read.
+        choice: Result of `plugin_choice`.
         section: The section.
     """
     if isinstance(section, Mapping) and "plugin" in section:
@@ -71,7 +71,7 @@ def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
 
 
 def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:
-    """What a plugin's parameter model finds wrong with `parameters`."""
+    """Return the faults of the parameters of a plugin."""
     fields = {spec.alias or name: spec for name, spec in plugin.Parameters.model_fields.items()}
     try:
         plugin.Parameters.model_validate(dict(parameters))
@@ -79,10 +79,10 @@ def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], bas
         return faults_of(error, lambda key: fields if not key else (), base)
     # Every field's description ends in its unit.
     given = ((name, value, _UNIT.search(fields[name].description or "")) for name, value in parameters.items())
-    asked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
-    return [Fault((*base, name), fault) for name, fault in asked if fault]
+    checked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
+    return [Fault((*base, name), fault) for name, fault in checked if fault]
 
 
 def plural(kind: str) -> str:
-    """The kind of plugins, one of `INTERFACES`, that a section names."""
+    """Return the kind of plugins of a section, one of `INTERFACES`."""
     return kind if kind == "timing" else f"{kind}s"

@@ -1,4 +1,4 @@
-"""What may stand in a scenario file and in a plugin's block, taken from the models that read them."""
+"""Reference and JSON schema of scenario files and plugin parameters, made from the models."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KeyReference", "plugin_reference", "scenario_reference", "scenario_schema"]
 
-Schema: TypeAlias = "dict[str, Any]"  # JSON: no narrower type says more
+Schema: TypeAlias = "dict[str, Any]"  # JSON
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _REFS = "#/$defs/{model}"
@@ -39,11 +39,17 @@ _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "m
 
 
 class KeyReference(NamedTuple):
-    """What there is to know about one key of a file.
+    """Description of one key of a file.
 
-    `key`: its dotted name. `type`: what stands there, as a person writes it. `unit`: SI, empty where there is none.
-    `rule`: the values it may have. `default`: as YAML writes it, empty where the key is required or has none.
-    `required`: whether it must be given. `absent`: what its absence means. `description`: what it is.
+    Attributes:
+        key: Dotted name.
+        type: Notation of the value.
+        unit: SI unit, or empty.
+        rule: Allowed values.
+        default: Default in YAML; empty without one.
+        required: Whether the key must be given.
+        absent: Meaning of a missing key.
+        description: Description.
     """
 
     key: str
@@ -57,19 +63,19 @@ class KeyReference(NamedTuple):
 
 
 def scenario_reference() -> tuple[KeyReference, ...]:
-    """Every key of a scenario file, in the order of the format; parameters of plugins: `plugin_reference`."""
+    """Return every key of a scenario file in the order of the format; for plugins see `plugin_reference`."""
     return _reference(ScenarioDocument)
 
 
 def plugin_reference(kind: str, name: str) -> tuple[KeyReference, ...]:
-    """Every parameter of a plugin.
+    """Return every parameter of a plugin.
 
     Args:
         kind: One of `optdock.plugins.registry.INTERFACES`, such as `smoothers`.
         name: Its name.
 
     Raises:
-        PluginError: There is no such kind or plugin, or it cannot be imported.
+        PluginError: If the kind or plugin does not exist or cannot be imported.
 
     >>> [row.key for row in plugin_reference("timing", "NearOptimal")]
     ['step', 'smooth']
@@ -80,11 +86,11 @@ def plugin_reference(kind: str, name: str) -> tuple[KeyReference, ...]:
 
 
 def scenario_schema() -> Schema:
-    """A JSON schema (draft 2020-12) of scenario files, for editors; with the parameters of every installed plugin.
+    """Return a JSON schema (draft 2020-12) of scenario files with the parameters of every installed plugin.
 
-    Beside the standard keywords: `x-unit`; `x-finite` where infinity is refused; `x-absent`, what the absence of a key
-    means; `x-form`, how a person writes a value. What rules need more than one key (such as `at_dock <= required`) or
-    geometry is left to `load_scenario`.
+    Additional keywords: `x-unit`; `x-finite` if infinity is refused; `x-absent`, the meaning of a missing key;
+    `x-form`, the notation of a value. Rules on several keys (such as `at_dock <= required`) and on geometry are checked
+    by `load_scenario` only.
     """
     plugins = {section: _parameter_models(section) for section in SECTIONS}
     models: list[type[BaseModel]] = [ScenarioDocument, *(m for found in plugins.values() for m in found.values())]
@@ -99,7 +105,7 @@ def scenario_schema() -> Schema:
 
 
 def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
-    """The parameters of the installed plugins that a section may name; those that cannot be imported are left out."""
+    """Parameter models of the installed plugins of a section; plugins that cannot be imported are left out."""
     kind = plural(section)
     found: dict[str, type[BaseModel]] = {}
     for plugin in available_plugins():
@@ -110,8 +116,8 @@ def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
 
 
 def _section(parameters: Mapping[str, Schema], default: str) -> Schema:
-    """A section whose parameters are those of the plugin that it names, or of the default."""
-    names = [{"enum": list(parameters)}, {"type": "string", "pattern": "::|/"}]  # or Nav2's name of the class
+    """Schema of a section with the parameters of the named or default plugin."""
+    names = [{"enum": list(parameters)}, {"type": "string", "pattern": "::|/"}]  # or the class name of Nav2
     cases = [
         {
             "if": {"properties": {"plugin": {"const": name}}, "required": [] if name == default else ["plugin"]},
@@ -127,19 +133,19 @@ def _name_of(reference: Mapping[str, Any]) -> str:
 
 
 def _for_editors(value: Any) -> Any:  # noqa: ANN401 - JSON
-    """Units as keywords; without generated titles, and without defaults that are no JSON or repeat what is below."""
+    """Add units as keywords; remove generated titles, and defaults that are not JSON or are given by the keys below."""
     if isinstance(value, list):
         return [_for_editors(item) for item in value]
     if not isinstance(value, dict):
         return value
-    kept = {key: item for key, item in value.items() if _is_said(key, item)}
+    kept = {key: item for key, item in value.items() if _is_kept(key, item)}
     unit = _UNIT.search(kept["description"]) if isinstance(kept.get("description"), str) else None
     return {key: _for_editors(item) for key, item in kept.items()} | ({"x-unit": unit[1]} if unit else {})
 
 
-def _is_said(key: str, value: object) -> bool:
+def _is_kept(key: str, value: object) -> bool:
     if key == "title":
-        return not isinstance(value, str)  # a key of that name holds a schema
+        return not isinstance(value, str)  # the key `title` of an object
     return key != "default" or not (isinstance(value, dict) or (isinstance(value, float) and math.isinf(value)))
 
 
@@ -172,7 +178,7 @@ def _rows(schema: Schema, definitions: Mapping[str, Schema], base: str) -> Itera
 
 
 def _alternatives(schema: Schema, definitions: Mapping[str, Schema]) -> Iterator[Schema]:
-    """What may stand there: references followed, alternatives one by one, null left out."""
+    """Alternatives of a schema without null, with references resolved."""
     if "$ref" in schema:
         yield from _alternatives(definitions[_name_of(schema)], definitions)
     elif "anyOf" in schema and "x-form" not in schema:

@@ -1,4 +1,4 @@
-"""Scenario files: one docking problem with the plugins and the time to solve it."""
+"""Scenario files: a docking problem with plugins and time budget."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What a scenario file says.
+    """Content of a scenario file.
 
     Args:
         problem: The docking problem.
-        time_budget: Wall-clock seconds for planning it.
-        planner: Make the guesses, in this order.
-        smoother: Makes it drivable.
-        timing: Gives it its time law.
-        controller: What drives the result in `optdock simulate`.
-        goal_checker: What decides there that the robot has arrived.
+        time_budget: Wall-clock time for planning [s].
+        planner: Planners of raw paths, in order.
+        smoother: Smoother of raw paths.
+        timing: Time parameterizer.
+        controller: Controller of `optdock simulate`.
+        goal_checker: Goal checker of `optdock simulate`.
         source: The file.
-        default_limits: The motion limits that the file does not give, so that `MotionLimits`'s own hold.
+        default_limits: Motion limits that the file does not give, with the defaults of `MotionLimits`.
     """
 
     problem: DockingProblem
@@ -62,13 +62,13 @@ class Scenario:
     default_limits: frozenset[str] = frozenset()
 
     def plan(self, time_budget: float | None = None) -> DockPlan:
-        """The certified plan, by the plugins and in the time that the file asks for.
+        """Plan with the plugins and the time budget of the file.
 
         Args:
-            time_budget: Wall-clock seconds; None: the file's.
+            time_budget: Wall-clock time [s]; None: that of the file.
 
         Raises:
-            OptdockError: There is none; see `plan_dock`.
+            OptdockError: If no certified plan is found; see `plan_dock`.
         """
         return plan_dock(
             self.problem,
@@ -83,31 +83,31 @@ def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario file, format `optdock-scenario/1`.
 
     Raises:
-        InvalidFile: The file cannot be read or breaks the format; the message lists every fault, one per line, with
+        InvalidFile: If the file cannot be read or breaks the format; the message lists every fault on its own line with
             file, line, key, value and rule.
     """
     source = Path(source)
     located = load_yaml(source)
     if not isinstance(located.value, Mapping):
         raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
-    said = located.value.get("format")
-    if said != "optdock-scenario/1" and not {"robot", "dock", "start"} & set(located.value):
-        format_ = "" if said is None else f"; its format is {shown(said)}"
-        raise InvalidFile(f"{source}: is not a scenario: it has none of the keys robot, dock and start{format_}")
+    format_ = located.value.get("format")
+    if format_ != "optdock-scenario/1" and not {"robot", "dock", "start"} & set(located.value):
+        found = "" if format_ is None else f"; its format is {shown(format_)}"
+        raise InvalidFile(f"{source}: is not a scenario: it has none of the keys robot, dock and start{found}")
     faults: list[Fault] = []
     document = _document(located.value, faults)
     choices = {kind: plugin_choice(kind, located.value.get(kind, {}), faults) for kind in SECTIONS}
     costmap = _costmap(source, located.value.get("map"), faults)
     if faults or document is None:
         raise InvalidFile(report(faults, located))
-    _warn_of_an_outline_aside(source, document.robot.value().footprint)
-    asked = planners(choices.pop("planner"), located.value.get("planner"))
+    _warn_of_outside_origin(source, document.robot.value().footprint)
+    planner = planners(choices.pop("planner"), located.value.get("planner"))
     return Scenario(
         problem=_problem(document, costmap, located),
         time_budget=document.time_budget,
         source=source,
         default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
-        planner=asked,
+        planner=planner,
         **choices,
     )
 
@@ -121,7 +121,7 @@ def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocum
 
 
 def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
-    """The map, found relative to the scenario."""
+    """The map, relative to the scenario."""
     if not isinstance(name, str):
         return None
     try:
@@ -132,10 +132,10 @@ def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
 
 
 def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Document) -> DockingProblem:
-    """The whole, which has a rule that its parts do not know.
+    """The problem, checked for rules between its parts.
 
     Raises:
-        InvalidFile: It is broken.
+        InvalidFile: If one is broken.
     """
     try:
         return problem_of(document, costmap)
@@ -145,10 +145,10 @@ def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Docum
 
 
 def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingProblem:
-    """The problem that a scenario document says, among the cells of a costmap.
+    """Return the problem of a scenario document with a costmap.
 
     Raises:
-        InvalidValue: Its parts do not go together.
+        InvalidValue: If its parts are inconsistent.
     """
     return DockingProblem(
         start=document.start.pose,
@@ -164,16 +164,16 @@ def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingPr
     )
 
 
-def _warn_of_an_outline_aside(source: Path, outline: Footprint) -> None:
-    """A robot whose own origin lies outside of it may be meant, but is more often an outline of another frame."""
+def _warn_of_outside_origin(source: Path, outline: Footprint) -> None:
+    """Warn if the origin is outside of the outline, which usually means an outline in another frame."""
     if not any(np.all(body.offsets >= 0.0) for body in outline.bodies):
         logger.warning(
-            "%s: robot.footprint does not contain [0, 0], the point of the robot that follows the path; is it seen "
-            "from there?",
+            "%s: robot.footprint does not contain [0, 0], the point of the robot that follows the path; is it in "
+            "the frame of the robot?",
             source,
         )
 
 
 def demo_scenario() -> Path:
-    """Returns the path of the built-in scenario: a hall with a shelf, a pillar and a dock; its map lies beside it."""
+    """Return the path of the built-in scenario: a hall with a shelf, a pillar and a dock."""
     return Path(__file__).with_name("demo") / "hall.yaml"

@@ -1,4 +1,4 @@
-"""Scenario files out: a scenario as `load_scenario` reads it, with its map beside it where no file says the same."""
+"""Writing of scenario files and their maps."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ def save_scenario(
     map_source: str | Path | None = None,
     note: str = "",
 ) -> tuple[Path, ...]:
-    """Write a scenario file, format `optdock-scenario/1`, whole or not at all.
+    """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    What is written reads back as the same problem, number by number. A costmap is a file of its own: `map_source` is
-    named where its cells block the same; else the cells are drawn beside the scenario, as NAME_map.yaml and
-    NAME_map.pgm. Motion limits that the scenario's own source did not give stay unsaid.
+    The file reads back as the same problem, number by number. The file refers to `map_source` if its cells block the
+    same as the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and NAME_map.pgm.
+    Default motion limits of the scenario are not written.
 
     Args:
         target: The file.
-        scenario: What to write.
-        obstacles: The problem's obstacles as polygons, convex or not, where they are known so; None: its convex pieces.
-        map_source: A map (map_server YAML) that the costmap may have been made from.
-        note: A line of comment at the top.
+        scenario: The scenario.
+        obstacles: Obstacles of the problem as polygons, convex or not; None: its convex pieces.
+        map_source: Map (map_server YAML) of the costmap.
+        note: Comment at the top.
 
     Returns:
         The files written, the scenario first.
 
     Raises:
-        InvalidFile: A file cannot be written.
-        InvalidValue: A scenario file cannot say it: unknown cells that are free, or tolerances of the dock.
+        InvalidFile: If a file cannot be written.
+        InvalidValue: If a scenario file cannot hold the problem: free unknown cells, or tolerances of the dock.
     """
     target, problem = Path(target), scenario.problem
-    _refuse_unsayable(problem)
+    _check_supported(problem)
     map_name, drawn = _map(target, problem.costmap, map_source)
-    document = problem_document(problem, map_name=map_name, obstacles=obstacles, unsaid=scenario.default_limits)
+    document = problem_document(problem, map_name=map_name, obstacles=obstacles, omitted=scenario.default_limits)
     document["time_budget"] = scenario.time_budget
     for kind in PLUGIN_DEFAULTS:
         if getattr(scenario, kind) != getattr(type(scenario), kind):
@@ -81,39 +81,39 @@ def problem_document(
     *,
     map_name: str = "",
     obstacles: Sequence[ArrayLike] | None = None,
-    unsaid: frozenset[str] = frozenset(),
+    omitted: frozenset[str] = frozenset(),
 ) -> dict[str, object]:
-    """A problem in the words of a scenario file, without its costmap and what no such file can say.
+    """Return a problem as the document of a scenario file, without costmap.
 
     Args:
-        problem: What to say.
-        map_name: What its costmap is called; empty: nothing is said of one.
+        problem: The problem.
+        map_name: Name of the map; empty without a map.
         obstacles: As in `save_scenario`.
-        unsaid: Motion limits to leave out.
+        omitted: Motion limits to leave out.
     """
     pieces = problem.obstacles.vertices if obstacles is None else obstacles
     document: dict[str, object] = {"format": "optdock-scenario/1", "frame": problem.frame}
     document |= {"map": map_name} if map_name else {}
     document |= {"obstacles": [_points(piece) for piece in pieces]} if len(pieces) else {}
     return document | {
-        "robot": _robot(problem.robot, unsaid),
+        "robot": _robot(problem.robot, omitted),
         "dock": _dock(problem.dock),
         "start": _start(problem),
         "clearance": dataclasses.asdict(problem.clearance),
     }
 
 
-def _refuse_unsayable(problem: DockingProblem) -> None:
+def _check_supported(problem: DockingProblem) -> None:
     if problem.costmap is not None and not problem.unknown_is_obstacle:
         raise InvalidValue(
-            "problem.unknown_is_obstacle: a scenario file says True; mark those cells free in the costmap"
+            "problem.unknown_is_obstacle: is always True in a scenario file; mark those cells free in the costmap"
         )
     if problem.dock.tolerances != type(problem.dock.tolerances)():
         raise InvalidValue("dock.tolerances: a scenario file has none; give them to the goal checker")
 
 
 def _map(target: Path, costmap: Costmap | None, source: str | Path | None) -> tuple[str, tuple[Path, ...]]:
-    """What the scenario calls its map, and the files drawn for it."""
+    """Name of the map in the scenario, and the files written for it."""
     if costmap is None:
         return "", ()
     if source is not None and _blocks_as(load_map(source).costmap, costmap):
@@ -127,18 +127,18 @@ def _blocks_as(first: Costmap, second: Costmap) -> bool:
 
 
 def _name_from(folder: Path, file: Path) -> str:
-    """The file as seen from a folder; absolute where no relative path leads there."""
+    """Path of a file relative to a folder; absolute without a relative path."""
     try:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # another drive
         return file.resolve().as_posix()
 
 
-def _robot(robot: Robot, unsaid: frozenset[str]) -> dict[str, object]:
+def _robot(robot: Robot, omitted: frozenset[str]) -> dict[str, object]:
     limits = {spec.name: getattr(robot.limits, spec.name) for spec in dataclasses.fields(robot.limits)}
-    said = {
-        name: value for name, value in limits.items() if name not in unsaid and value not in (0.0, math.inf)
-    }  # zero and infinity are what a key that is not there stands for
+    given = {
+        name: value for name, value in limits.items() if name not in omitted and value not in (0.0, math.inf)
+    }  # 0 and infinity are the values of missing keys
     others = {
         spec.name: getattr(robot, spec.name)
         for spec in dataclasses.fields(robot)
@@ -149,35 +149,35 @@ def _robot(robot: Robot, unsaid: frozenset[str]) -> dict[str, object]:
         others["tracking"] = dataclasses.asdict(robot.tracking)
     if robot.camera is not None:
         others["camera"] = _camera(robot.camera)
-    return {"footprint": _outline(robot.footprint), "drive": robot.drive.value, **others, "limits": said}
+    return {"footprint": _outline(robot.footprint), "drive": robot.drive.value, **others, "limits": given}
 
 
 def _camera(camera: Camera) -> dict[str, object]:
-    said: dict[str, object] = {"mount": _pose(camera.mount), "field_of_view": camera.field_of_view}
-    said |= {"min_range": camera.min_range} if camera.min_range > 0.0 else {}
-    return said | ({"max_range": camera.max_range} if math.isfinite(camera.max_range) else {})
+    document: dict[str, object] = {"mount": _pose(camera.mount), "field_of_view": camera.field_of_view}
+    document |= {"min_range": camera.min_range} if camera.min_range > 0.0 else {}
+    return document | ({"max_range": camera.max_range} if math.isfinite(camera.max_range) else {})
 
 
 def _dock(dock: Dock) -> dict[str, object]:
-    said: dict[str, object] = {"pose": _pose(dock.pose)}
-    said |= {"footprint": _outline(dock.footprint)} if dock.footprint is not None else {}
-    said |= {"direction": dock.direction.value, "final_straight": dock.final_straight}
+    document: dict[str, object] = {"pose": _pose(dock.pose)}
+    document |= {"footprint": _outline(dock.footprint)} if dock.footprint is not None else {}
+    document |= {"direction": dock.direction.value, "final_straight": dock.final_straight}
     zone = {"approach_speed": dock.approach_speed, "approach_distance": dock.approach_distance}
-    said |= zone if math.isfinite(dock.approach_speed) and dock.approach_distance > 0.0 else {}
-    said |= {"marker": list(dock.marker)} if dock.marker is not None else {}
+    document |= zone if math.isfinite(dock.approach_speed) and dock.approach_distance > 0.0 else {}
+    document |= {"marker": list(dock.marker)} if dock.marker is not None else {}
     distances = {name: getattr(dock, name) for name in ("visible_distance", "blind_distance")}
-    return said | {name: value for name, value in distances.items() if value > 0.0}
+    return document | {name: value for name, value in distances.items() if value > 0.0}
 
 
 def _start(problem: DockingProblem) -> dict[str, object]:
-    said: dict[str, object] = {"pose": _pose(problem.start)}
-    said |= {"speed": problem.start_speed} if problem.start_speed != 0.0 else {}
-    said |= {"acceleration": problem.start_acceleration} if problem.start_acceleration != 0.0 else {}
-    return said | ({"curvature": problem.start_curvature} if problem.start_curvature is not None else {})
+    document: dict[str, object] = {"pose": _pose(problem.start)}
+    document |= {"speed": problem.start_speed} if problem.start_speed != 0.0 else {}
+    document |= {"acceleration": problem.start_acceleration} if problem.start_acceleration != 0.0 else {}
+    return document | ({"curvature": problem.start_curvature} if problem.start_curvature is not None else {})
 
 
 def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
-    """A plugin with its parameters; of several planners the parameters of the first, which needs no name."""
+    """Section of a plugin; of several planners, the parameters of the first without its name."""
     if isinstance(choice, tuple):
         return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
     return {"plugin": choice.name, **choice.parameters}
@@ -192,17 +192,17 @@ def _outline(footprint: Footprint) -> _Points:
 
 
 class _Points(list[list[float]]):
-    """A polygon, on as few lines as it needs."""
+    """A polygon in flow style."""
 
 
 def _points(polygon: ArrayLike) -> _Points:
-    """Corners, without the repeated ones that pad a piece."""
+    """Vertices without the repeated ones of padded pieces."""
     points: list[list[float]] = np.asarray(polygon, dtype=np.float64).tolist()
     return _Points(point for i, point in enumerate(points) if point != points[i - 1])
 
 
 class _Dumper(yaml.SafeDumper):
-    """PyYAML's, with polygons in brackets and mappings of numbers in braces."""
+    """PyYAML's dumper, with polygons in flow style."""
 
 
 _Dumper.add_representer(

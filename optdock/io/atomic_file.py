@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ __all__ = ["replacing", "write_text"]
 
 @contextmanager
 def replacing(target: str | Path) -> Iterator[Path]:
-    """A temporary path beside `target` that takes its place when the block ends without an exception.
+    """Yield a temporary path in the folder of `target` that replaces it when the block ends without an exception.
 
-    A reader of `target` sees the old file or the new one, never a part. Missing folders are made, links are followed.
-    A device or a pipe, such as /dev/stdout, cannot be replaced: there the path is `target` itself. The temporary
-    name keeps the suffix of the target, because writers of pictures choose their format by it.
+    Missing folders are created and links are followed. For a device or a pipe, such as /dev/stdout, the path is
+    `target` itself. The temporary path has the suffix of the target, which gives the format of pictures.
 
     Raises:
-        InvalidFile: The target is a folder, or its folder cannot be made or written to.
+        InvalidFile: If the target is a folder, or its folder cannot be created or written to.
     """
     target = Path(target)
     try:
@@ -41,7 +40,7 @@ def replacing(target: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def _beside(target: Path) -> Iterator[Path]:
-    """As `replacing`, for a regular file."""
+    """Yield the temporary path of a regular file."""
     if target.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     if target.parent.exists() and not target.parent.is_dir():
@@ -50,17 +49,17 @@ def _beside(target: Path) -> Iterator[Path]:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        os.replace(temporary, target)  # noqa: PTH105 - the atomic replacement, by its well-known name
+        os.replace(temporary, target)  # noqa: PTH105 - the atomic replacement
     finally:
         with suppress(OSError):
             temporary.unlink()
 
 
 def write_text(target: str | Path, text: str) -> None:
-    """Write `text` as UTF-8, whole or not at all.
+    """Write `text` as UTF-8 atomically.
 
     Raises:
-        InvalidFile: The folder cannot be made or written to.
+        InvalidFile: If the folder cannot be created or written to.
     """
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Faults of a file in one language: `file:line: key: rule, got value`."""
+"""Error messages of files: `file:line: key: rule, got value`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Fault", "faults_of", "report"]
 
-# What a value must be, by pydantic's name of the fault; each is followed by ", got VALUE".
+# Rules by pydantic's error types; each is followed by ", got VALUE".
 _RULES = {
     "float_type": "must be a number",
     "float_parsing": "must be a number",
@@ -39,33 +39,29 @@ _RULES = {
 _BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge")}
 _BOUNDS |= {"less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
 _OWNER = re.compile(r"^([a-z_]+(?:\.[a-z_]+|\[\d+\])*): ")
-_MOST = 1000  # that are put into words, as they are listed in the order of the file
+_MOST = 1000  # faults that are converted before they are sorted by line
 
 
 class Fault(NamedTuple):
-    """One broken rule: the key it concerns and a sentence."""
+    """One broken rule: key and message."""
 
     key: Keys
     message: str
-
-
-def _no_synonym(_key: Keys, _value: object) -> str:
-    return ""
 
 
 def faults_of(
     error: ValidationError,
     known: Callable[[Keys], Iterable[str]],
     base: Keys = (),
-    synonym: Callable[[Keys, object], str] = _no_synonym,
+    synonym: Callable[[Keys, object], str] = lambda _key, _value: "",
 ) -> list[Fault]:
-    """What a validation found, in our words.
+    """Return the faults of a pydantic validation.
 
     Args:
-        error: What pydantic raised.
-        known: The keys that a mapping at a key accepts, to name the one nearest to a misspelt key.
-        base: Keys of the validated part inside its file.
-        synonym: What to write instead of an unknown key with its value, where others call the same thing so; or "".
+        error: The error of pydantic.
+        known: Function that returns the keys of the mapping at a key, for suggestions.
+        base: Key of the validated part in the file.
+        synonym: Function that returns the suggestion for an unknown key and its value, or "".
     """
     return [_fault(item, known, base, synonym) for item in error.errors(include_url=False)[:_MOST]]
 
@@ -86,15 +82,14 @@ def _fault(
         hint = synonym(key, item["input"]) or closest(str(key[-1]), known(key[:-1]))
         return Fault(base + key, f"unknown key{hint}")
     if kind == "value_error":
-        # Our constructors say what they got; a bare ValueError is a parameter model's rule.
-        said = isinstance(details.get("error"), InvalidValue)
-        got = "" if said else f", got {shown(item['input'])}"
+        # Messages of InvalidValue contain the value; those of a bare ValueError do not.
+        got = "" if isinstance(details.get("error"), InvalidValue) else f", got {shown(item['input'])}"
         return _value_fault(base + key, f"{details.get('error')}{got}")
     return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {shown(item['input'])}")
 
 
 def _value_fault(key: Keys, message: str) -> Fault:
-    """A constructor's message names what it calls the value; the file's key says that better, but for a part of it."""
+    """Replace the name of the value in a message of a constructor by the key of the file."""
     found = _OWNER.match(message)
     if found is None:
         return Fault(key, message)
@@ -112,6 +107,6 @@ def _rule(kind: str, details: Mapping[str, object], message: str) -> str:
 
 
 def report(faults: Iterable[Fault], document: Document) -> str:
-    """Every fault on a line of its own, in the order of the file."""
+    """Return every fault on its own line, in the order of the file."""
     ordered = sorted(faults, key=lambda fault: document.line_of(fault.key))
     return listed(str(document.path), [document.fault(*fault) for fault in ordered])

@@ -1,9 +1,7 @@
-"""Reads regular files of a bounded size; every file that the library reads is read here.
+"""Reading of regular files of bounded size; the library reads every file through this module.
 
-A name may lead to a pipe, which waits for a writer, to a device, which never ends, or to a file of gigabytes. Each of
-these raises `InvalidFile` before anything waits or memory is taken. How much a file of a
-kind may hold is chosen so that reading it takes less than a second and 500 MB on a computer of a robot, and is many
-times what such files hold in practice.
+Pipes, devices and files of gigabytes raise `InvalidFile` before the read blocks or allocates memory. The size limits
+keep reading below one second and 500 MB on an onboard computer, and are many times the size of such files in practice.
 """
 
 from __future__ import annotations
@@ -29,18 +27,18 @@ __all__ = ["MostBytes", "check_json_size", "check_regular", "is_regular", "parse
 
 
 class MostBytes(IntEnum):
-    """The size that a file of a kind may have [bytes]."""
+    """Size limits by kind of file [bytes]."""
 
-    YAML = 4_000_000  # a parameter file of Nav2 with all its comments has 30 kB; `yaml_lines` bounds what it expands to
+    YAML = 4_000_000  # a Nav2 parameter file with comments has 30 kB; `yaml_lines` bounds the expanded size
     JSON = 32_000_000  # a plan of 50,000 samples has 22 MB, see `plan_file.MAX_SAMPLES`
     CSV = 200_000  # the largest case of the competition has 10 kB
     LOG = 64_000_000  # a docking of a minute has 1 MB, with a costmap in every cycle 10
     IMAGE = 80_000_000  # a map of `map_image.MAX_PIXELS` as raw grey values of 16 bit has 67 MB
-    RECORDING = 1_000_000_000_000  # of bags only an index and the topics asked for are read
+    RECORDING = 1_000_000_000_000  # of bags only the index and the requested topics are read
 
 
-# JSON values that a file may hold, counted by the characters that begin another one. A plan of 50,000 samples has 1.1
-# million numbers; two million take 150 MB. An object takes as much as ten numbers, and ours hold some hundred.
+# JSON values, counted by separators. A plan of 50,000 samples has 1.1 million numbers; two million take 150 MB. An
+# object takes as much memory as ten numbers.
 _MOST_JSON_VALUES = 2_000_000
 _HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")
 _LONGEST_NAME = 200  # characters of a file's name in a message
@@ -55,7 +53,7 @@ _KINDS = (
 
 
 def is_regular(path: Path) -> bool:
-    """Whether the name leads to a regular file."""
+    """Whether the path is a regular file."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except (OSError, ValueError):
@@ -63,51 +61,51 @@ def is_regular(path: Path) -> bool:
 
 
 def check_regular(path: Path, most: int) -> None:
-    """Refuse what is not a regular file, or too large; for libraries that open files by their names.
+    """Check that a file is regular and not too large, for libraries that open files by name.
 
     Args:
         path: The file.
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: Missing, not a regular file, or larger.
+        InvalidFile: If the file is missing, not regular, or larger.
     """
-    with _told(path):
+    with _named_errors(path):
         _check(path, path.stat(), most)
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The content of a regular file.
+    """Return the content of a regular file.
 
     Args:
         path: The file.
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: It cannot be read, is not a regular file, or is larger.
+        InvalidFile: If the file cannot be read, is not regular, or is larger.
     """
-    with _told(path):
-        # Opening a device may act on it, and opening a pipe waits; so the name is asked before, and what was opened
-        # again, as the name may lead elsewhere by then.
+    with _named_errors(path):
+        # Opening a device may have side effects and opening a pipe blocks, so the path is checked first, and the opened
+        # file again, as the path may have changed in between.
         _check(path, path.stat(), most)
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY), "rb") as stream:
             _check(path, os.fstat(stream.fileno()), most)
-            content = stream.read(most + 1)  # files of the kernel say that they are empty, and others may grow
-        if content is None:  # such a file waits for something to happen
+            content = stream.read(most + 1)  # kernel files report size 0, and other files may grow
+        if content is None:  # the file would block
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         _check_size(path, len(content), most)
         return content
 
 
 def read_text(path: Path, most: int) -> str:
-    """The content of a regular file of UTF-8 text, without its byte order mark.
+    """Return the content of a regular UTF-8 text file, without byte order mark.
 
     Args:
         path: The file.
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: It cannot be read, is not a regular file, is larger, or is not UTF-8.
+        InvalidFile: If the file cannot be read, is not regular, is larger, or is not UTF-8.
     """
     content = read_bytes(path, most)
     try:
@@ -119,12 +117,11 @@ def read_text(path: Path, most: int) -> str:
 
 
 def parse_json(text: str) -> object:
-    """The value of a strict JSON text.
+    """Return the value of a strict JSON text.
 
     Raises:
-        ValueError: Not JSON (`json.JSONDecodeError`), a key that stands twice in an object, half a character of two
-            escapes, a number that is not finite or has too many digits, nested too deeply, or more values than two
-            million.
+        ValueError: If the text is not JSON (`json.JSONDecodeError`), has a repeated key, an unpaired surrogate escape,
+            a number that is not finite or too long, is nested too deeply, or has more than two million values.
     """
     check_json_size(text)
     try:
@@ -133,7 +130,7 @@ def parse_json(text: str) -> object:
         )
     except RecursionError:
         raise ValueError("is nested too deeply") from None
-    if _HALF_CHARACTER.search(text):  # only an escape makes one, and no such text can be printed or written
+    if _HALF_CHARACTER.search(text):  # such text cannot be encoded
         try:
             json.dumps(value, ensure_ascii=False).encode()
         except UnicodeEncodeError:
@@ -142,14 +139,14 @@ def parse_json(text: str) -> object:
 
 
 def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
-    """Refuse JSON of more values than may be made of it, before any is.
+    """Check the number of values of a JSON text before it is parsed.
 
     Args:
-        text: The JSON.
-        most: How many values it may hold; a tenth of them may be objects.
+        text: The JSON text.
+        most: Largest number of values; a tenth of them may be objects.
 
     Raises:
-        ValueError: It holds more.
+        ValueError: If the text has more values.
     """
     begins = text.count(",") + text.count("[") + text.count("{")
     if begins > most or text.count("{") > most // 10:
@@ -157,11 +154,11 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """An object; readers of a repeated key differ in which value they take, so it is refused."""
+    """Return an object; repeated keys are refused, as parsers differ in the value they keep."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"key {shown(key)} stands twice in one object")
+            raise ValueError(f"key {shown(key)} is repeated in one object")
         found[key] = value
     return found
 
@@ -178,13 +175,13 @@ def _finite(digits: str) -> float:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """What the system says, with the name of the file."""
+def _named_errors(path: Path) -> Iterator[None]:
+    """Convert errors of the operating system to `InvalidFile` with the name of the file."""
     try:
         yield
     except OSError as error:
         raise InvalidFile(f"{_name(path)}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:  # a name with a zero byte
+    except ValueError as error:  # a path with a null byte
         raise InvalidFile(f"{_name(path)}: cannot be read: {error}") from None
 
 
@@ -201,6 +198,6 @@ def _check_size(path: Path, size: int, most: int) -> None:
 
 
 def _name(path: Path) -> str:
-    """The name on one line; of a long one the end, which tells most."""
+    """The name on one line; only the end of a long name."""
     text = printable(str(path))
     return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

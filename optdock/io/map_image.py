@@ -1,4 +1,4 @@
-"""Grey values of map images, by Pillow; the header is judged before any memory is taken for the pixels."""
+"""Grey values of map images; the header is checked before memory is allocated for the pixels."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ GreyArray: TypeAlias = NDArray[np.uint8]
 
 MAX_PIXELS = 25_000_000  # 5000 x 5000 cells, 250 m x 250 m at 5 cm; less than a second and 400 MB in any format
 _MAX_PLAIN_PIXELS = 2_000_000  # 0.3 us each
-_BAND = 256  # rows that are converted at a time, as colours take four times the memory of what is made of them
+_BAND = 256  # rows converted at a time; colours take four times the memory of grey values
 
-# What maps come in; Pillow knows others, some of which call programs.
+# Other formats of Pillow may call external programs.
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF")
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N")
 _FROM_DEEP = readonly(((np.arange(65536) * 510 + 65535) // (2 * 65535)).astype(np.uint8))
-# What Pillow's decoders raise on damaged files.
+# Raised by Pillow's decoders for damaged files.
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, OverflowError, IndexError, TypeError, struct.error, zlib.error)
 
 
 class GreyImage(NamedTuple):
-    """An image as map_server sees it.
+    """Grey values of an image as map_server reads them.
 
     Attributes:
         grey: Shape (height, width), 0 black to 255 white; row 0 is the top.
-        transparent: Shape (height, width), where alpha is below full; None without an alpha channel.
-        maxval: Largest value that the file can hold, 255 for 8 bit; other scales have been brought to 0..255.
+        transparent: Shape (height, width), where alpha is below 255; None without an alpha channel.
+        maxval: Largest possible value of the file, 255 for 8 bit; `grey` is scaled to 0..255.
     """
 
     grey: GreyArray
@@ -55,10 +55,10 @@ class GreyImage(NamedTuple):
 
 
 def load_grey_image(path: Path) -> GreyImage:
-    """Read an image of at most `MAX_PIXELS` pixels; colours become their luma (ITU-R BT.601).
+    """Read an image of at most `MAX_PIXELS` pixels; colours are converted to luma (ITU-R BT.601).
 
     Raises:
-        InvalidFile: Missing, not an image, damaged, cut short, empty or too large.
+        InvalidFile: If the file is missing, not an image, damaged, truncated, empty or too large.
     """
     return _read(path, io.BytesIO(read_bytes(path, MostBytes.IMAGE)))
 
@@ -68,7 +68,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # `_check_size` is the limit; damage is an error or does not matter
+            warnings.simplefilter("ignore")  # `_check_size` limits the size; damage is an error or harmless
             image = Image.open(stream, formats=_FORMATS)
             _check_size(path, image.width, image.height)
             maxval = _largest_value(image, stream)
@@ -89,9 +89,9 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
-    """The largest value that the file can hold; a PGM may say another one than 255 or 65535.
+    """Return the largest possible value of the file; that of a PGM may differ from 255 and 65535.
 
-    Pillow refuses larger values of a plain PGM, but takes those of a raw one for white: they are looked for here.
+    Pillow refuses larger values in a plain PGM but reads those of a raw PGM as white, so they are checked here.
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
     if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:

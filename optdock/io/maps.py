@@ -1,4 +1,4 @@
-"""Maps of map_server: a YAML file and an image, as Nav2's `map_io` reads them."""
+"""Maps of map_server, a YAML file and an image, read as by Nav2's `map_io`."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ __all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image", "save_map"]
 logger = logging.getLogger(__name__)
 
 _PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff")
-_SAVER_FREE, _SAVER_UNKNOWN, _SAVER_OCCUPIED = 254, 205, 0  # the greys that map_saver writes
+_SAVER_FREE, _SAVER_UNKNOWN, _SAVER_OCCUPIED = 254, 205, 0  # grey values written by map_saver
 
 
 class MapMode(str, Enum):
-    """How grey values become occupancies."""
+    """Conversion of grey values to occupancies."""
 
     TRINARY = "trinary"
     SCALE = "scale"
@@ -94,7 +94,7 @@ Probability: TypeAlias = Annotated[float, BeforeValidator(_probability)]
 
 
 class MapInfo(BaseModel):
-    """The content of a map's YAML file; keys that map_server does not know are ignored, as it ignores them.
+    """Content of the YAML file of a map; unknown keys are ignored, as by map_server.
 
     Attributes:
         image: Name of the image, relative to the file's folder or absolute.
@@ -103,7 +103,7 @@ class MapInfo(BaseModel):
         negate: Whether white is occupied and black free.
         occupied_thresh: Occupancy probability from which a cell is occupied.
         free_thresh: Occupancy probability up to which a cell is free.
-        mode: How grey values become occupancies.
+        mode: Conversion of grey values to occupancies.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -132,12 +132,12 @@ def load_map(path: str | Path) -> OccupancyGrid:
         path: The YAML file.
 
     Raises:
-        InvalidFile: The YAML file or the image breaks the format; every fault in both is listed.
+        InvalidFile: If the YAML file or the image breaks the format; every fault is listed.
     """
     _refuse_picture(Path(path))
     document = load_yaml(path)
     if not isinstance(document.value, Mapping):
-        # Only the kind: the name of a map may lead to any file, whose content must not be printed.
+        # Only the type is printed, as the file may be any file with confidential content.
         kind = "a list" if isinstance(document.value, list) else "text or a number"
         raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {kind}"))
     faults: list[Fault] = []
@@ -150,22 +150,22 @@ def load_map(path: str | Path) -> OccupancyGrid:
     _warn_of_free_unknowns(path, info, image)
     try:
         return OccupancyGrid(occupancy_from_image(image, info), info.resolution, info.origin)
-    except InvalidValue as error:  # a map whose far corner is not a finite number
+    except InvalidValue as error:  # the far corner is not finite
         raise InvalidFile(f"{path}: {error}") from error
 
 
 def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
-    """Write what a costmap blocks as a map: lethal cells occupied, unknown ones unknown, all others free.
+    """Write a costmap as a map: lethal cells are occupied, unknown cells unknown, all others free.
 
     Args:
-        target: The YAML file; the image is beside it, with the suffix `.pgm`.
-        costmap: What to write.
+        target: The YAML file; the image has the same name with the suffix `.pgm`.
+        costmap: The costmap.
 
     Returns:
-        Both files, the YAML first.
+        The YAML file and the image file.
 
     Raises:
-        InvalidFile: A file cannot be written.
+        InvalidFile: If a file cannot be written.
     """
     target = Path(target)
     image = target.with_suffix(".pgm")
@@ -184,10 +184,10 @@ def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
 
 
 def _refuse_picture(path: Path) -> None:
-    """A map's picture in the place of its YAML file is refused by its suffix, with the name of that file."""
+    """Refuse an image given instead of the YAML file, and name the YAML file."""
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
-        named = f"beside it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
+        named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
         raise InvalidFile(f"{path}: is a picture; name the YAML file {named}")
 
 
@@ -200,7 +200,7 @@ def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:
 
 
 def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
-    """The image, read also where another key is wrong, so that its faults are reported with the others."""
+    """Return the image, also if another key is wrong, so that all faults are reported."""
     name = document.value.get("image") if isinstance(document.value, Mapping) else None
     if not (isinstance(name, str) and name):
         return None
@@ -212,7 +212,7 @@ def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
 
 
 def occupancy_from_image(image: GreyImage, info: MapInfo) -> OccupancyArray:
-    """Occupancies of an image, Shape (rows, columns), row 0 the lowest (the image's last).
+    """Return the occupancies of an image, Shape (rows, columns); row 0 is the last row of the image.
 
     With v the grey value, p = (255 - v) / 255, or v / 255 when negated: occupied from `occupied_thresh` on, free up to
     `free_thresh`; between them unknown (trinary) or 100 (p - free) / (occupied - free) rounded (scale). Transparent

@@ -1,8 +1,7 @@
-"""Numbers in files: what counts as one, and which are only plausible in another unit: degrees, millimetres, km/h.
+"""Checks of numbers in files and options: type, and values that indicate another unit (degrees, millimetres, km/h).
 
-Files and options are in SI units, and a yaw of 90 or a footprint of 800 is a slip that no later rule would name. So
-such numbers are refused where they enter. Values inside the library may be whatever they are: yaws that went on
-turning along a path have no bound.
+Files and options use SI units; a yaw of 90 or a footprint of 800 is refused on input. Values inside the library are not
+bounded: the yaw along a path may exceed a full turn.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ __all__ = ["MOST_POLYGONS", "check_outline", "check_speed", "check_vertices", "c
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value read from a file is a number that a float can hold; booleans are none, NaN and infinity are.
+    """Whether a value of a file is a number in the range of float; NaN and infinity count, booleans do not.
 
     >>> is_number(3), is_number(True), is_number(10**400)
     (True, False, False)
@@ -30,18 +29,17 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, float) or abs(value) <= sys.float_info.max
 
 
-# Cutting a polygon into convex pieces takes a time that grows with its square: 0.1 s for as many vertices as this in
-# zigzag, 0.3 ms for a triangle. What is larger is a map, and better given as one.
+# Convex decomposition takes quadratic time: 0.1 s for a zigzag of 300 vertices, 0.3 ms for a triangle.
 _MOST_VERTICES = 300
 MOST_POLYGONS = 2000  # in a file
 MAX_YAW = 2.0 * math.pi  # [rad]
-MAX_SPEED = 50.0  # [m/s]; nothing docks at 180 km/h
+MAX_SPEED = 50.0  # [m/s]
 MAX_OUTLINE = 50.0  # [m] from the origin of the robot or the dock
-_ROUNDING = 1e-3  # [rad]: people write a full turn as 6.2832 or 6.284
+_ROUNDING = 1e-3  # [rad]: a full turn may be written as 6.2832 or 6.284
 
 
 def unit_fault(value: float, unit: str) -> str:
-    """What to ask about a number given in `rad`, `m/s` or `m` (of an outline); empty for a plausible one, or infinity.
+    """Return why a number in `rad`, `m/s` or `m` (of an outline) is implausible, or an empty string.
 
     >>> unit_fault(90.0, "rad")
     '90 is beyond 2 pi; degrees? write radians, 1.5708'
@@ -57,37 +55,37 @@ def unit_fault(value: float, unit: str) -> str:
 
 
 def check_yaw(yaw: float) -> None:
-    """Refuse a yaw beyond a full turn [rad].
+    """Check that a yaw [rad] is within a full turn.
 
     Raises:
-        InvalidValue: It is; the message asks whether it is in degrees.
+        InvalidValue: If it is not; the message suggests degrees.
     """
     _refuse("yaw", yaw, "rad")
 
 
 def check_speed(speed: float) -> None:
-    """Refuse a speed that no robot docks with [m/s]; infinity means that there is no limit.
+    """Check that a speed [m/s] is plausible; infinity means unlimited.
 
     Raises:
-        InvalidValue: It is beyond 50 m/s; the message asks for the unit.
+        InvalidValue: If it exceeds 50 m/s; the message suggests other units.
     """
     _refuse("speed", speed, "m/s")
 
 
 def check_outline(outline: Footprint) -> None:
-    """Refuse an outline that reaches further than any robot or dock.
+    """Check that the size of an outline is plausible.
 
     Raises:
-        InvalidValue: A vertex is more than 50 m from the origin; the message asks for the unit.
+        InvalidValue: If a vertex is more than 50 m from the origin; the message suggests other units.
     """
     _refuse("a vertex at", outline.circumscribed_radius, "m")
 
 
 def check_vertices(value: object) -> None:
-    """Refuse a list of more vertices than an obstacle or an outline in a file may have.
+    """Check the number of vertices of an obstacle or outline.
 
     Raises:
-        InvalidValue: There are more than 300.
+        InvalidValue: If there are more than 300.
     """
     if isinstance(value, list) and len(value) > _MOST_VERTICES:
         raise InvalidValue(f"must have at most {_MOST_VERTICES} vertices, got {len(value)}")

@@ -1,8 +1,8 @@
-"""Paths as columns of numbers: how plan files hold them.
+"""Paths as columns of numbers in plan files.
 
-The samples alone make a polyline. Where the exact curves stand beside them (`segments`), they are the path, and the
-samples must lie on it. A program that rounds all numbers of a file rounds those of the curves too, and they miss their
-samples and their goal; then the samples are the path.
+Samples alone are read as a polyline. Exact curves in addition to the samples (`segments`) are the path, and the samples
+must lie on it. If a program has rounded the numbers of the curves, so that they miss their samples, the samples are
+used.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ logger = logging.getLogger(__name__)
 
 # Samples of an exact path may differ from it by this much [m, rad].
 AGREEMENT = 1e-6
-_ROUNDED = 1e-4  # [m, rad]: where rounded curves may end beside their last sample
+_ROUNDED = 1e-4  # [m, rad]: largest deviation of rounded curves from their samples
 _STILL = 1e-9  # [m]: shorter steps carry no direction
-_CURVATURE = 0.01  # [1/m], and of its size: what the curvature of samples may be off beside that of their steps
-_ENOUGH = 3  # steps that show which unit yaws are in
+_CURVATURE = 0.01  # [1/m] and relative: tolerance of sampled curvatures
+_ENOUGH = 3  # steps needed to determine the unit of yaws
 _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
 
 def _no_boolean(value: object) -> object:
-    """JSON's true is not a gear, though Python counts it as 1."""
+    """Reject booleans, which Python compares equal to 1."""
     return repr(value) if isinstance(value, bool) else value
 
 
 Gear: TypeAlias = Annotated[Literal[1, -1], BeforeValidator(_no_boolean)]
-GearOrTurn: TypeAlias = Annotated[Literal[1, -1, 0], BeforeValidator(_no_boolean)]  # 0: it turns in place
-# Numbers beyond this are not plan of anything; a polyline that turns in place has this curvature.
+GearOrTurn: TypeAlias = Annotated[Literal[1, -1, 0], BeforeValidator(_no_boolean)]  # 0: turn in place
+# The curvature of a polyline that turns in place is 1e9.
 Number: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Json: TypeAlias = Mapping[str, object]
 
@@ -71,7 +71,7 @@ class _Polyline(_Columns):
 
 
 class _TurnColumns(_Columns):
-    """A turn in place: where it begins [m, m, rad], and by how much [rad]."""
+    """A turn in place: start pose [m, m, rad] and angle [rad]."""
 
     start: Annotated[list[Number], Field(min_length=3, max_length=3)]
     turn: Number
@@ -81,7 +81,7 @@ _Curve: TypeAlias = _Clothoid | _Polyline | _TurnColumns
 
 
 class PathColumns(_Columns):
-    """A path as a plan file holds it; s [m], curvature [1/m] and direction may be missing in files of others."""
+    """A path in a plan file; s [m], curvature [1/m] and direction are optional."""
 
     s: list[Number] | None = None
     x: list[Number]
@@ -93,7 +93,7 @@ class PathColumns(_Columns):
 
 
 def path_columns(path: Path, spacing: float) -> dict[str, object]:
-    """The samples of `path`, at most `spacing` [m] apart, and its exact curves, as plain JSON values."""
+    """Return samples of a path, at most `spacing` [m] apart, and its exact curves as plain JSON values."""
     samples = path.sample(spacing)
     columns: dict[str, object] = {name: column.tolist() for name, column in samples._asdict().items()}
     return {**columns, "segments": [_curve(segment) for segment in path.segments]}
@@ -115,19 +115,19 @@ def _curve(segment: Segment) -> Json:
 
 
 def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
-    """The exact path where the columns hold its curves, the polyline through the samples otherwise.
+    """Return the exact path if the columns contain its curves, otherwise the polyline through the samples.
 
     Args:
-        columns: Samples and perhaps curves.
-        name: What the path is called in messages.
+        columns: Samples and optional curves.
+        name: Name of the path in messages.
 
     Returns:
-        The path, and whether it has its exact curves.
+        The path, and whether it is exact.
 
     Raises:
-        InvalidFile: Columns of differing length, fewer than two samples, an arc length that is shorter than the way,
-            a direction against the motion, or samples off their curves.
-        InvalidValue: The curves are none.
+        InvalidFile: If columns differ in length, there are fewer than two samples, the arc length is too short or too
+            long, a direction is opposite to the motion, or samples are off their curves.
+        InvalidValue: If the curves are invalid.
     """
     _check_lengths(columns, name)
     poses = np.column_stack((columns.x, columns.y, columns.yaw))
@@ -142,13 +142,13 @@ def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
     except InvalidFile as error:
         if not _are_rounded(columns, columns.segments, path, poses):
             raise
-        logger.warning("%s; the segments are rounded, so the samples count", error)
+        logger.warning("%s; the segments are rounded, so the samples are used", error)
         return path_from_columns(columns.model_copy(update={"segments": None}), name)
     return path, True
 
 
 def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
-    """Whether all numbers of the curves have at most six decimals, and no more than that keeps them off the samples."""
+    """Whether the numbers of the curves have at most six decimals and deviate from the samples by that rounding."""
     if columns.s is None or abs(columns.s[-1] - path.length) > _ROUNDED:
         return False
     apart, turned = _off_curves(np.array(columns.s), poses, path, _ROUNDED)
@@ -195,17 +195,17 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
         raise InvalidFile(f"{name}.s: must start at 0 m, got {columns.s[0]}")
     chord = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1]))
     rounding = AGREEMENT
-    if not columns.segments:  # samples are all there is, and may be rounded
+    if not columns.segments:  # samples alone may be rounded
         rounding = half_unit(np.array(columns.s)) + np.sqrt(2.0) * half_unit(poses[:, 0], poses[:, 1])
     short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * rounding)
     if short.size:
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
-    if columns.segments:  # they say more exactly how long it must be
+    if columns.segments:  # compared with the length of the curves
         return
     turn = np.abs(wrap_angles(np.diff(poses[:, 2])))
-    # Half a circle over its chord, as one step of a polyline may be; a turn in place may count what it has radians.
+    # A step of a polyline is at most a half circle; a turn in place may count its radians as length.
     longest = 0.5 * np.pi * chord + turn * (chord <= _STILL) + 2.0 * rounding
     long = np.flatnonzero(np.diff(columns.s) > longest)
     if long.size:
@@ -215,14 +215,14 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def _check_radians(poses: FloatArray, name: str) -> None:
-    """Yaws may have turned on beyond 2 pi; those that only as degrees point along the motion are in degrees."""
+    """Refuse yaws beyond 2 pi that are aligned with the motion only in degrees."""
     step = np.diff(poses[:, :2], axis=0)
     moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
     if np.count_nonzero(moving) < _ENOUGH or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
         return
     way = np.arctan2(step[moving, 1], step[moving, 0])
     ends = poses[:-1, 2][moving], poses[1:, 2][moving]
-    # Along the motion or against it, whichever gear that is.
+    # Forward or reverse.
     in_radians, in_degrees = (
         float(np.median(np.abs(np.sin(way - 0.5 * factor * (ends[0] + ends[1]))))) for factor in (1.0, np.pi / 180.0)
     )
@@ -242,7 +242,7 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
     gears, moving = np.where(ahead < 0.0, -1, 1), np.flatnonzero(moves)
     if not moving.size:
         return
-    # The steps before and after every sample, and the nearest ones among them in which the robot moves.
+    # Gears of the nearest moving steps before and after every sample.
     sample = np.arange(given.size)
     before = gears[moving[np.clip(np.searchsorted(moving, sample - 1, side="right") - 1, 0, None)]]
     after = gears[moving[np.clip(np.searchsorted(moving, sample), None, moving.size - 1)]]
@@ -255,18 +255,18 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
-    """Check that the curvature of samples lies among the quotients of turn and way around them.
+    """Check the curvature of samples against the quotients of turn and chord of the steps around them.
 
-    Of the two steps before a sample and the two after it the least and the largest count, widened by how far they are
-    apart and by what rounding makes of them. A sample near a turn in place may say anything. It holds for paths that
-    can be driven, whose curvature is a function; the corners of a guess may hide between its samples.
+    The range of the two steps before and the two after a sample is widened by its size and by the rounding. Samples
+    near a turn in place are not checked. The check applies to drivable paths only; raw paths may have corners between
+    samples.
 
     Args:
-        columns: Samples of a path without its curves.
-        name: What the path is called in messages.
+        columns: Samples of a path without curves.
+        name: Name of the path in messages.
 
     Raises:
-        InvalidFile: It does not.
+        InvalidFile: If a curvature is outside of the range.
     """
     if columns.curvature is None:
         return
@@ -296,7 +296,7 @@ def check_sampled_curvature(columns: PathColumns, name: str) -> None:
 
 def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: str) -> None:
     if columns.s is None:
-        raise InvalidFile(f"{name}.s: is needed beside {name}.segments")
+        raise InvalidFile(f"{name}.s: is required with {name}.segments")
     if abs(columns.s[-1] - path.length) > AGREEMENT:
         raise InvalidFile(f"{name}: samples end at s = {columns.s[-1]:.9g} m, segments at {path.length:.9g} m")
     apart, turned = _off_curves(np.array(columns.s), poses, path)
@@ -311,7 +311,7 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
 
 
 def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
-    """The gears of samples are those of their curves; at a cusp the first sample is before it, the last after it."""
+    """Compare the gears of samples with those of the curves; the first sample at a cusp is before it."""
     if columns.direction is None:
         return
     s, given = np.array(columns.s), np.array(columns.direction)
@@ -325,7 +325,7 @@ def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
 
 
 def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
-    """The curvature of samples is that of their curves; where that jumps, anything from one side to the other."""
+    """Compare the curvature of samples with that of the curves; at a jump, any value between both sides is accepted."""
     if columns.curvature is None:
         return
     s, given = np.array(columns.s), np.array(columns.curvature)
@@ -340,17 +340,17 @@ def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
 
 
 def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STILL) -> tuple[FloatArray, FloatArray]:
-    """How far samples at `s`, known to `near` [m], are off the curves, Shape (n,) [m] and [rad]."""
+    """Distances and turns of samples at `s`, accurate to `near` [m], from the curves, Shape (n,) [m] and [rad]."""
     exact = path.poses_at(s)
     apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
     turned = np.abs(wrap_angles(poses[:, 2] - exact[:, 2]))
-    # Where the robot turns in place many headings share one arc length; positions tell all there.
+    # At a turn in place of a polyline, many headings have the same arc length.
     turned[_distances_to(_turns_in_place(path), s) <= near] = 0.0
     return apart, turned
 
 
 def _turns_in_place(path: Path) -> FloatArray:
-    """Arc lengths at which a polyline turns without moving, increasing; Shape (k,) [m]."""
+    """Arc lengths of turns in place of polylines, increasing; Shape (k,) [m]."""
     still = [
         segment.knots[1:][np.diff(segment.knots) <= _STILL] + start
         for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)

@@ -1,4 +1,4 @@
-"""Plan files, format `optdock-plan/1`: strict JSON, written whole or not at all."""
+"""Plan files, format `optdock-plan/1`: strict JSON, written atomically."""
 
 from __future__ import annotations
 
@@ -53,24 +53,25 @@ DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED, UNKNOWN = "certified", "unknown"
 MAX_SAMPLES = 50_000  # of a path or a trajectory: 1 km, 1000 s; two paths and a trajectory of so many have 22 MB
-_MOST_UNKNOWN = 20  # keys that are named
-MAX_PHASES = 10_000  # of a time law; ours have some ten per gear
+_MOST_UNKNOWN = 20  # keys that are listed
+MAX_PHASES = 10_000  # of a time law; plans of optdock have about ten per gear
 
 T = TypeVar("T")
-Time: TypeAlias = Annotated[float, Field(ge=-1e11, le=1e11)]  # [s], some thousand years
+D = TypeVar("D")
+Time: TypeAlias = Annotated[float, Field(ge=-1e11, le=1e11)]  # [s]
 
 
 class TrajectoryColumns(SampledMotion):
-    """The samples of a timed motion, as a plan file holds them."""
+    """Samples of a timed motion in a plan file."""
 
     __slots__ = ()
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, period: float) -> TrajectoryColumns:
-        """Samples at most `period` [s] apart, ends and cusps included.
+        """Sample a motion at most `period` [s] apart, ends and cusps included.
 
         Raises:
-            InvalidValue: The period is not > 0, or so small that there would be over `MAX_SAMPLES`.
+            InvalidValue: If the period is not > 0 or gives more than `MAX_SAMPLES` samples.
         """
         _check_step("period", period, "s", trajectory.duration)
         samples = trajectory.sample(period)
@@ -78,7 +79,7 @@ class TrajectoryColumns(SampledMotion):
 
 
 class PlanError(NamedTuple):
-    """Why there is no certified plan: Nav2's action error code, a sentence, and what locates the fault."""
+    """Reason of a failed plan: error code of Nav2's action, message, and location data."""
 
     code: int
     message: str
@@ -86,32 +87,32 @@ class PlanError(NamedTuple):
 
     @classmethod
     def from_exception(cls, error: OptdockError) -> PlanError:
-        """What a plan file says about an exception."""
+        """Return the entry of an exception."""
         return cls(error.code, str(error), error.where)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanFile:
-    """The content of a plan file; what does not exist is None.
+    """Content of a plan file; missing parts are None.
 
     Args:
         status: `certified`, or the name of the error that ended the planning.
-        completed: False when the deadline cut the work short.
+        completed: False if the deadline ended the planning early.
         frame: Name of the coordinate frame.
-        raw_path: What the planner proposed.
-        path: What the smoother made of it.
+        raw_path: Path of the planner.
+        path: Smoothed path.
         trajectory: The timed motion, sampled.
-        time_law: The exact motion that the samples are of; None: they are all that is known.
-        certificate: The proof in numbers, as `Certificate.as_dict` gives it.
+        time_law: Exact time law of the samples; None if only the samples are known.
+        certificate: Values of the certificate, see `Certificate.as_dict`.
         timing_ms: Milliseconds per stage.
-        error: Why there is no certified plan.
-        tried: Every guess that was tried, and what became of it, as `Attempt.as_dict` gives it.
-        impossibility: The proof that there can be none.
-        unjudged: Names of what a file that was read holds and nothing can be compared with: keys that this format does
-            not have, the curvature of a guess without its curves.
+        error: Reason of the failure.
+        tried: Guesses that were tried and their results, see `Attempt.as_dict`.
+        impossibility: Proof that no plan exists.
+        unjudged: Names of values in a file that cannot be checked: unknown keys, and the curvature of a raw path
+            without exact curves.
 
     Raises:
-        InvalidPath: A path names another frame.
+        InvalidPath: If a path has another frame.
     """
 
     status: str = CERTIFIED
@@ -139,14 +140,14 @@ class PlanFile:
         return f"<PlanFile {self.status}{reason}, with {', '.join(has) or 'nothing'} in {self.frame!r}>"
 
     def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
-        """The file's text.
+        """Return the text of the file.
 
         Args:
             spacing: Largest distance between path samples [m].
 
         Raises:
-            InvalidValue: A number of a path or trajectory is not finite, or the spacing is not > 0, or so small that
-                there would be over `MAX_SAMPLES`.
+            InvalidValue: If a number of a path or trajectory is not finite, or the spacing is not > 0 or gives more
+                than `MAX_SAMPLES` samples.
         """
         paths = {name: path for name, path in (("raw_path", self.raw_path), ("path", self.path)) if path is not None}
         _check_step("spacing", spacing, "m", max((path.length for path in paths.values()), default=0.0))
@@ -167,7 +168,7 @@ class PlanFile:
 
 
 def _phases(law: TimeLaw) -> Mapping[str, object]:
-    """A time law as plain JSON values."""
+    """Return a time law as plain JSON values."""
     start = [law.start_s, law.start_speed, law.start_acceleration]
     return {"start": start, "durations": law.durations.tolist(), "jerks": law.jerks.tolist()}
 
@@ -183,7 +184,7 @@ def _check_step(name: str, step: float, unit: str, extent: float) -> None:
 
 
 def finite_or_null(value: object) -> object:
-    """Plain JSON values; arrays become lists, and a number that is not finite becomes null."""
+    """Convert to plain JSON values: arrays become lists, numbers that are not finite become null."""
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, Mapping):
@@ -196,10 +197,10 @@ def finite_or_null(value: object) -> object:
 
 
 def strict_json(document: Mapping[str, object]) -> str:
-    """One key of the top level per line; NaN and infinity, which JSON does not know, are refused.
+    """Return strict JSON with one top-level key per line.
 
     Raises:
-        InvalidValue: A number is not finite.
+        InvalidValue: If a number is not finite.
     """
     try:
         lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in document.items()]
@@ -212,13 +213,13 @@ def save_plan(target: str | FilePath, plan: PlanFile, *, spacing: float = DEFAUL
     """Write a plan file.
 
     Args:
-        target: Where.
-        plan: What.
+        target: The file.
+        plan: Its content.
         spacing: Largest distance between path samples [m].
 
     Raises:
-        InvalidFile: The file cannot be written.
-        InvalidValue: A number is not finite; nothing has been written then.
+        InvalidFile: If the file cannot be written.
+        InvalidValue: If a number is not finite; nothing is written then.
     """
     write_text(FilePath(target), plan.as_json(spacing=spacing))
 
@@ -230,10 +231,10 @@ _CSV_UNITS = {
 
 
 def save_columns_csv(target: str | FilePath, columns: SampledMotion) -> None:
-    """Write a sampled motion as CSV: a row of names with units, then a row per sample, with all digits.
+    """Write a sampled motion as CSV: a header with units, then one row per sample with all digits.
 
     Raises:
-        InvalidFile: The file cannot be written.
+        InvalidFile: If the file cannot be written.
     """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
@@ -268,7 +269,7 @@ class _TrajectoryDocument(_Model):
 
 
 class _Open(_Model):
-    """What others may add to is kept as it is."""
+    """Documents whose unknown keys are kept."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False)
 
@@ -277,7 +278,7 @@ _Positive: TypeAlias = Annotated[float, Field(ge=0.0, le=1e12)]
 
 
 class _VerdictDocument(_Open):
-    """What both certificates have."""
+    """Keys of both certificates."""
 
     certified: bool | None = None
     path: str | None = None
@@ -290,7 +291,7 @@ class _MotionCertificateDocument(_VerdictDocument):
 
 
 class _CertificateDocument(_VerdictDocument):
-    """The numbers of `Certificate`; null stands for infinity."""
+    """Values of `Certificate`; null means infinity."""
 
     min_clearance: Number | None = None
     required_clearance: Number | None = None
@@ -309,7 +310,7 @@ class _CertificateDocument(_VerdictDocument):
 
 
 class _AttemptDocument(_Open):
-    """A guess, and what became of it, as `Attempt.as_dict` gives it."""
+    """A guess and its result, see `Attempt.as_dict`."""
 
     stage: str | None = None
     length: _Positive | None = None
@@ -341,37 +342,37 @@ class _PlanDocument(_Model):
 
 
 def load_plan(source: str | FilePath) -> PlanFile:
-    """Read a plan file, also one that optdock did not write; keys it does not know are ignored.
+    """Read a plan file from any source; unknown keys are ignored.
 
     Raises:
-        InvalidFile: The file cannot be read, is not strict JSON, or breaks the format; the message lists every fault.
+        InvalidFile: If the file cannot be read, is not strict JSON, or breaks the format; every fault is listed.
     """
     source = FilePath(source)
     return parse_plan(read_text(source, MostBytes.JSON), str(source))
 
 
 def parse_plan(text: str, source: str) -> PlanFile:
-    """The content of a plan file that has been read.
+    """Parse the text of a plan file.
 
     Args:
-        text: Its content.
-        source: What it is called in messages.
+        text: Text of the file.
+        source: Name of the file for messages.
 
     Raises:
-        InvalidFile: It is not strict JSON, or breaks the format; the message lists every fault.
+        InvalidFile: If the text is not strict JSON or breaks the format; every fault is listed.
     """
     document, unknown = _parsed(text, source)
     faults: list[str] = []
-    raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
-    path = _built(lambda: _path(document.path, "path"), faults)
-    samples = document.path if path is not None and not path[1] else None
-    if samples is not None:
-        _built(lambda: check_sampled_curvature(samples, "path"), faults)
+    raw_path = _built(document.raw_path, lambda columns: path_from_columns(columns, "raw_path"), faults)
+    path = _built(document.path, lambda columns: path_from_columns(columns, "path"), faults)
+    if path is not None and not path[1]:
+        _built(document.path, lambda columns: check_sampled_curvature(columns, "path"), faults)
     if raw_path is not None and not raw_path[1]:
         unknown = (*unknown, "raw_path.curvature (of samples)")
-    trajectory = _built(lambda: _trajectory(document.trajectory), faults)
-    time_law = _built(lambda: _time_law(document.trajectory), faults)
-    proof = _built(lambda: _impossibility(document.impossibility), faults)
+    trajectory = _built(document.trajectory, _trajectory, faults)
+    phases = None if document.trajectory is None else document.trajectory.phases
+    time_law = _built(phases, _time_law, faults)
+    proof = _built(document.impossibility, impossibility_from_dict, faults)
     if faults:
         raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
     return PlanFile(
@@ -382,40 +383,26 @@ def parse_plan(text: str, source: str) -> PlanFile:
         path=None if path is None else path[0],
         trajectory=trajectory,
         time_law=time_law,
-        certificate=None if document.certificate is None else _as_written(document.certificate),
+        certificate=None if document.certificate is None else document.certificate.model_dump(exclude_unset=True),
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
         impossibility=proof,
-        tried=tuple(map(_as_written, document.tried)),
+        tried=tuple(attempt.model_dump(exclude_unset=True) for attempt in document.tried),
         unjudged=unknown,
     )
 
 
-def _built(build: Callable[[], T], faults: list[str]) -> T | None:
-    """What `build` makes; a fault in the file is noted, so that the next part can be tried."""
+def _built(document: D | None, build: Callable[[D], T], faults: list[str]) -> T | None:
+    """Return the result of `build`; an error is added to `faults`, so that other parts are checked as well."""
     try:
-        return build()
+        return None if document is None else build(document)
     except (InvalidFile, InvalidValue, InvalidPath) as error:
         faults.append(str(error))
         return None
 
 
-def _impossibility(values: Mapping[str, object] | None) -> NoMotionProof | None:
-    return None if values is None else impossibility_from_dict(values)
-
-
-def _path(columns: PathColumns | None, name: str) -> tuple[Path, bool] | None:
-    """The path, and whether it has its exact curves."""
-    return None if columns is None else path_from_columns(columns, name)
-
-
-def _as_written(document: BaseModel) -> dict[str, object]:
-    """What a file says, without what it does not say."""
-    return document.model_dump(exclude_unset=True)
-
-
 def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Iterator[str]:
-    """Keys that the models ignore, of the parts that are judged."""
+    """Keys ignored by the models of checked parts."""
     if not isinstance(values, dict):
         return
     for key, value in values.items():
@@ -427,7 +414,7 @@ def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Itera
 
 
 def _parsed(text: str, source: str) -> tuple[_PlanDocument, tuple[str, ...]]:
-    """The document, and the keys in it that it does not know."""
+    """The document and its unknown keys."""
     try:
         values = parse_json(text)
         document = _PlanDocument.model_validate(values)
@@ -435,13 +422,10 @@ def _parsed(text: str, source: str) -> tuple[_PlanDocument, tuple[str, ...]]:
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
-        raise InvalidFile(_faults(source, error)) from error
+        faults = [_fault(source, item) for item in error.errors(include_url=False)]
+        raise InvalidFile(listed(source, faults)) from error
     except ValueError as error:
         raise InvalidFile(f"{source}: not a plan file: {shortened(str(error))}") from error
-
-
-def _faults(source: str, error: ValidationError) -> str:
-    return listed(source, [_fault(source, item) for item in error.errors(include_url=False)])
 
 
 def _fault(source: str, item: Mapping[str, object]) -> str:
@@ -451,9 +435,7 @@ def _fault(source: str, item: Mapping[str, object]) -> str:
     return f"{source}: {shortened(place) or 'top level'}: {shortened(str(item['msg']))}{got}"
 
 
-def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | None:
-    if document is None:
-        return None
+def _trajectory(document: _TrajectoryDocument) -> TrajectoryColumns:
     values = {key: frozen_array(getattr(document, key), f"trajectory.{key}") for key in TrajectoryColumns._fields}
     count = values["t"].size
     for key, column in values.items():
@@ -466,12 +448,9 @@ def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | Non
     return TrajectoryColumns(**values)
 
 
-def _time_law(document: _TrajectoryDocument | None) -> TimeLaw | None:
-    if document is None or document.phases is None:
-        return None
-    phases = document.phases
+def _time_law(phases: _PhasesDocument) -> TimeLaw:
     durations, jerks = np.array(phases.durations), np.array(phases.jerks)
-    if durations.size == jerks.size:  # rounding may have made nothing of a short phase
+    if durations.size == jerks.size:  # short phases may be rounded to 0
         durations, jerks = durations[durations != 0.0], jerks[durations != 0.0]
     try:
         return TimeLaw(durations, jerks, *phases.start)

@@ -1,7 +1,6 @@
-"""How values from files are quoted in messages: on one line, printable, and short.
+"""Quoting of values in messages: on one line, printable and short.
 
-A file's own words may hold control characters or a million letters, and a file that is read by mistake may hold
-secrets.
+Text from files may contain control characters, be very long, or be confidential.
 """
 
 from __future__ import annotations
@@ -9,11 +8,11 @@ from __future__ import annotations
 __all__ = ["printable", "shortened", "shown"]
 
 _LONGEST_VALUE = 60  # characters of a value in a message
-_LONGEST_SENTENCE = 300  # that another library made of what it read
+_LONGEST_SENTENCE = 300  # characters of a message of another library
 
 
 def printable(text: str) -> str:
-    r"""The text on one line, with control characters written as escapes.
+    r"""Return the text on one line, with control characters as escapes.
 
     >>> print(printable("a\x1b[1m\nb"))
     a\x1b[1m\nb
@@ -22,13 +21,13 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """A sentence by others on one line, cut off after 300 characters."""
+    """Return a message of another library on one line, truncated after 300 characters."""
     line = printable(text[: _LONGEST_SENTENCE + 1])
     return line if len(text) <= _LONGEST_SENTENCE else f"{line[:_LONGEST_SENTENCE]}..."
 
 
 def shown(value: object) -> str:
-    """What a message quotes of a value: `repr` of it, cut off after 60 characters.
+    """Return the `repr` of a value for a message, truncated after 60 characters.
 
     >>> shown(-1.0), shown("a" * 1000)[-9:]
     ('-1.0', 'aaaaaa...')
@@ -37,6 +36,6 @@ def shown(value: object) -> str:
         value = value[: _LONGEST_VALUE + 1]
     try:
         text = printable(repr(value))
-    except (ValueError, RecursionError):  # Python refuses to write whole numbers of more than 4300 digits
+    except (ValueError, RecursionError):  # integers of more than 4300 digits
         text = f"a {type(value).__name__} too long to be written"
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

@@ -1,4 +1,4 @@
-"""Run files: what `optdock simulate` writes of a simulated drive, read back."""
+"""Run files: simulated drives written by `optdock simulate`."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class RunColumns(NamedTuple):
 
     Attributes:
         times: Shape (n,), rising [s].
-        poses: Where the robot was.
-        measured: Where its controller was told that it is.
-        planned: Where it was meant to be.
-        commands: Speed and yaw rate asked for [m/s, rad/s].
-        twists: Speed and yaw rate driven.
-        docked: Whether it arrived.
-        reason: Why not.
+        poses: True poses [m, m, rad].
+        measured: Poses measured for the controller.
+        planned: Poses of the plan.
+        commands: Commanded speed and yaw rate [m/s, rad/s].
+        twists: Driven speed and yaw rate [m/s, rad/s].
+        docked: Whether the robot docked.
+        reason: Reason of a failure.
     """
 
     times: FloatArray
@@ -70,7 +70,7 @@ def load_run(source: str | Path) -> RunColumns:
     """Read a run file.
 
     Raises:
-        InvalidFile: It cannot be read, is not a run file, lacks a column, or its columns differ in length.
+        InvalidFile: If the file cannot be read, is not a run file, lacks a column, or its columns differ in length.
     """
     source = Path(source)
     try:

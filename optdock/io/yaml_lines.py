@@ -1,7 +1,7 @@
-"""YAML with line numbers, so that a message can name the line that a value came from.
+"""YAML with line numbers for messages.
 
-A few bytes of YAML can stand for a great deal: aliases and merge keys repeat what they name, level by level. So the
-values of a file are counted before any is made: first those that are written out, then those that they expand to.
+Aliases and merge keys let a few bytes of YAML expand to a very large document, so the values are counted before any is
+constructed: first as written, then as expanded.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _MAX_FAULTS = 20  # that a message lists
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
-# What PyYAML's constructors let through on the date 2026-13-45, the number 0x_, an empty !!int or a wrong !!timestamp.
+# Raised by PyYAML's constructors for the date 2026-13-45, the number 0x_, an empty !!int or a wrong !!timestamp.
 _SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
-# Keys, numbers, ..., with those that aliases repeat; the largest parameter files have two thousand.
+# Scalars and collections, aliases expanded; the largest parameter files have two thousand.
 _MAX_VALUES = 50_000
-_MAX_NUMBER = 1000  # characters of what is not text; whole numbers in base 60 take a time that is quadratic in them
+_MAX_NUMBER = 1000  # characters of a value that is not text; integers in base 60 take quadratic time
 _LONGEST_LINE = 400  # characters of a message about one value
 
 
@@ -49,10 +49,10 @@ _Loader.add_implicit_resolver(
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A YAML file: its value and where everything in it stands.
+    """A YAML file: its value, and the lines of its keys.
 
     Args:
-        path: The file, as the caller named it.
+        path: Path of the file as given by the caller.
         value: Mappings, lists, strings, numbers, booleans, None.
         lines: Line of every key and list entry, counted from 1.
     """
@@ -62,7 +62,7 @@ class Document:
     lines: Mapping[Keys, int] = field(repr=False)
 
     def line_of(self, keys: Keys) -> int:
-        """Line of `("robot", "limits", "max_speed")`, or of the nearest enclosing entry that exists; the file is 1.
+        """Return the line of a key such as `("robot", "limits", "max_speed")`, or of its nearest enclosing key; else 1.
 
         >>> Document(Path("a.yaml"), {"a": {}}, {("a",): 3}).line_of(("a", "missing"))
         3
@@ -70,24 +70,24 @@ class Document:
         return next((self.lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in self.lines), 1)
 
     def fault(self, keys: Keys, message: str) -> str:
-        """One line of an error message: `file:line: dotted.key: message`.
+        """Return one line of an error message: `file:line: dotted.key: message`.
 
         >>> Document(Path("a.yaml"), {"v": -1}, {("v",): 7}).fault(("v",), "must be > 0, got -1")
         'a.yaml:7: v: must be > 0, got -1'
         """
         name = ".".join(str(key) for key in keys)
         place = f"{self.path}:{self.line_of(keys)}: " if keys else f"{self.path}: "
-        said = printable(f"{name}: {message}" if keys else message)
-        return place + (said if len(said) <= _LONGEST_LINE else f"{said[:_LONGEST_LINE]}...")
+        text = printable(f"{name}: {message}" if keys else message)
+        return place + (text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]}...")
 
 
 def load_yaml(path: str | Path) -> Document:
     """Read one YAML document.
 
     Raises:
-        InvalidFile: Unreadable, not a regular file, not UTF-8, not YAML, empty, more than one document, repeated keys,
-            keys that are neither text nor whole numbers, entries that contain themselves, or more values than 50,000,
-            aliases counted as what they stand for; every repeated key is listed.
+        InvalidFile: If the file is unreadable, not regular, not UTF-8, not YAML, empty, has more than one document,
+            repeated keys, keys that are neither text nor integers, entries that contain themselves, or more than 50,000
+            values with aliases expanded; every repeated key is listed.
     """
     path = Path(path)
     text = read_text(path, MostBytes.YAML)
@@ -116,11 +116,11 @@ def load_yaml(path: str | Path) -> Document:
 
 
 def listed(source: str, lines: Sequence[str]) -> str:
-    """Lines of a message; of more than twenty the first, and how many more there are.
+    """Join the lines of a message; of more than twenty lines, the first and the number of the others.
 
     Args:
-        source: The file, for the last line.
-        lines: One per fault.
+        source: Name of the file for the last line.
+        lines: One line per fault.
     """
     if len(lines) <= _MAX_FAULTS:
         return "\n".join(lines)
@@ -131,21 +131,21 @@ def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
     if mark is not None and text[mark.index : mark.index + 1] == "\t":
-        return f"{where}: is not valid YAML: a tab stands where only spaces may; indent with spaces"
+        return f"{where}: is not valid YAML: a tab where only spaces are allowed; indent with spaces"
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
-    if "nesting depth" in reason:  # libyaml since PyYAML 6.0.4 has a limit of its own, which may be met first
+    if "nesting depth" in reason:  # limit of libyaml since PyYAML 6.0.4
         return f"{where}: is nested too deeply"
-    if reason.startswith("but "):  # the other half of the sentence
+    if reason.startswith("but "):  # second half of a sentence
         reason = f"{getattr(error, 'context', None)}, {reason}"
     return f"{where}: is not valid YAML: {shortened(reason)}"
 
 
 def _check_events(path: Path, text: str) -> None:
-    """Refuse a document that is nested so deeply or so long that making its nodes would take long.
+    """Check depth and number of values before nodes are constructed.
 
     Raises:
-        InvalidFile: It is.
-        YAMLError: It is not YAML; of what stands behind the limits nothing is known.
+        InvalidFile: If a limit is exceeded.
+        YAMLError: If the text before that is not YAML.
     """
     depth = values = 0
     for event in yaml.parse(text, Loader=_Loader):
@@ -160,12 +160,10 @@ def _check_events(path: Path, text: str) -> None:
 
 
 def _expanded(root: yaml.Node, path: Path) -> int:
-    """How many values the document holds with every alias and merge key replaced by what it stands for.
-
-    Every node is visited once, however often it is named.
+    """Return the number of values with every alias and merge key expanded; every node is visited once.
 
     Raises:
-        InvalidFile: It is nested too deeply, or contains itself.
+        InvalidFile: If the document is nested too deeply or contains itself.
     """
     sizes: dict[int, int] = {}
     around: set[int] = set()
@@ -190,7 +188,7 @@ def _expanded(root: yaml.Node, path: Path) -> int:
 
 
 class _Reader:
-    """Makes plain values of nodes: notes lines, finds repeated keys, refuses what cannot be a plain value."""
+    """Conversion of nodes to plain values; records lines and repeated keys."""
 
     def __init__(self, path: Path, loader: _Loader) -> None:
         self.lines: dict[Keys, int] = {}
@@ -211,7 +209,7 @@ class _Reader:
             )
         if is_first_visit:
             self._check_keys(node)
-            self._loader.flatten_mapping(node)  # replaces `<<` by what it merges
+            self._loader.flatten_mapping(node)  # expands `<<`
         return {key: self._entry(k, v, keys, key) for k, v in node.value for key in [self._key_of(k)]}
 
     def _entry(self, marked: yaml.Node, node: yaml.Node, outer: Keys, key: str | int) -> object:
@@ -239,8 +237,8 @@ class _Reader:
         try:
             key = self._made(node) if isinstance(node, yaml.ScalarNode) else None
         except _SCALAR_ERRORS as error:
-            said = shortened(str(error))
-            raise InvalidFile(f"{self._place(node)}: key {shown(node.value)} cannot be read: {said}") from error
+            reason = shortened(str(error))
+            raise InvalidFile(f"{self._place(node)}: key {shown(node.value)} cannot be read: {reason}") from error
         if isinstance(key, (str, int)) and not isinstance(key, bool):
             return key
         text = shown(node.value) if isinstance(node, yaml.ScalarNode) else "a collection"
@@ -254,6 +252,6 @@ class _Reader:
             key = self._key_of(key_node)
             if key in first:
                 self.faults.append(
-                    f"{self._place(key_node)}: {shortened(str(key))}: stands here again; first in line {first[key]}"
+                    f"{self._place(key_node)}: {shortened(str(key))}: is repeated; first in line {first[key]}"
                 )
             first.setdefault(key, key_node.start_mark.line + 1)

@@ -1,13 +1,12 @@
 """Pictures of plans, motions and runs; needs the extra `plot`.
 
-Nothing here changes a result: every function takes finished values and writes one file.
+Every function draws finished values into one file.
 """
 
 from optdock.plotting.animation import save_animation
-from optdock.plotting.docking_picture import save_docking_picture
 from optdock.plotting.plan_picture import PlanDrawing, plan_picture_png, save_plan_picture, show_plan_picture
 from optdock.plotting.profile_picture import save_profile_picture
-from optdock.plotting.run_picture import save_run_picture
+from optdock.plotting.run_picture import save_docking_picture, save_run_picture
 
 __all__ = [
     "PlanDrawing",

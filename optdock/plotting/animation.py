@@ -1,15 +1,15 @@
-"""The robot driving, as an animated GIF."""
+"""Animated GIF of a drive."""
 
 from __future__ import annotations
 
-from math import ceil
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.geometry.pose import transform_points
+from optdock.io.atomic_file import replacing
 from optdock.plotting.canvas import COLOURS, DPI, canvas_of, new_figure
-from optdock.plotting.gif import frame_count, save_gif
 from optdock.plotting.scene import OutlineStyle, draw_footprints, draw_scene, view_of
 
 if TYPE_CHECKING:
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
 
-__all__ = ["save_animation"]
+__all__ = ["frame_count", "save_animation", "save_gif"]
 
-_APART = 0.15  # [m] between the outlines that the robot leaves behind
+_APART = 0.15  # [m] between outlines that stay in the picture
+_FRAME_TIME = 0.1  # [s]
+_MOST_FRAMES = 150
+_HOLD = 1500  # [ms] on the last frame
 _BORDER = 0.06  # [inch] of white around the axes
 
 
@@ -34,14 +37,14 @@ def save_animation(
     poses: FloatArray,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Draw the robot driving, and what it swept, ten frames a second, faster where the drive is long.
+    """Draw the drive and the swept area with ten frames per second; long drives are shown faster.
 
     Args:
-        target: Where; a GIF.
-        problem: What was planned.
-        times: Shape (n,) [s].
-        poses: Shape (n, 3), at those times.
-        on_frame: Called with the number of frames done and to do.
+        target: GIF file to write.
+        problem: The docking problem.
+        times: Times of the poses, Shape (n,) [s].
+        poses: Driven poses, Shape (n, 3) [m, m, rad].
+        on_frame: Callback with the number of finished frames and of all frames.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
@@ -58,8 +61,32 @@ def save_animation(
     save_gif(target, frames, float(times[-1]))
 
 
+def frame_count(duration: float) -> int:
+    """Number of frames of a drive [s]: ten per second, at most 150."""
+    return min(max(math.ceil(duration / _FRAME_TIME), 2), _MOST_FRAMES)
+
+
+def save_gif(target: str | Path, frames: list[Image], duration: float) -> None:
+    """Write frames that last `duration` [s], at least ten per second, as a loop with a pause on the last frame.
+
+    Raises:
+        InvalidFile: If the file cannot be written.
+    """
+    step = int(1e3 * min(duration / len(frames), _FRAME_TIME))
+    with replacing(target) as temporary:
+        frames[0].save(
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=[step] * (len(frames) - 1) + [_HOLD],
+            loop=0,
+            disposal=1,
+        )
+
+
 class _Stage:
-    """The scene, drawn once, and the robot, drawn anew on it for every frame."""
+    """The scene, drawn once, and the robot, drawn for every frame."""
 
     def __init__(self, problem: DockingProblem, poses: FloatArray) -> None:
         view = view_of(problem, [poses])
@@ -79,7 +106,7 @@ class _Stage:
         self._crop = (
             max(0, int(left)),
             max(0, int(high - top)),
-            min(int(wide), ceil(right)),
+            min(int(wide), math.ceil(right)),
             int(high - max(0.0, bottom)),
         )
         (self._outline,) = self._axes.fill(
@@ -88,9 +115,9 @@ class _Stage:
         (self._trace,) = self._axes.fill(
             [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fill=False, edgecolor=COLOURS["robot"], linewidth=0.6
         )
-        self._left_behind: FloatArray | None = None  # the pose whose outline was drawn last
+        self._left_behind: FloatArray | None = None  # pose of the last outline that stays
         (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
-        self._palette: Image | None = None  # of the first frame, which shows every colour there will be
+        self._palette: Image | None = None  # of the first frame, which has all colours
         self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
 
     def frame(self, pose: FloatArray, clock: str) -> Image:

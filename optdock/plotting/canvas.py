@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["COLOURS", "DPI", "canvas_of", "entitle", "format_of", "legend_below", "new_figure", "save_figure"]
 
 DPI = 110
-# Widths of text [inch]: a letter of a title and of a legend, and what a legend puts before and after a label.
+# Widths [inch] of a letter of a title, of a letter of a legend, and of the handle and padding of a legend entry.
 _TITLE_LETTER, _LEGEND_LETTER, _LEGEND_HANDLE = 0.085, 0.07, 0.65
-# Okabe and Ito's palette: told apart also by the colour-blind.
+# Okabe and Ito's palette, which colour-blind readers can distinguish.
 COLOURS = {
     "raw": "#E69F00",
     "path": "#0072B2",
@@ -35,7 +35,7 @@ COLOURS = {
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, size in inches.
+    """Return an empty figure, size in inches.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
@@ -48,20 +48,20 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def canvas_of(figure: Figure) -> FigureCanvasAgg:
-    """The pixels that a figure is drawn on."""
+    """Return the raster canvas of a figure."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     return FigureCanvasAgg(figure)
 
 
 def entitle(figure: Figure, title: str) -> None:
-    """Write a title above the figure, on as many lines as it needs, letter by letter: a $ in a file's name is a $."""
+    """Write a title above the figure, wrapped to its width; $ signs are literal."""
     columns = max(10, int(figure.get_figwidth() / _TITLE_LETTER))
     figure.suptitle(textwrap.fill(title, columns), fontsize=10, parse_math=False)
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """What the colours of `axes` mean, below the figure and never wider than it; equal labels once."""
+    """Add the legend of `axes` below the figure, at most as wide as the figure; equal labels appear once."""
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     widest = _LEGEND_HANDLE + _LEGEND_LETTER * max(map(len, handles), default=0)
     columns = max(1, min(len(handles), int(figure.get_figwidth() / widest)))
@@ -71,10 +71,10 @@ def legend_below(figure: Figure, axes: Axes) -> None:
 
 
 def format_of(target: str | Path) -> str:
-    """The picture format that the suffix of `target` names, PNG without one.
+    """Return the picture format of the suffix of `target`; PNG without a suffix.
 
     Raises:
-        InvalidValue: The suffix names no picture format.
+        InvalidValue: If the suffix is not that of a picture format.
         MissingExtra: Matplotlib is not installed.
     """
     known = canvas_of(new_figure(1.0, 1.0)).get_supported_filetypes()
@@ -85,11 +85,11 @@ def format_of(target: str | Path) -> str:
 
 
 def save_figure(figure: Figure, target: str | Path) -> None:
-    """Write a picture, whole or not at all; the suffix chooses the format, PNG without one.
+    """Write a picture atomically, in the format of the suffix; PNG without a suffix.
 
     Raises:
         InvalidFile: The file cannot be written.
-        InvalidValue: The suffix names no picture format.
+        InvalidValue: If the suffix is not that of a picture format.
     """
     kind = format_of(target)
     with replacing(target) as temporary:

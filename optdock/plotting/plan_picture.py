@@ -1,4 +1,4 @@
-"""The picture of a plan: where the robot drives and where it is tight."""
+"""Picture of a plan: paths, swept footprint and the closest pose."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from optdock.plotting.scene import (
     DRAWN_BY_THE_MAP,
     OutlineStyle,
     draw_arrow,
+    draw_cone,
     draw_footprints,
     draw_scene,
     draw_shapes,
     draw_sweep,
+    draw_view,
     view_of,
 )
-from optdock.plotting.view_drawing import draw_cone, draw_view
 from optdock.verification import TOLERANCE, pose_clearances
 
 if TYPE_CHECKING:
@@ -50,12 +51,12 @@ __all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_pi
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
-_OF_THE_VIEW = ("view", "approach_unseen")  # reasons of refusals
+_VIEW_REASONS = ("view", "approach_unseen")  # of refusals
 _FOOTPRINTS = 24  # drawn along a path at most
 
 
 class PlanDrawing(NamedTuple):
-    """What is drawn; see `save_plan_picture`."""
+    """Arguments of a drawing; see `save_plan_picture`."""
 
     problem: DockingProblem
     raw_path: Path | None = None
@@ -75,29 +76,29 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     refusal: OptdockError | None = None,
     title: str = "",
 ) -> None:
-    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or what stands in the way.
+    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the reason of a refusal.
 
-    Where the dock must be seen: its marker, and the cone of the camera at some poses of the path that must see it.
+    If the dock must be in view, its marker and the camera's cone at some poses of the path are drawn as well.
 
     Args:
-        target: Where; the suffix chooses the format.
-        problem: What was planned.
-        raw_path: The planner's path.
-        path: The smoothed path; with a refusal and no certificate that holds, the best path found.
-        certificate: The verdict on it; with one, the pose of its least clearance is marked.
-        refusal: Why there is no plan; the obstacle in the way is marked, and the place, where it speaks of one.
-        title: Above the picture.
+        target: File to write; the suffix gives the format.
+        problem: The docking problem.
+        raw_path: Path of the planner.
+        path: Smoothed path; with a refusal and without a valid certificate, the best path found.
+        certificate: Certificate of `path`; the pose of least clearance is marked.
+        refusal: Error that ended the planning; the obstacle and the pose in it are marked.
+        title: Title of the picture.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
         InvalidFile: The file cannot be written.
     """
     drawing = PlanDrawing(problem, raw_path, path, certificate, refusal, title)
-    save_figure(_drawn(drawing, new_figure), target)
+    save_figure(_draw(drawing, new_figure), target)
 
 
 def show_plan_picture(drawing: PlanDrawing) -> None:
-    """Open a window with the picture of a plan; returns when it is closed, or at once where Matplotlib is interactive.
+    """Show the picture of a plan in a window; blocks until it is closed, unless Matplotlib is interactive.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
@@ -109,22 +110,22 @@ def show_plan_picture(drawing: PlanDrawing) -> None:
         figure: Figure = plt.figure(figsize=(width, height), layout="constrained")
         return figure
 
-    _drawn(drawing, window)
+    _draw(drawing, window)
     plt.show()
 
 
 def plan_picture_png(drawing: PlanDrawing) -> bytes:
-    """The picture of a plan as the bytes of a PNG file.
+    """Return the picture of a plan as a PNG file in memory.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
     """
     pixels = io.BytesIO()
-    canvas_of(_drawn(drawing, new_figure)).print_png(pixels)
+    canvas_of(_draw(drawing, new_figure)).print_png(pixels)
     return pixels.getvalue()
 
 
-def _drawn(drawing: PlanDrawing, make_figure: Callable[[float, float], Figure]) -> Figure:
+def _draw(drawing: PlanDrawing, make_figure: Callable[[float, float], Figure]) -> Figure:
     problem, raw_path, path, certificate, refusal, title = drawing
     drawn = [each for each in (raw_path, path) if each is not None]
     pose = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None)
@@ -167,9 +168,9 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
 
 
 def _draw_raw(axes: Axes, path: Path, problem: DockingProblem) -> None:
-    """The raw path; where the robot on it would overlap an obstacle, in another colour."""
+    """Draw the raw path, in another colour where the robot overlaps an obstacle."""
     samples = path.sample(_SPACING)
-    # Wide and below the smoothed path: where the two coincide both are seen.
+    # Wide and below the smoothed path, so that both are visible where they coincide.
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)
     clearances, _ = pose_clearances(samples.poses, problem.robot.footprint, problem.all_obstacles, within=_SPACING)
     hits = clearances < -TOLERANCE
@@ -192,17 +193,17 @@ def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:
 
 
 def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: Certificate) -> None:
-    """The pose of the least clearance, as the certificate has it."""
+    """Mark the pose of least clearance of the certificate."""
     if math.isfinite(certificate.min_clearance):
         label = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {in_words(certificate.nearest)}"
         _mark(axes, problem, path.poses_at(certificate.at_s), label)
 
 
 def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray | None) -> None:
-    """Where a refusal points to, Shape (1, 3), if anywhere, and the obstacle that it names."""
+    """Mark the pose of a refusal, Shape (1, 3) or None, and the obstacle it names."""
     if place is not None:
         _mark(axes, problem, place, "refused here")
-    if place is not None and problem.required_view is not None and refusal.where.get("reason") in _OF_THE_VIEW:
+    if place is not None and problem.required_view is not None and refusal.where.get("reason") in _VIEW_REASONS:
         draw_cone(axes, problem.required_view, place[0])
     obstacles = problem.all_obstacles
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
@@ -211,10 +212,7 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
 
 
 def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProof) -> None:
-    """Where the middle of the robot can get from one end, and the outline where the widest way out is too narrow.
-
-    Of a blocked straight the outline where it is blocked.
-    """
+    """Draw the cells reachable by the robot's centre and the outline at the bottleneck, or at the blocked poses."""
     if isinstance(proof, BlockedStraight):
         for blocked in proof.poses:
             pose = np.array([[blocked.x, blocked.y, blocked.yaw]])
@@ -235,7 +233,7 @@ def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProo
 
 
 def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:
-    """The pose that a refusal speaks of: its own, or that at its arc length, or the end that it names; or None."""
+    """The pose of a refusal: given directly, at an arc length, or start or goal; None without a place."""
     where = refusal.where
     pose = where.get("pose")
     if isinstance(pose, Sequence) and len(pose) == 3:
@@ -253,7 +251,7 @@ def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) ->
 
 
 def _mark(axes: Axes, problem: DockingProblem, pose: FloatArray, label: str) -> None:
-    """The outline at a pose, Shape (1, 3), and a cross in it."""
+    """Draw the outline at a pose, Shape (1, 3), with a cross."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.6, line="--", order=6.5, label=label)
     draw_footprints(axes, problem.robot.footprint, pose, style)
     axes.plot(pose[:, 0], pose[:, 1], "x", color=COLOURS["hot"], markersize=8, markeredgewidth=2, zorder=7)

@@ -1,4 +1,4 @@
-"""The picture of a motion over time, every quantity against its limit."""
+"""Picture of the quantities of a motion over time with their limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _POINTS = 1500
 
 
 class _Panel(NamedTuple):
-    """One quantity: its values over time, its bounds (inf: none) and its axis label."""
+    """One quantity: axis label, values over time and bounds (inf: unlimited)."""
 
     label: str
     values: FloatArray
@@ -40,18 +40,16 @@ def save_profile_picture(
 ) -> None:
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 
-    What else depends on curvature is drawn where it is limited; turns in place, which have limits of their own, are
-    left out of it.
-
-    The limit of the speed is the lowest of all that the path sets: the drive's, the approach zone's, and what yaw
-    rate, lateral acceleration, wheel speed and steering rate leave at the curvature there.
+    Other quantities that depend on curvature are drawn if they are limited, without turns in place. The speed limit is
+    the minimum of the limits of drive and approach zone and of those of yaw rate, lateral acceleration, wheel speed and
+    steering rate at the curvature there.
 
     Args:
-        target: Where; the suffix chooses the format.
-        trajectory: The timed motion.
-        limits: What it must keep.
+        target: File to write; the suffix gives the format.
+        trajectory: The motion.
+        limits: Motion limits.
         zone: Slow stretch at the end of the path.
-        title: Above the picture.
+        title: Title of the picture.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
@@ -103,7 +101,7 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
 
 
 class _TurnProfile(NamedTuple):
-    """As `TurningMotion`."""
+    """Speed, acceleration, curvature and its rate, as `TurningMotion`."""
 
     v: FloatArray
     a: FloatArray
@@ -114,7 +112,7 @@ class _TurnProfile(NamedTuple):
 def _more_panels(
     limits: MotionLimits, drawn: Collection[str], motion: _TurnProfile, turning: BoolArray
 ) -> Iterator[_Panel]:
-    """One for every other finite limit that depends on curvature."""
+    """Panels of the other finite limits that depend on curvature."""
     for name, bound in finite_limits(limits).items():
         if name not in drawn and name in LIMITS and (size := LIMITS[name].size):
             values = np.where(turning, np.nan, size(motion, limits))
@@ -126,12 +124,12 @@ def _symmetric(name: str, values: FloatArray, bound: float) -> _Panel:
 
 
 def _label(name: str) -> str:
-    """The quantity that a limit bounds, with its unit."""
+    """Label of the quantity of a limit, with unit."""
     return LIMITS[name].label.replace("^2", "²").replace("^3", "³")
 
 
 def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray) -> FloatArray:
-    """Largest speed at every |curvature|."""
+    """Largest speed at every |curvature|, Shape (n,) [m/s]."""
     bent = np.maximum(curvature, 1e-12)
     bound = np.where(forward, limits.max_speed, limits.max_reverse_speed)
     bound = np.minimum(bound, limits.max_yaw_rate / bent)
@@ -148,7 +146,7 @@ def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray)
         axes.plot(
             times, shown, "--", color=COLOURS["goal"], linewidth=1.1, label="limit" if bound is panel.upper else None
         )
-        reach = max(reach, _worth_showing(bound, reach))
+        reach = max(reach, _range_of(bound, reach))
     for i, time in enumerate(cusps):
         axes.axvline(time, color="black", linewidth=0.8, linestyle=":", label="cusp" if i == 0 else None)
     goes_below = bool(np.nanmin(panel.values) < -1e-9 or np.min(panel.lower) < 0.0)
@@ -159,8 +157,8 @@ def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray)
     axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)
 
 
-def _worth_showing(bound: FloatArray, reach: float) -> float:
-    """How far the axis must reach to show a bound, unless it is so far off that it would flatten the curve."""
+def _range_of(bound: FloatArray, reach: float) -> float:
+    """Axis range that shows a bound; 0 for a bound so large that it would flatten the curve."""
     finite = np.abs(bound[np.isfinite(bound)])
     largest = 1.1 * float(finite.max()) if finite.size else 0.0
     return largest if largest < 12.0 * reach else 0.0

@@ -1,4 +1,4 @@
-"""The picture of a simulated run: where the robot really drove, and how far off it was."""
+"""Pictures of drives: simulated runs with tracking errors, and logged dockings."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from optdock.geometry.arrays import FloatArray
     from optdock.model.problem import DockingProblem
     from optdock.plotting.scene import View
     from optdock.simulation import Run
 
-__all__ = ["save_run_picture"]
+__all__ = ["save_docking_picture", "save_run_picture"]
 
-_FOOTPRINTS = 24  # drawn, equally far apart
+_FOOTPRINTS = 24  # drawn at equal distances
 
 
 def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
     """Draw the driven poses over the planned ones, and the tracking errors and speeds over time.
 
     Args:
-        target: Where; the suffix chooses the format.
-        problem: What was planned.
-        run: What happened.
-        title: Above the picture.
+        target: File to write; the suffix gives the format.
+        problem: The docking problem.
+        run: The simulated run.
+        title: Title of the picture.
 
     Raises:
         MissingExtra: Matplotlib is not installed.
@@ -42,10 +43,45 @@ def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, t
     grid = figure.add_gridspec(2, 3, height_ratios=(1.7, 1.0)) if wide else figure.add_gridspec(3, 2)
     drive = figure.add_subplot(grid[0, :] if wide else grid[:, 0])
     _draw_drive(drive, problem, run, view)
-    for i, draw in enumerate((_draw_errors, _draw_yaw_error, _draw_speeds)):
-        draw(figure.add_subplot(grid[1, i] if wide else grid[i, 1]), run)
+    panels = [figure.add_subplot(grid[1, i] if wide else grid[i, 1]) for i in range(3)]
+    _draw_errors(panels[0], run)
+    _draw_yaw_error(panels[1], run)
+    _draw_commands(panels[2], run.times, run.commands)
+    for panel in panels:
+        panel.set_xlim(0.0, max(run.duration, 1e-9))
     legend_below(figure, drive)
     entitle(figure, title)
+    save_figure(figure, target)
+
+
+def save_docking_picture(
+    target: str | Path, problem: DockingProblem, measured: FloatArray, estimates: FloatArray, commands: FloatArray
+) -> None:
+    """Draw a docking from above, and its commands over time.
+
+    Args:
+        target: File to write; the suffix gives the format.
+        problem: The docking problem.
+        measured: Measured poses, Shape (n, 3).
+        estimates: Filtered poses, Shape (m, 3).
+        commands: Time, linear and angular velocity, Shape (k, 3) [s, m/s, rad/s].
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+        InvalidFile: The file cannot be written.
+    """
+    view = view_of(problem, [poses for poses in (measured, estimates) if len(poses)])
+    figure = new_figure(11.0, 8.0)
+    grid = figure.add_gridspec(2, 1, height_ratios=(2.0, 1.0))
+    axes = figure.add_subplot(grid[0, 0])
+    draw_scene(axes, problem, view)
+    axes.plot(measured[:, 0], measured[:, 1], ".", color=COLOURS["raw"], markersize=2.0, label="measured", zorder=4)
+    axes.plot(estimates[:, 0], estimates[:, 1], color=COLOURS["path"], linewidth=1.6, label="estimated", zorder=5)
+    draw_footprints(axes, problem.robot.footprint, estimates[-1:], OutlineStyle(edge="black", width=1.2, order=4.0))
+    draw_arrow(axes, problem.goal, 0.6 * problem.robot.footprint.circumscribed_radius, COLOURS["goal"], "stored dock")
+    below = figure.add_subplot(grid[1, 0])
+    _draw_commands(below, commands[:, 0], commands[:, 1:])
+    legend_below(figure, axes)
     save_figure(figure, target)
 
 
@@ -66,24 +102,23 @@ def _draw_drive(axes: Axes, problem: DockingProblem, run: Run, view: View) -> No
 def _draw_errors(axes: Axes, run: Run) -> None:
     axes.plot(run.times, 1e3 * run.errors[:, 0], color=COLOURS["path"], label="along")
     axes.plot(run.times, 1e3 * run.errors[:, 1], color=COLOURS["goal"], label="cross")
-    _finish(axes, run, "tracking error [mm]")
+    _finish(axes, "tracking error [mm]")
 
 
 def _draw_yaw_error(axes: Axes, run: Run) -> None:
     axes.plot(run.times, np.degrees(run.errors[:, 2]), color=COLOURS["start"], label="yaw")
-    _finish(axes, run, "yaw error [deg]")
+    _finish(axes, "yaw error [deg]")
 
 
-def _draw_speeds(axes: Axes, run: Run) -> None:
-    axes.plot(run.times, run.commands[:, 0], color=COLOURS["path"], label="speed [m/s]")
-    axes.plot(run.times, run.commands[:, 1], color=COLOURS["goal"], label="yaw rate [rad/s]")
-    _finish(axes, run, "command")
+def _draw_commands(axes: Axes, times: FloatArray, commands: FloatArray) -> None:
+    axes.plot(times, commands[:, 0], color=COLOURS["path"], label="speed [m/s]")
+    axes.plot(times, commands[:, 1], color=COLOURS["goal"], label="yaw rate [rad/s]")
+    _finish(axes, "command")
 
 
-def _finish(axes: Axes, run: Run, label: str) -> None:
+def _finish(axes: Axes, label: str) -> None:
     axes.set_ylabel(label)
     axes.set_xlabel("time [s]")
-    axes.set_xlim(0.0, max(run.duration, 1e-9))
     axes.axhline(0.0, color="#888888", linewidth=0.6, zorder=1)
     axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)
     axes.legend(loc="best", fontsize=8)

@@ -1,7 +1,8 @@
-"""What stands around the robot: map, obstacles, dock; and the robot itself."""
+"""Drawing of the scene: map, obstacles, dock, robot and camera view."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,8 +20,10 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.model.camera import Camera, RequiredView
     from optdock.model.costmap import Costmap
     from optdock.model.costs import CostArray
+    from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
 
 __all__ = [
@@ -28,24 +31,29 @@ __all__ = [
     "OutlineStyle",
     "View",
     "draw_arrow",
+    "draw_cone",
     "draw_footprints",
     "draw_scene",
     "draw_shapes",
     "draw_sweep",
+    "draw_view",
     "view_of",
 ]
 
-# Obstacles that the map's picture shows already.
+# Names of obstacles that the drawn map shows.
 DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
-_MAP_ORDER = 0.8  # above the grid, below all else
-_SLIMMEST = 0.55  # shorter side over longer: what stands beside a straight path is seen, and a legend has room
-_MARGIN = 0.6  # [m] around everything of interest
-_CLOSE_BY = 1.0  # [m]: obstacles so near to it are of interest too, as far as they are so near
+_MAP_ORDER = 0.8  # above the grid, below everything else
+_SLIMMEST = 0.55  # least ratio of the sides, which shows obstacles next to a straight path and leaves room for a legend
+_CONES = 4  # along the path; more would hide each other
+_BEYOND = 1.08  # length of a drawn cone over the distance of the marker, or over the minimum range
+_ARC = 0.05  # [rad] between the points of an arc, at most
+_MARGIN = 0.6  # [m] around the content
+_CLOSE_BY = 1.0  # [m]: parts of obstacles at this distance are included
 
 
 class View(NamedTuple):
-    """What a picture shows [m]."""
+    """The visible rectangle [m]."""
 
     left: float
     right: float
@@ -53,15 +61,15 @@ class View(NamedTuple):
     top: float
 
     def figure_size(self, width: float = 9.0, tallest: float = 9.0) -> tuple[float, float]:
-        """Inches that show the view with equal axes and room for labels."""
+        """Figure size [inch] for the view with equal axes and room for labels."""
         ratio = (self.top - self.bottom) / (self.right - self.left)
         return (width, width * ratio + 0.9) if width * ratio <= tallest else (tallest / ratio + 0.9, tallest)
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
-    """A view that holds the robot's outline along every path, Shape (n, 3) each, the dock, and obstacles close by.
+    """Return a view of the robot along every path, Shape (n, 3) each, the dock, and the obstacles close by.
 
-    Of a long obstacle the near part; cells of the map and its outside go on everywhere and do not widen the view.
+    Only the near part of a long obstacle is included; cells of the map do not widen the view.
     """
     outline = problem.robot.footprint.vertices
     ends = np.array([problem.start.as_array(), problem.goal.as_array()])
@@ -79,7 +87,7 @@ def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
 
 
 def draw_scene(axes: Axes, problem: DockingProblem, view: View) -> None:
-    """Map, obstacles and dock, axes in metres with equal scales."""
+    """Draw map, obstacles and dock on axes in metres with equal scales."""
     if problem.costmap is not None:
         _draw_map(axes, problem.costmap, view)
     _draw_obstacles(axes, problem, view)
@@ -97,7 +105,7 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
     grey[costmap.data == NO_INFORMATION] = _GREYS["unknown"]
     grey[costmap.data == LETHAL] = _GREYS["occupied"]
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
-    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # so is the world off the map
+    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # also outside of the map
     axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="white", zorder=0.0)
     axes.imshow(
         grey,
@@ -127,7 +135,7 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
 
 
 def _greys() -> ListedColormap:
-    """Grey as grey, and the brightest transparent: the grid lies under the map and is seen where that is free."""
+    """Grey values as colours; free cells are transparent, so that the grid below is visible."""
     from matplotlib.colors import ListedColormap
 
     return ListedColormap(
@@ -136,7 +144,7 @@ def _greys() -> ListedColormap:
 
 
 def _in_view(costmap: Costmap, view: View) -> CostArray:
-    """The costs in the view, perhaps none."""
+    """Costs of the cells in the view, possibly empty."""
     (x0, y0), side = costmap.lower, costmap.resolution
     rows, columns = (
         slice(max(0, int((low - start) / side)), max(0, int((high - start) / side) + 1))
@@ -165,7 +173,7 @@ def _draw_obstacles(axes: Axes, problem: DockingProblem, view: View) -> None:
 
 
 class OutlineStyle(NamedTuple):
-    """How the robot's outline is drawn."""
+    """Style of polygons."""
 
     edge: str = "none"
     face: str = "none"
@@ -177,12 +185,12 @@ class OutlineStyle(NamedTuple):
 
 
 def draw_footprints(axes: Axes, footprint: Footprint, poses: FloatArray, style: OutlineStyle) -> None:
-    """The robot's outline at every pose, Shape (n, 3)."""
+    """Draw the outline of the robot at every pose, Shape (n, 3)."""
     draw_shapes(axes, list(transform_points(poses, footprint.vertices)), style)
 
 
 def draw_shapes(axes: Axes, shapes: Sequence[FloatArray], style: OutlineStyle) -> None:
-    """Polygons, Shape (k, 2) each."""
+    """Draw polygons, Shape (k, 2) each."""
     from matplotlib.collections import PolyCollection
 
     outlines = PolyCollection(
@@ -199,14 +207,14 @@ def draw_shapes(axes: Axes, shapes: Sequence[FloatArray], style: OutlineStyle) -
 
 
 def draw_sweep(axes: Axes, footprint: Footprint, poses: FloatArray) -> None:
-    """The area that the outline sweeps through poses, Shape (n, 3), and some of its outlines."""
+    """Draw the area swept by the outline through poses, Shape (n, 3), and the outlines."""
     blue = COLOURS["robot"]
     draw_footprints(axes, footprint, poses, OutlineStyle(face=blue, alpha=0.12))
     draw_footprints(axes, footprint, poses, OutlineStyle(edge=blue, width=0.6, order=2.1))
 
 
 def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) -> None:
-    """Where the robot stands and which way its nose points."""
+    """Draw position and heading of a pose."""
     tip = (pose.x + length * np.cos(pose.yaw), pose.y + length * np.sin(pose.yaw))
     axes.annotate(
         "",
@@ -216,3 +224,45 @@ def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) 
         zorder=6,
     )
     axes.plot([pose.x], [pose.y], "o", color=colour, markersize=6, label=label, zorder=6)
+
+
+def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
+    """Draw the marker, and cones along the part of the path where the marker must be in view."""
+    axes.plot(
+        *view.marker, "*", color=COLOURS["goal"], markeredgecolor="black", markersize=13, label="marker", zorder=6.5
+    )
+    stretch = None if path is None else view.stretch(path)
+    if path is None or stretch is None:
+        return
+    poses = path.poses_at(np.linspace(*stretch, _CONES))
+    cones = [_cone(view, pose) for pose in poses]
+    label = f"camera, must see the marker from s = {stretch[0]:.2f} m to {stretch[1]:.2f} m"
+    draw_shapes(axes, cones, OutlineStyle(face=COLOURS["goal"], alpha=0.10, order=1.2))
+    draw_shapes(axes, cones, OutlineStyle(edge=COLOURS["goal"], width=0.9, alpha=0.8, order=1.3, label=label))
+
+
+def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
+    """Draw the cone at a pose of the robot, Shape (3,), where the marker is out of view."""
+    style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
+    draw_shapes(axes, [_cone(view, pose)], style)
+
+
+def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
+    """Outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
+    camera = view.camera
+    distance = float(view.margins(pose[None]).distance[0])
+    reach = min(camera.max_range, max(_BEYOND * distance, _BEYOND * camera.min_range))
+    seen = transform_points(camera.mount.as_array()[None], _sector(camera, reach))[0]
+    outline: FloatArray = transform_points(pose[None], seen)[0]
+    return outline
+
+
+def _sector(camera: Camera, reach: float) -> FloatArray:
+    """Outline of the cone in the camera's frame, from the minimum range to `reach` [m]. Shape (n, 2) [m]."""
+    half = 0.5 * camera.field_of_view
+    angles = np.linspace(-half, half, max(2, math.ceil(2.0 * half / _ARC)))
+    arc = np.column_stack((np.cos(angles), np.sin(angles)))
+    inner = (
+        camera.min_range * arc[::-1] if camera.min_range > 0.0 else np.zeros((0 if camera.sees_all_around else 1, 2))
+    )
+    return np.vstack((reach * arc, inner))

@@ -1,4 +1,4 @@
-"""Plans and runs as files, tables and sentences."""
+"""Plans and runs as files and tables."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ __all__ = [
     "table",
 ]
 
-_WIDE = 78  # letters of a value on a line
-_LOOK, _FAR = 0.01, 2.0  # [m]: between two poses whose clearance is measured; farther obstacles are not
+_WIDE = 78  # characters of a value on a line
+_STEP, _FAR = 0.01, 2.0  # [m]: between poses whose clearance is measured; distance of obstacles that count
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -50,12 +50,12 @@ class Row(NamedTuple):
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
-    """A failure as a file's content: its name, its reason, and whatever exists so far but for a path without verdict.
+    """Return the plan file of a failure: its name, its reason, and the results so far.
 
-    Such a path, the best of a search that failed, is for looking at; a file is for driving.
+    A path without certificate is left out, as paths of plan files are meant to be driven.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
-    judged = so_far.certificate is not None and proof is None  # beside a proof that there is no path no path stands
+    judged = so_far.certificate is not None and proof is None  # no path next to a proof that none exists
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
@@ -70,7 +70,7 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
 
 
 def plan_rows(plan: DockPlan) -> list[Row]:
-    """A certified plan in a few lines."""
+    """Summarize a certified plan."""
     gears = " ".join(segment.direction.name.lower().replace("_", "-") for segment in plan.path.segments)
     status = CERTIFIED if plan.completed else f"{CERTIFIED}, stopped early by the time budget"
     times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in plan.timing_ms.items())
@@ -87,15 +87,15 @@ def plan_rows(plan: DockPlan) -> list[Row]:
 
 
 def _tightest_rows(plan: DockPlan) -> list[Row]:
-    """Where the robot keeps least more than the clearance that is required away from start and dock."""
-    problem, s = plan.problem, np.arange(0.0, plan.path.length, _LOOK)
+    """The least margin over the required clearance away from start and dock."""
+    problem, s = plan.problem, np.arange(0.0, plan.path.length, _STEP)
     poses, required = plan.path.poses_at(s), problem.clearance.required
     ends = problem.goal, problem.start
     from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in ends)
-    asked = problem.clearance.required_at(
+    required_here = problem.clearance.required_at(
         from_goal, from_start, end_clearances(problem).start, plan.certificate.start_relief
     )
-    s, poses = s[asked >= required], poses[asked >= required]
+    s, poses = s[required_here >= required], poses[required_here >= required]
     if not s.size or not len(problem.all_obstacles):
         return []
     clearances, obstacles = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=_FAR)
@@ -104,25 +104,25 @@ def _tightest_rows(plan: DockPlan) -> list[Row]:
         return []
     what = in_words(problem.all_obstacles.name_of(int(obstacles[k])))
     margin = clearances[k] - required
-    said = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
-    return [Row("least margin", said)]
+    text = f"{margin:.4f} m more than the required {required:.4f} m, to {what} at s = {s[k]:.3f} m"
+    return [Row("least margin", text)]
 
 
 def _straight_rows(plan: DockPlan) -> list[Row]:
-    """The straight way into the dock; where none is asked for, it may be entered in a bend."""
+    """Length of the straight end of the path."""
     straight = plan.problem.dock.final_straight
     return [Row("final straight", f"{straight:g} m" if straight > 0.0 else "none: dock.final_straight is 0")]
 
 
 def _tried(plan: DockPlan) -> str:
-    """Which guess became the plan, and how many there were."""
+    """The stage that found the plan, and the number of guesses."""
     guesses = [attempt for attempt in plan.tried if attempt.guess is not None]
     made = sum(not attempt.reason for attempt in guesses)
     return f"{plan.stage}, {made} of {len(guesses)} guesses became plans" if len(guesses) > 1 else plan.stage
 
 
 def certificate_rows(certificate: Certificate) -> list[Row]:
-    """What a certificate proves."""
+    """Summarize a certificate."""
     rows = [Row("length", f"{certificate.length:.3f} m"), Row("max curvature", f"{certificate.max_curvature:.3f} 1/m")]
     if math.isfinite(certificate.min_clearance):
         where = f"to {in_words(certificate.nearest)} at s = {certificate.at_s:.3f} m"
@@ -135,40 +135,40 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
 
 
 def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row]:
-    """The motion limits that hold, and those that do not hold because they were not given.
+    """Summarize the motion limits, and name the unlimited quantities.
 
     Args:
-        limits: Of the robot.
-        defaults: Names of those that were not given.
+        limits: Limits of the robot.
+        defaults: Names of limits that were not given.
     """
     units = LIMIT_UNITS | (STEERING_UNITS if limits.wheelbase > 0.0 else {})
     values = {name: getattr(limits, name) for name in units}
     known = (
-        f"{_spoken(name)} {value:g} {units[name]}" + (" (default)" if name in defaults else "")
+        f"{_words(name)} {value:g} {units[name]}" + (" (default)" if name in defaults else "")
         for name, value in values.items()
         if math.isfinite(value)
     )
-    unlimited = (_spoken(name) for name, value in values.items() if not math.isfinite(value))
+    unlimited = (_words(name) for name, value in values.items() if not math.isfinite(value))
     return [*_wrapped("limits", known), *_wrapped("unlimited", unlimited)]
 
 
 def _wrapped(name: str, parts: Iterable[str]) -> list[Row]:
-    """Parts between commas, on as many lines as they need, none of them torn; no row without a part."""
+    """Rows of parts, separated by commas and wrapped between parts; empty without parts."""
     lines = textwrap.wrap(", ".join(part.replace(" ", _NO_BREAK) for part in parts), _WIDE)
     return [Row(name if i == 0 else "", line.replace(_NO_BREAK, " ")) for i, line in enumerate(lines)]
 
 
-def _spoken(name: str) -> str:
+def _words(name: str) -> str:
     return name.removeprefix("max_").replace("_", " ")
 
 
 def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> list[Row]:
-    """A simulated run in a few lines, the first of them saying where it left what is proven.
+    """Summarize a simulated run.
 
     Args:
         run: The run.
-        deviations: Of its poses from the certified path; None where there is none.
-        left: In what its poses left what is proven, see `beyond_proof`; empty where they did not.
+        deviations: Deviations of its poses from the certified path; None without a path.
+        left: How its poses left the proven region, see `beyond_proof`; empty if they did not.
     """
     error = run.final_error
     rows = [
@@ -179,8 +179,8 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
         Row("driving time", f"{run.duration:.2f} s"),
     ]
     if run.verdicts:
-        said = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
-        rows.insert(2 if left else 1, Row("goal checkers", ", ".join(said)))
+        text = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
+        rows.insert(2 if left else 1, Row("goal checkers", ", ".join(text)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
     if deviations is not None:
@@ -191,20 +191,20 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
 
 
 def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
-    """What tube the drive needed, and whether it kept the one that is proven."""
+    """The deviations of the drive, and whether it stayed in the proven tube."""
     off, yaw = float(np.hypot(deviations.along, deviations.cross).max()), float(np.abs(deviations.yaw).max())
     farthest, width = float(deviations.displacement.max()), float(deviations.width.max())
     needed = f"{1e3 * off:.2f} mm and {yaw:.5f} rad, no point of the robot by more than {1e3 * farthest:.2f} mm"
     outside = deviations.excess > 0.0
     to_go = np.hypot(run.poses[:, 0] - run.goal.x, run.poses[:, 1] - run.goal.y)
     if width == 0.0:
-        said = "none is proven; robot.tracking asks for one"
+        text = "none is proven; robot.tracking asks for one"
     elif not outside.any():
-        said = f"kept, {1e3 * width:.1f} mm wide before it tapers"
+        text = f"kept, {1e3 * width:.1f} mm wide before it tapers"
     else:
         worst = int(np.argmax(deviations.excess))
-        said = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
-    return [Row("off the path", needed), Row("tube", said)]
+        text = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
+    return [Row("off the path", needed), Row("tube", text)]
 
 
 def _largest_error(errors: FloatArray) -> str:
@@ -213,7 +213,7 @@ def _largest_error(errors: FloatArray) -> str:
 
 
 def run_json(run: Run, seed: int) -> str:
-    """A simulated run as strict JSON, format `optdock-run/1`; columns in SI units."""
+    """Return a simulated run as strict JSON, format `optdock-run/1`, columns in SI units."""
     error = run.final_error
     columns: dict[str, object] = {"t": run.times}
     for name, table_, parts in (
@@ -233,7 +233,7 @@ def run_json(run: Run, seed: int) -> str:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Columns of text, aligned."""
+    """Return rows of text as aligned columns."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join(lines)

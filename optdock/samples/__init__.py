@@ -1,7 +1,7 @@
 """Motions that are known by samples only: they are never certified, but can be refuted.
 
 - `sampled_motion`: rounding, and the place of each sample on its path.
-- `refutation`: the inequalities that every lawful motion keeps between any two of its samples.
+- `refutation`: the rules that samples can break.
 - `tube`: how far samples of a drive are off its path, and how far they may be.
 """
 

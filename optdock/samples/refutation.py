@@ -1,83 +1,55 @@
-"""Timed motions that are given by samples only: what the samples refute, and what they leave unproven.
+"""Timed motions that are given by samples only: the samples can refute a motion, but never prove one.
 
-Samples prove nothing about the instants between them, `certify_trajectory` needs the time law for that. But every
-motion within the limits keeps inequalities that hold between *any* two instants; samples that break one refute the
-motion, and no honest file breaks any, however far apart its samples are. Along the travel, with speed v, acceleration
-a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
+Samples say nothing about the instants between them; `certify_trajectory` needs the time law. But every motion within
+the limits satisfies inequalities between any two instants, however far apart. With signed speed v and acceleration a,
+jerk limit J and steps of h:
 
-    speeds               -D h <= v1 - v0 <= A h
-    accelerations        |a1 - a0| <= J h
-    speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= J h^2 / 4               (trapezoid of a function of slope J)
-    speed, jerk          |(v2 - v1) / h1 - (v1 - v0) / h0| <= J (h0 + h1) / 2   (means of a over neighbours)
-    place, speed         |s1 - s0 - h (v0 + v1) / 2 + h^2 (a1 - a0) / 12| <= J h^3 sqrt(3) / 54, see `step_lengths`
-    yaw rates            |w1 - w0| <= limit * h,  and |v1 w1 - v0 w0| <= limit * h of the lateral jerk
+    slopes               |a1 - a0| <= J h,  -D h <= |v1| - |v0| <= A h;  also yaw, yaw rate, lateral acceleration
+    speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= min(J h^2 / 4, (A + D) h)
+    place, speed         |s1 - s0 - h (|v0| + |v1|) / 2| <= J h^3 / 12, at rests max(A, D) h^2 / 4
 
-They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
-instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
-that rests at a cusp between two samples, at time c, has v0 <= J (c - t0)^2 / 2, a0 <= J (c - t0), and lies at most
-J (c - t0)^3 / 6 before the cusp. Between a sample before a cusp and one behind it steered wheels have the time to turn.
+They are checked for neighbours and for samples 2, 4, 8, ... apart, where rounding weighs less; in a turn in place
+also for yaw, yaw rate and yaw acceleration. At each sample the columns must keep the limits, and yaw rate and yaw
+acceleration must be those of the path's curvature k and its rate r: w = |v| k, w' = a k + v^2 r. Between two parts of
+the path the robot rests, which takes max(sqrt(2 v / J), a / J) from the sample before and to the sample behind.
 
-Where the path turns in place the samples are cut into those that drive and those that turn, and each stretch is judged
-by itself: a turn by its yaw, yaw rate w and yaw acceleration, for which the inequalities above hold as well, at a place
-that stays. What happens between the last sample of one stretch and the first of the next is left open.
-
-The jerk may jump at any time, twice within a step as well, so no step refutes the column of jerks but by the limit and
-by what it does to the accelerations; likewise the yaw accelerations beside a polyline.
-
-What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
-at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
-there. So a motion is refuted here, or not refuted, never certified.
-
-Numbers of a column that all have three to five decimals stand for whatever rounds to them; the others are taken to
-1e-6. That too is left open.
-
-Numbers may differ from what they stand for by their rounding, so what is compared with a limit is the smallest value
-that the numbers allow.
+Columns whose numbers all have three to five decimals are rounded, others are accurate to 1e-6; a value is compared with
+its limit after subtraction of its rounding.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.geometry.pose import normalize_angle, wrap_angles
-from optdock.model.path import ClothoidSegment, TurnSegment, place_before_end
-from optdock.samples.sample_rules import (
-    ARITHMETIC,
-    SamplesOnPath,
-    Sums,
-    at_knots,
-    at_samples,
-    begins,
-    between_samples,
-    by_curvature,
-    ends_at_rest,
-    rests,
-    through_rests,
-    worst_at,
-)
+from optdock.geometry.pose import wrap_angles
+from optdock.model.limits import LIMITS
+from optdock.model.path import ClothoidSegment, PolylineSegment, TurnSegment, joint_curvatures, place_before_end
 from optdock.samples.sampled_motion import (
     EXACT,
+    ON_PATH,
     REACH,
-    Places,
     Rounding,
+    Run,
     SampledMotion,
-    Stretch,
+    gears_of,
+    half_unit,
     places_of,
-    step_lengths,
-    stretches_of,
+    runs_of,
 )
-from optdock.verification.certificate import Violation
+from optdock.verification.certificate import TOLERANCE, Violation
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import end_clearances
+from optdock.verification.turning_rules import STEP_RTOL
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.model.limits import MotionLimits
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
@@ -85,37 +57,34 @@ if TYPE_CHECKING:
 
 __all__ = ["SampledMotionVerdict", "are_rounded_phases", "check_sampled_motion", "check_samples_of"]
 
-ON_PATH = math.sqrt(2.0) * EXACT  # [m], [rad]: x and y each to that
-_STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
-# [m], [rad]: how far poses may be off the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
+# [m], [rad]: largest deviation from the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
 # along a curve of 2 1/m that is 1.4e-3 rad.
 OFF_PATH = 2e-3
-_DECIMALS = 6  # that a file's rounded phases keep
-_ROUNDED = 1e-5  # [s], [m/s^3], ...: of every number of such phases; ten units, as programs round what was rounded
+_ARITHMETIC = 1e-9  # rounding of sums of numbers around 1
+_STEERED = 1e-4  # relative, of a steering time: six decimals of a curvature, and the tolerance of the proof
+_DECIMALS = 6  # of rounded phases
+_ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of the numbers of rounded phases; ten units, as they may be rounded twice
 
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """What the samples of a motion say; it counts as true where they do not refute it, which is not a proof of it.
+    """The result of checking samples; true where they do not refute the motion, which is not a proof.
 
     Args:
         violations: Every broken rule; empty when the samples do not refute the motion.
-        samples: How many there are.
+        samples: Number of samples.
         step: Longest time between two of them [s].
-        offset: How far the poses are off the path at most: distance [m], turn [rad].
-        unproven: By how much speed [m/s], acceleration [m/s^2], place [m], yaw rate [rad/s] may differ between samples
-            from what they say, if the jerk keeps its limit there; what nothing limits is left out.
+        offset: Largest deviation of the poses from the path: distance [m], turn [rad].
     """
 
     violations: tuple[Violation, ...]
     samples: int
     step: float
     offset: tuple[float, float] = (0.0, 0.0)
-    unproven: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def off_path(self) -> bool:
-        """Whether poses lie beside the path, so that it takes its clearance to cover them."""
+        """Whether poses deviate from the path, so that clearance must cover the deviation."""
         return max(self.offset) > ON_PATH
 
     def __bool__(self) -> bool:
@@ -128,185 +97,57 @@ class SampledMotionVerdict:
 
 
 def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
-    """Look for whatever refutes a motion that is known by its samples only.
+    """Check whether samples refute the motion they describe; see the module for the rules.
 
-    Every column is compared with every other, with the path and with the limits. Poses may be off the path by up to
-    2e-3 m and rad where the path keeps the required clearance with that much to spare; else they must lie on it to
-    1e-6.
+    Poses may be off the path by up to 2e-3 m and rad where the path keeps the required clearance with that much to
+    spare; otherwise they must lie on it to 1e-6.
 
     Args:
         motion: The samples.
-        path: The path they claim to follow; see `certify_path` for its own verdict.
-        problem: What must hold.
+        path: The path of the motion; see `certify_path` for its own verdict.
+        problem: The problem with limits, dock and start.
 
     Returns:
-        The verdict; nothing is ever proven by samples alone.
+        The verdict; samples never prove a motion.
     """
-    step, rounding = float(np.max(np.diff(motion.t))), Rounding.of(motion)
+    rounding, limits, step = Rounding.of(motion), problem.robot.limits, float(np.max(np.diff(motion.t)))
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _too_coarse(motion, problem.robot.limits) or _turn_in_place(path)
-        if found is not None:
-            return SampledMotionVerdict((found,), motion.t.size, step)
-        if not path.turns:
-            return _checked_drive(motion, path, problem, rounding, (begins, ends_at_rest))
-        stretches = stretches_of(motion, path, problem.robot.limits, rounding)
-        if isinstance(stretches, Violation):
-            return SampledMotionVerdict((stretches,), motion.t.size, step)
-        verdicts = list(_checked_stretches(motion, path, stretches, problem, rounding))
-    violations = tuple(violation for verdict in verdicts for violation in verdict.violations)
-    offsets = zip(*(verdict.offset for verdict in verdicts), strict=True)
-    unproven = max((verdict.unproven for verdict in verdicts), key=len, default={})
-    apart, turned = (max(values) for values in offsets)
-    return SampledMotionVerdict(violations, motion.t.size, step, (apart, turned), unproven)
+        error = _place_errors(motion, limits, rounding.speed)
+        runs = _unjudgeable(path, step, float(np.max(error))) or runs_of(motion, path, limits, rounding)
+        if isinstance(runs, Violation):
+            return SampledMotionVerdict((runs,), motion.t.size, step)
+        rules = _Rules(motion, path, problem, rounding, runs)
+        offset = rules.check_poses()
+        if max(offset) <= OFF_PATH:
+            rules.check_ends()
+            rules.check_samples()
+            rules.check_curvature()
+            rules.check_between(error)
+            rules.check_rests()
+            rules.check_steering()
+    return SampledMotionVerdict(tuple(rules.found), motion.t.size, step, offset)
 
 
-def _checked_stretches(
-    motion: SampledMotion, path: Path, stretches: Sequence[Stretch], problem: DockingProblem, rounding: Rounding
-) -> Iterator[SampledMotionVerdict]:
-    """The verdict on every stretch of a motion that turns in place, and on its ends."""
-    yield SampledMotionVerdict(tuple(_ends_of_turns(motion, path, rounding)), motion.t.size, 0.0)
-    dock, slow = problem.dock, place_before_end(path, problem.dock.approach.distance)
-    for part, begin, (first, last) in stretches:
-        rows = SampledMotion(*(column[first:last] for column in motion))
-        if isinstance(part, TurnSegment):
-            yield _checked_turn(rows, part, begin, path, problem, rounding)
-        elif rows.t.size > 1:
-            zone = min(part.length, max(0.0, begin + part.length - slow))
-            here = replace(problem, dock=replace(dock, approach_distance=zone))
-            ends = (*((begins,) if first == 0 else ()), *((ends_at_rest,) if last == motion.t.size else ()))
-            yield _checked_drive(rows, part, here, rounding, ends)
+def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
+    """Bound of the error of the trapezoid of the speeds between neighbours, Shape (n - 1,) [m].
 
-
-def _checked_drive(
-    motion: SampledMotion,
-    path: Path,
-    problem: DockingProblem,
-    rounding: Rounding,
-    ends: tuple[Callable[[SamplesOnPath, DockingProblem], Iterator[Violation]], ...],
-) -> SampledMotionVerdict:
-    """The verdict on samples of a path that turns nowhere in place; `ends`: what must hold at which of its ends."""
-    step, limits = float(np.max(np.diff(motion.t))), problem.robot.limits
-    places = places_of(motion, path, limits, (rounding.speed, rounding.acceleration))
-    if isinstance(places, Violation):
-        return SampledMotionVerdict((places,), motion.t.size, step)
-    judged = _judged(motion, path, problem, places, rounding)
-    offset, off = _off_path(judged, problem)
-    violations = tuple(off)
-    if max(offset) <= OFF_PATH:
-        violations += tuple(at_samples(judged, problem))
-        sure = judged if places.sure.all() else judged.rows(places.sure, limits)
-        violations += () if sure is judged else tuple(through_rests(judged, problem))
-        rules = (by_curvature, between_samples, at_knots, *ends, rests)
-        violations += tuple(violation for rule in rules for violation in rule(sure, problem))
-    return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
-
-
-def _ends_of_turns(motion: SampledMotion, path: Path, rounding: Rounding) -> Iterator[Violation]:
-    """The first sample is at the start of the path, the last at rest at its end, also where it turns there."""
-    for name, i, pose, s in (("begin", 0, path.start, 0.0), ("end", -1, path.end, path.length)):
-        away = math.hypot(motion.x[i] - pose.x, motion.y[i] - pose.y)
-        turned = abs(normalize_angle(float(motion.yaw[i]) - pose.yaw))
-        if not max(away, turned) <= OFF_PATH:
-            message = f"the samples {name} {away:.3g} m and {turned:.3g} rad from where the path does"
-            yield Violation("coverage", message, s, max(away, turned))
-    for name, value, allowed, unit in (
-        ("yaw rate", motion.yaw_rate[-1], rounding.yaw_rate, "rad/s"),
-        ("yaw acceleration", motion.yaw_acceleration[-1], rounding.yaw_acceleration, "rad/s^2"),
-    ):
-        if not abs(value) <= allowed + ARITHMETIC:
-            message = f"end: {name} {value:.6g} {unit} at t = {motion.t[-1]:.3f} s, must rest"
-            yield Violation("rest", message, path.length, abs(float(value)))
-
-
-class _Turning(NamedTuple):
-    """The samples of a turn in place along it, Shape (n,) each.
-
-    `turned`: how far it has turned [rad]; `rate`, `acceleration`: of that; `begin`: where the turn is on the path [m].
+    At speeds up to `rest` the gear may change within the step, where only the accelerations bound the changes.
     """
-
-    motion: SampledMotion
-    turned: FloatArray
-    rate: FloatArray
-    acceleration: FloatArray
-    begin: float
-    rounding: Rounding
-
-    def worst(
-        self, kind: str, values: FloatArray, limit: FloatArray | float, rough: FloatArray | float = 0.0, lag: int = 0
-    ) -> Iterator[Violation]:
-        """As `worst`; the values are of samples `lag` apart."""
-        t = self.motion.t[lag:]
-        at = np.column_stack((t, np.full(t.size, self.begin)))
-        return worst_at(at, kind, values, limit, rough)
+    h, speed, gear = np.diff(motion.t), np.abs(motion.speed), gears_of(motion, rest)
+    error = 0.25 * max(limits.max_acceleration, limits.max_deceleration) * h**2
+    moves = (gear[1:] == gear[:-1]) & (gear[1:] != 0.0)
+    error = np.where(moves, np.minimum(error, limits.max_jerk * h**3 / 12.0), error)
+    # The place is within 0 and the fastest speed of the start of the step.
+    return np.minimum(error, h * (max(limits.max_speed, limits.max_reverse_speed) + 0.5 * (speed[1:] + speed[:-1])))
 
 
-def _checked_turn(
-    motion: SampledMotion, turn: TurnSegment, begin: float, path: Path, problem: DockingProblem, rounding: Rounding
-) -> SampledMotionVerdict:
-    """The verdict on the samples of one turn in place, which begins at `begin` [m] on the path."""
-    half, sign, whole = 0.5 * abs(turn.turn), math.copysign(1.0, turn.turn), 2.0 * np.pi
-    off = np.unwrap(wrap_angles(motion.yaw - turn.pose.yaw))
-    turned = sign * off
-    turned += whole * np.rint((half - 0.5 * (turned[0] + turned[-1])) / whole)
-    apart = float(np.max(np.hypot(motion.x - turn.pose.x, motion.y - turn.pose.y)))
-    beyond = float(np.max(np.abs(turned - half))) - half
-    offset = (apart, max(beyond, 0.0))
-    turning = _Turning(motion, turned, sign * motion.yaw_rate, sign * motion.yaw_acceleration, begin, rounding)
-    found = [*_turning_at_samples(turning, problem), *_turning_between_samples(turning, problem)]
-    if not max(offset) <= OFF_PATH or (max(offset) > ON_PATH and not _covers(path, problem, offset)):
-        message = f"samples of the turn at s = {begin:.3f} m are up to {apart:.4g} m and {beyond:.4g} rad off it"
-        found.append(Violation("off_path", message, begin, max(offset)))
-    return SampledMotionVerdict(tuple(found), motion.t.size, float(np.max(np.diff(motion.t), initial=0.0)), offset)
-
-
-def _turning_at_samples(turning: _Turning, problem: DockingProblem) -> Iterator[Violation]:
-    """Every column within its limit; those of driving are none."""
-    motion, rounding, most = turning.motion, turning.rounding, problem.robot.limits.turning
-    yield from turning.worst("speed in a turn [m/s]", np.abs(motion.speed), 0.0, rounding.speed)
-    turns = turning.rate > rounding.yaw_rate  # a sample at rest may have what comes next
-    found, rough = np.where(turns, np.abs(motion.acceleration), 0.0), rounding.acceleration
-    yield from turning.worst("acceleration in a turn [m/s^2]", found, 0.0, rough)
-    yield from turning.worst("jerk in a turn [m/s^3]", np.where(turns, np.abs(motion.jerk), 0.0), 0.0, rounding.jerk)
-    yield from turning.worst("yaw rate against the turn [rad/s]", -turning.rate, 0.0, rounding.yaw_rate)
-    yield from turning.worst("yaw rate [rad/s]", turning.rate, most.rate, rounding.yaw_rate)
-    gain = np.abs(turning.acceleration)
-    yield from turning.worst("yaw acceleration [rad/s^2]", gain, most.acceleration, rounding.yaw_acceleration)
-
-
-def _turning_between_samples(turning: _Turning, problem: DockingProblem) -> Iterator[Violation]:
-    """As `between_samples`, of a turn."""
-    t, rounding, most = turning.motion.t, turning.rounding, problem.robot.limits.turning
-    lag = 1
-    while lag < t.size:
-        columns = (t, turning.turned, turning.rate, turning.acceleration)
-        h, yaw, w, a = (column[lag:] - column[:-lag] for column in columns)
-        mean, steady = (0.5 * (column[lag:] + column[:-lag]) for column in columns[2:])
-        rough = 2.0 * rounding.yaw_rate + 2.0 * rounding.time * most.acceleration
-        yield from turning.worst("mean yaw acceleration [rad/s^2]", np.abs(w), most.acceleration * h, rough, lag)
-        gain = 2.0 * rounding.yaw_acceleration + 2.0 * rounding.time * most.jerk
-        yield from turning.worst("mean yaw jerk [rad/s^3]", np.abs(a), most.jerk * h, gain, lag)
-        by_jerk = 0.25 * most.jerk * h**2
-        off = np.abs(w - h * steady)
-        allowed = rough + rounding.yaw_acceleration * h
-        yield from turning.worst("yaw rate off its accelerations [rad/s]", off, by_jerk, allowed, lag)
-        bound = np.minimum(h**3 * most.jerk / 12.0, 0.25 * h**2 * most.acceleration)
-        allowed = 2.0 * rounding.yaw + rounding.yaw_rate * h + 2.0 * rounding.time * most.rate
-        yield from turning.worst("yaw off its rates [rad]", np.abs(yaw - h * mean), bound, allowed, lag)
-        lag *= 2
-
-
-def _too_coarse(motion: SampledMotion, limits: MotionLimits) -> Violation | None:
-    """Samples between which the robot may be anywhere within centimetres."""
-    dt = float(np.max(np.diff(motion.t)))
-    open_ = float(np.max(step_lengths(motion.t, np.abs(motion.speed), 0.0 * motion.t, limits).error))
-    if open_ <= REACH:
-        return None
-    message = f"samples up to {dt:.3g} s apart leave the motion between them open by {open_:.3g} m; sample it finer"
-    return Violation("too_coarse", message, 0.0, open_)
-
-
-def _turn_in_place(path: Path) -> Violation | None:
-    """As for a time law, distance is what places a motion on its path."""
+def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
+    """Samples too far apart, or a polyline that turns in place, where distance does not determine the place."""
+    if not error <= REACH:
+        message = (
+            f"samples up to {step:.3g} s apart leave the motion between them open by {error:.3g} m; sample it finer"
+        )
+        return Violation("too_coarse", message, 0.0, error)
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         still = np.flatnonzero(np.diff(segment.knots) <= 0.0)
         if still.size:
@@ -316,71 +157,329 @@ def _turn_in_place(path: Path) -> Violation | None:
     return None
 
 
-def _judged(
-    motion: SampledMotion, path: Path, problem: DockingProblem, places: Places, rounding: Rounding
-) -> SamplesOnPath:
-    poses = places.poses
-    apart = np.hypot(motion.x - poses[:, 0], motion.y - poses[:, 1])
-    turned = np.abs(wrap_angles(motion.yaw - poses[:, 2]))
-    # A pose that is on the path but `ON_PATH` further along it has turned by that much.
-    turned = np.maximum(turned - ON_PATH * np.minimum(np.abs(path.curvature_at(places.s)), _STEEPEST), 0.0)
-    v, a, j = (places.gear * column for column in (motion.speed, motion.acceleration, motion.jerk))
-    sums = Sums.of(motion, v, a, problem.robot.limits)
-    return SamplesOnPath(
-        motion, path, places.s, v, a, j, apart, turned, sums, rounding, math.sqrt(2.0) * rounding.place
-    )
-
-
-def _off_path(judged: SamplesOnPath, problem: DockingProblem) -> tuple[tuple[float, float], list[Violation]]:
-    """The largest distance and turn off the path, and what is wrong with them."""
-    motion, apart, turned = judged.motion, judged.apart, judged.turned
-    i = int(np.argmax(np.maximum(apart, turned)))
-    offset = (float(np.max(apart)), float(np.max(turned)))
-    place = f"pose at t = {motion.t[i]:.3f} s is {apart[i]:.4g} m and {turned[i]:.4g} rad off the path"
-    if not max(offset) <= OFF_PATH:
-        in_degrees = np.remainder(np.radians(motion.yaw) - judged.path.poses_at(judged.s)[:, 2] + np.pi, 2.0 * np.pi)
-        hint = "; is yaw in degrees?" if turned[i] > 0.1 and np.max(np.abs(in_degrees - np.pi)) < 0.1 else ""
-        return offset, [Violation("off_path", place + hint, float(judged.s[i]), max(offset))]
-    if max(offset) <= ON_PATH or _covers(judged.path, problem, offset):
-        return offset, []
-    message = f"{place}, and the clearance does not cover it"
-    return offset, [Violation("off_path", message, float(judged.s[i]), max(offset))]
-
-
 def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) -> bool:
-    """Whether footprints that far off the path keep what is required beside it.
+    """Whether footprints at this distance [m] and turn [rad] from the path keep the required clearance.
 
-    A pose off by e and turned by w moves no point of the footprint by more than e + R w, R the circumscribed radius.
-    So it is enough that the path keeps that much more than required, everywhere. The start may be closer than required
-    and has nothing to spare then.
+    Such a pose moves no point of the footprint by more than distance + radius * turn, with the circumscribed radius.
+    The start may be closer than required and has nothing to spare then.
     """
-    more, at_start = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1], end_clearances(problem).start
+    more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
     raised = replace(problem, clearance=problem.clearance.raised(more))
+    at_start = end_clearances(problem).start
     return prove_clearance(path, raised).holds and at_start >= raised.path_clearance.required
 
 
-def _unproven(judged: SamplesOnPath, limits: MotionLimits) -> dict[str, float]:
-    """See the module; the rounding of the numbers is added."""
-    h, rounding = float(np.max(np.diff(judged.motion.t))), judged.rounding
-    speed = min(limits.max_jerk * h**2 / 8.0, h / (1.0 / limits.max_acceleration + 1.0 / limits.max_deceleration))
-    bounds = {
-        "speed": speed + rounding.speed,
-        "acceleration": limits.max_jerk * h / 2.0 + rounding.acceleration,
-        "place": min(limits.max_jerk * h**3 / 12.0, speed * h) + judged.slack,
-    }
-    if np.isfinite(limits.max_yaw_rate) and all(isinstance(one, ClothoidSegment) for one in judged.path.segments):
-        steepest = max(float(np.max(np.abs(one.curvature_at(one.knots)))) for one in judged.path.segments)
-        bounds["yaw rate"] = steepest * bounds["speed"] + rounding.yaw_rate
-    return bounds
+class _Bends(NamedTuple):
+    """The path near the samples, within the rounding of their places.
+
+    `low`, `high`: curvature, Shape (n,) [1/m]; `curvature`, `rate`: before, at and after, Shape (3, n) [1/m], [1/m^2];
+    `exact`: whether the sample is on a clothoid, Shape (n,).
+    """
+
+    low: FloatArray
+    high: FloatArray
+    curvature: FloatArray
+    rate: FloatArray
+    exact: BoolArray
+
+    @classmethod
+    def of(cls, path: Path, s: FloatArray, near: float) -> _Bends:
+        places = [np.clip(s + shift, 0.0, path.length) for shift in (-near, 0.0, near)]
+        curvature = np.array([np.clip(path.curvature_at(place), -1e9, 1e9) for place in places])
+        rate = np.array([path.curvature_rate_at(place) for place in places])
+        low, high, exact = curvature.min(axis=0), curvature.max(axis=0), np.ones(s.size, dtype=np.bool_)
+        owners = np.clip(np.searchsorted(path.segment_starts, s, side="right") - 1, 0, len(path.segments) - 1)
+        for i, segment in enumerate(path.segments):
+            if isinstance(segment, PolylineSegment):
+                rows = np.flatnonzero(owners == i)
+                least, most = _polyline_curvatures(segment)
+                local = s[rows] - path.segment_starts[i]
+                step = np.clip(np.searchsorted(segment.knots, local, side="right") - 1, 0, segment.knots.size - 2)
+                low[rows], high[rows] = np.minimum(low[rows], least[step]), np.maximum(high[rows], most[step])
+                exact[rows] = False
+        return cls(low, high, curvature, rate, exact)
+
+
+def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
+    """Least and largest curvature that the sampled curve may have on each step, Shape (steps,) each [1/m].
+
+    The turn of a step gives the mean only: neighbouring steps count, widened by their difference and by the rounding of
+    the poses.
+    """
+    k = segment.step_curvature
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(k, 1, mode="edge"), 3)
+    low, high = around.min(axis=1), around.max(axis=1)
+    longer = math.sqrt(2.0) * half_unit(segment.poses[:, 0], segment.poses[:, 1])
+    noise = 2.0 * (half_unit(segment.poses[:, 2]) + longer * np.abs(k)) / np.diff(segment.knots)
+    return low - (high - low) - noise, high + (high - low) + noise
+
+
+class _Rules:
+    """The rules for samples on their path; `found` collects the violations."""
+
+    def __init__(
+        self, motion: SampledMotion, path: Path, problem: DockingProblem, rounding: Rounding, runs: Sequence[Run]
+    ) -> None:
+        self.found: list[Violation] = []
+        self._motion, self._path, self._problem, self._rounding = motion, path, problem, rounding
+        self._limits, self._runs, self._gear = problem.robot.limits, runs, gears_of(motion, rounding.speed)
+        self._slack, self._early = math.sqrt(2.0) * rounding.place, 2.0 * rounding.time
+        self._h, self._v = np.diff(motion.t), np.maximum(np.abs(motion.speed) - rounding.speed, 0.0)
+        self._travelled, turned = (_integral(self._h, c) for c in (np.abs(motion.speed), motion.yaw_rate))
+        self._yaw = turned + _sums(wrap_angles(np.diff(motion.yaw - turned))) + motion.yaw[0]
+        self._places = places_of(motion, path, runs, self._travelled, self._yaw)
+
+    def _add(self, kind: str, message: str, s: float, amount: float) -> None:
+        self.found.append(Violation(kind, message, s, amount))
+
+    def _at_most(
+        self, kind: str, values: FloatArray, limit: FloatArray | float, rough: float = 0.0, first: int = 0
+    ) -> None:
+        """Compare values, accurate to `rough`, of samples from number `first` on with their limit; report the worst."""
+        limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
+        beyond = values - rough - limits * (1.0 + TOLERANCE) - _ARITHMETIC
+        beyond = np.where(np.isnan(beyond), np.inf, beyond)
+        i = int(np.argmax(beyond))
+        if beyond[i] > 0.0:
+            t, s = self._motion.t[first + i], float(self._places.s[first + i])
+            message = f"{kind}: {values[i]:.6g} at t = {t:.3f} s, limit {limits[i]:.6g}"
+            self._add(kind.partition(" [")[0].replace(" ", "_"), message, s, float(beyond[i]))
+
+    def _limited(self, values: Mapping[str, tuple[FloatArray, float]]) -> None:
+        """Compare values and their rounding, by the name of the limit, with their limits."""
+        for name, (value, rough) in values.items():
+            if math.isfinite(most := getattr(self._limits, name)):
+                self._at_most(LIMITS[name].label, value, most, rough)
+
+    def _slopes(self, kind: str, column: FloatArray, limit: float, rough: float, rows: slice = slice(None)) -> None:
+        """Compare mean increases per second between samples 1, 2, 4, ... apart with their limit.
+
+        `rough`: of a difference of two values; the first distance with a violation is reported.
+        """
+        column, t, lag = column[rows], self._motion.t[rows], 1
+        known, rough = len(self.found), rough + self._early * limit
+        while lag < column.size and len(self.found) == known and math.isfinite(limit):
+            mean = (column[lag:] - column[:-lag] - rough) / (t[lag:] - t[:-lag])
+            self._at_most(kind, mean, limit, first=rows.start or 0)
+            lag *= 2
+
+    def _residuals(
+        self, kind: str, column: FloatArray, bound: FloatArray, rough: float, rows: slice = slice(None)
+    ) -> None:
+        """Compare changes of a residual between samples 1, 2, 4, ... apart with the sums of the bounds of the steps."""
+        column, allowed, lag, known = column[rows], _sums(bound)[rows], 1, len(self.found)
+        while lag < column.size and len(self.found) == known and np.isfinite(allowed[-1]):
+            change, most = np.abs(column[lag:] - column[:-lag]), allowed[lag:] - allowed[:-lag]
+            self._at_most(kind, change, most, rough, rows.start or 0)
+            lag *= 2
+
+    def check_poses(self) -> tuple[float, float]:
+        """Poses on the path, or covered by its clearance; returns the largest distance [m] and turn [rad] off it."""
+        motion, apart, turned = self._motion, self._places.apart, self._places.turned
+        offset = (float(np.max(apart)), float(np.max(turned)))
+        i = int(np.argmax(np.maximum(apart, turned)))
+        message = f"pose at t = {motion.t[i]:.3f} s is {apart[i]:.4g} m and {turned[i]:.4g} rad off the path"
+        if not max(offset) <= OFF_PATH:
+            in_degrees = wrap_angles(np.radians(motion.yaw) - self._path.poses_at(self._places.s)[:, 2])
+            if turned[i] > 0.1 and np.max(np.abs(in_degrees)) < 0.1:
+                message += "; is yaw in degrees?"
+        elif max(offset) <= ON_PATH or _covers(self._path, self._problem, offset):
+            return offset
+        else:
+            message += ", and the clearance does not cover it"
+        self._add("off_path", message, float(self._places.s[i]), max(offset))
+        return offset
+
+    def check_ends(self) -> None:
+        """The motion begins at the start as the robot moves, and ends at rest at the end of the path."""
+        motion, rounding, problem, path = self._motion, self._rounding, self._problem, self._path
+        first, last = float(self._places.s[0]), float(self._places.s[-1])
+        slack = [2.0 * self._slack + OFF_PATH * isinstance(path.segments[i], TurnSegment) for i in (0, -1)]
+        if first > slack[0]:
+            self._add("coverage", f"begins: at s = {first:.6g} m, the path at 0 m", first, first)
+        if last < path.length - slack[1]:
+            message = f"travelled: {last:.4f} m, the path is {path.length:.4f} m long"
+            self._add("coverage", message, last, path.length - last)
+        for name, wanted in (("speed", problem.start_speed), ("acceleration", problem.start_acceleration)):
+            found = float(getattr(motion, name)[0])
+            if not abs(found - wanted) <= getattr(rounding, name):
+                message = f"start {LIMITS[f'max_{name}'].label}: {found:.6g}, the robot has {wanted:.6g}"
+                self._add("start_state", message, 0.0, abs(found - wanted))
+        yaw = ("yaw_rate", "yaw_acceleration") if isinstance(path.segments[-1], TurnSegment) else ()
+        for name in ("speed", "acceleration", *yaw):
+            found = float(getattr(motion, name)[-1])
+            if not abs(found) <= getattr(rounding, name) + _ARITHMETIC:
+                message = f"end {LIMITS[f'max_{name}'].label}: {found:.6g} at t = {motion.t[-1]:.3f} s, must be 0"
+                self._add("rest", message, last, abs(found))
+
+    def check_samples(self) -> None:
+        """Speeds, accelerations and jerks within their limits; a sample at rest may belong to either gear."""
+        motion, limits, zone, v = self._motion, self._limits, self._problem.dock.approach, self._v
+        self._at_most("speed [m/s]", v, np.where(motion.speed >= 0.0, limits.max_speed, limits.max_reverse_speed))
+        slow = self._places.s > place_before_end(self._path, zone.distance) + self._slack + _ARITHMETIC
+        self._at_most("approach speed [m/s]", np.where(slow, v, 0.0), zone.speed)
+        along, rough = self._gear * motion.acceleration, self._rounding.acceleration
+        self._limited({"max_acceleration": (along, rough), "max_deceleration": (-along, rough)})
+        still = np.where(self._gear == 0.0, np.abs(motion.acceleration), 0.0)
+        self._at_most(
+            "acceleration at rest [m/s^2]", still, max(limits.max_acceleration, limits.max_deceleration), rough
+        )
+        self._limited({"max_jerk": (np.abs(motion.jerk), self._rounding.jerk)})
+
+    def check_curvature(self) -> None:
+        """Limits of quantities that depend on curvature, and yaw columns against the curvature of the path."""
+        motion, limits, rounding, v = self._motion, self._limits, self._rounding, self._v
+        bends = _Bends.of(self._path, self._places.s, self._slack + _ARITHMETIC)
+        yaw_rate = np.abs(motion.yaw_rate)
+        # The curvature of a polyline is a difference quotient: 5 % beyond a limit are accepted, as for time laws.
+        sideways = np.maximum(yaw_rate - rounding.yaw_rate, 0.0) / np.where(bends.exact, 1.0, 1.0 + STEP_RTOL)
+        steering = limits.steering_per_metre(np.abs(bends.curvature).max(axis=0), np.abs(bends.rate).min(axis=0))
+        self._limited(
+            {
+                "max_yaw_rate": (yaw_rate, rounding.yaw_rate),
+                "max_yaw_acceleration": (np.abs(motion.yaw_acceleration), rounding.yaw_acceleration),
+                "max_lateral_acceleration": (v * sideways, 0.0),
+                "max_wheel_speed": (v + 0.5 * limits.track_width * sideways, 0.0),
+                "max_steering_rate": (np.where(bends.exact, v * steering, 0.0), 0.0),
+            }
+        )
+        # At rest next to a turn in place, the yaw columns may be those of the turn.
+        drives = (self._gear != 0.0) | (not self._path.turns)
+        speed, a = np.abs(motion.speed), np.abs(motion.acceleration)
+        ranges = ((speed - rounding.speed, speed + rounding.speed), (bends.low - EXACT, bends.high + EXACT))
+        rates = np.array([one * bend for one in ranges[0] for bend in ranges[1]])
+        off = np.maximum(rates.min(axis=0) - motion.yaw_rate, motion.yaw_rate - rates.max(axis=0)) - rounding.yaw_rate
+        self._at_most("yaw rate off speed times curvature [rad/s]", np.where(drives, off, 0.0), 0.0)
+        k, r = bends.curvature, bends.rate
+        rough = rounding.acceleration * np.abs(k) + (2.0 * speed + rounding.speed) * rounding.speed * np.abs(r)
+        rough = rough + self._slack * np.abs(a * r) + EXACT * (a + speed**2)
+        at_rest = np.where(self._gear == 0.0, 2.0 * np.abs(a * k), 0.0)  # in either gear
+        gains = self._gear * motion.acceleration * k + speed**2 * r
+        least, most = (gains - rough - at_rest).min(axis=0), (gains + rough + at_rest).max(axis=0)
+        off = np.maximum(least - motion.yaw_acceleration, motion.yaw_acceleration - most) - rounding.yaw_acceleration
+        self._at_most("yaw acceleration off the path's [rad/s^2]", np.where(bends.exact & drives, off, 0.0), 0.0)
+
+    def check_between(self, error: FloatArray) -> None:
+        """Changes between samples against the limits and the sums of the next derivative; `error`: of the places."""
+        motion, limits, rounding, early, h = self._motion, self._limits, self._rounding, self._early, self._h
+        v, up, down, jerk = np.abs(motion.speed), limits.max_acceleration, limits.max_deceleration, limits.max_jerk
+        self._slopes("mean acceleration [m/s^2]", v, up, 2.0 * rounding.speed)
+        self._slopes("mean deceleration [m/s^2]", -v, down, 2.0 * rounding.speed)
+        top, turning = float(np.max(v)), float(np.max(np.abs(motion.yaw_rate)))
+        lateral = (top + rounding.speed) * rounding.yaw_rate + turning * rounding.speed
+        # At a cusp the signs of speed and acceleration change. Time laws rest there to 1e-6, and a sample within 1e-13
+        # m of the cusp, where a = J^(2/3) (6e-13 m)^(1/3), may have the signs of the other gear.
+        rest = EXACT if len(self._runs) > 1 else 0.0
+        wrong_sign = float(np.cbrt(jerk) ** 2 * np.cbrt(6e-13)) if len(self._runs) > 1 else 0.0
+        for name, column, rounded in (
+            ("max_jerk", motion.acceleration, rounding.acceleration + rest + wrong_sign),
+            ("max_yaw_rate", self._yaw, rounding.yaw),
+            ("max_yaw_acceleration", motion.yaw_rate, rounding.yaw_rate),
+            ("max_lateral_jerk", motion.speed * motion.yaw_rate, lateral),
+        ):
+            for sign in (1.0, -1.0):
+                self._slopes(f"mean {LIMITS[name].label}", sign * column, getattr(limits, name), 2.0 * rounded)
+        bound = np.minimum(0.25 * jerk * h**2, (up + down) * h) + rounding.acceleration * h
+        rough = 2.0 * (rounding.speed + rest) + early * max(up, down)
+        residual = motion.speed - _integral(h, motion.acceleration)
+        self._residuals("speed off its accelerations [m/s]", residual, bound, rough)
+        # Beside a curve the way is longer or shorter than on it.
+        bound = error + rounding.speed * h + float(np.max(self._places.apart)) * np.abs(np.diff(self._yaw))
+        rough = 2.0 * self._slack + early * max(limits.max_speed, limits.max_reverse_speed)
+        self._residuals("distance off its speeds [m]", self._places.driven - self._travelled, bound, rough)
+        for run in self._runs:
+            if run.is_turn:
+                self._check_turn(run)
+
+    def _check_turn(self, run: Run) -> None:
+        """A turn in place: driving columns are 0; yaw columns are checked as those of a drive."""
+        motion, rounding, early, h = self._motion, self._rounding, self._early, self._h
+        fastest, steepest, jerk = self._limits.turning
+        rows, w, gain = slice(run.first, run.last + 1), motion.yaw_rate, motion.yaw_acceleration
+        for kind, column, rounded, most in (
+            ("acceleration in a turn [m/s^2]", motion.acceleration, rounding.acceleration, 0.0),
+            ("jerk in a turn [m/s^3]", motion.jerk, rounding.jerk, 0.0),
+            ("yaw rate in a turn [rad/s]", w, rounding.yaw_rate, fastest),
+            ("yaw acceleration in a turn [rad/s^2]", gain, rounding.yaw_acceleration, steepest),
+        ):
+            self._at_most(kind, np.abs(column[rows]), most, rounded, run.first)
+        for sign in (1.0, -1.0):
+            self._slopes("mean yaw acceleration in a turn [rad/s^2]", sign * w, steepest, 2.0 * rounding.yaw_rate, rows)
+            self._slopes("mean yaw jerk [rad/s^3]", sign * gain, jerk, 2.0 * rounding.yaw_acceleration, rows)
+        bound = np.minimum(0.25 * jerk * h**2, 2.0 * steepest * h) + rounding.yaw_acceleration * h
+        rough = 2.0 * rounding.yaw_rate + early * steepest
+        self._residuals("yaw rate off its accelerations [rad/s]", w - _integral(h, gain), bound, rough, rows)
+        bound = np.minimum(jerk * h**3 / 12.0, 0.25 * steepest * h**2) + rounding.yaw_rate * h
+        rough = 2.0 * rounding.yaw + early * fastest
+        self._residuals("yaw off its rates [rad]", self._yaw - _integral(h, w), bound, rough, rows)
+        missing = run.end - run.begin - abs(float(self._yaw[run.last] - self._yaw[run.first]))
+        if missing > np.pi + 2.0 * float(np.max(h)) * fastest:  # a whole turn less ends with the same heading
+            message = f"turned: {missing:.4g} rad less than the path at s = {run.begin:.3f} m"
+            self._add("coverage", message, run.begin, missing)
+
+    def check_rests(self) -> None:
+        """Between two parts of the path the samples leave the time to stop and to start again."""
+        t = self._motion.t
+        for before, behind in itertools.pairwise(self._runs):
+            last, first = before.last, behind.first
+            needed, given = self._stop(before, last) + self._stop(behind, first), float(t[first] - t[last])
+            message = f"must rest between t = {t[last]:.3f} s and {t[first]:.3f} s, which takes {needed:.3g} s"
+            self._check_wait(
+                needed, given * (1.0 + TOLERANCE), f"cusp at s = {before.end:.3f} m: {message}", before.end
+            )
+
+    def _check_wait(self, needed: float, given: float, message: str, s: float) -> None:
+        missing = needed - given - self._early - _ARITHMETIC
+        if missing > 0.0:
+            self._add("rest", message, s, missing)
+
+    def _stop(self, run: Run, i: int) -> float:
+        """The least time between sample `i` and a rest [s]."""
+        limits, names = self._limits, ("speed", "acceleration")
+        steepest, jerk = max(limits.max_acceleration, limits.max_deceleration), limits.max_jerk
+        if run.is_turn:
+            names, (_, steepest, jerk) = ("yaw_rate", "yaw_acceleration"), limits.turning
+        pairs = ((float(getattr(self._motion, name)[i]), getattr(self._rounding, name)) for name in names)
+        v, a = (max(abs(value) - rounded, 0.0) for value, rounded in pairs)
+        return float(max(math.sqrt(2.0 * v / jerk), a / jerk, v / steepest))
+
+    def check_steering(self) -> None:
+        """Steered wheels have the time to turn at the start and at cusps.
+
+        The ends of a polyline have the curvature of a difference quotient, so only clothoids are checked.
+        """
+        path, t, s, slack = self._path, self._motion.t, self._places.s, 2.0 * self._slack
+        if not np.isfinite(self._limits.max_steering_rate) or path.turns:
+            return
+        exact = [isinstance(segment, ClothoidSegment) for segment in path.segments]
+        under_way = np.flatnonzero(s > slack)
+        waits = [(self._problem.start_wait(path), 0.0, 0, under_way[0])] if exact[0] and under_way.size else []
+        needed = self._limits.steering_times(joint_curvatures(path)).tolist()
+        for i, cusp in enumerate(path.cusps):
+            before, behind = np.flatnonzero(s < cusp - slack), np.flatnonzero(s > cusp + slack)
+            if exact[i] and exact[i + 1] and before.size and behind.size:
+                waits.append((needed[i], cusp, before[-1], behind[0]))
+        for wait, cusp, first, last in waits:
+            message = f"s = {cusp:.3f} m: the wheels turn for {wait:.4g} s, the robot moves at t = {t[last]:.3f} s"
+            self._check_wait(wait * (1.0 - _STEERED), float(t[last] - t[first]), message, cusp)
+
+
+def _sums(steps: FloatArray) -> FloatArray:
+    """Cumulative sums from 0, Shape (n,) of steps of Shape (n - 1,)."""
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def _integral(h: FloatArray, column: FloatArray) -> FloatArray:
+    """The integral of a column by trapezoids of widths `h`, Shape (n,)."""
+    return _sums(0.5 * h * (column[:-1] + column[1:]))
 
 
 def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
-    """Whether phases that miss their samples or a limit may do so because they were rounded.
+    """Whether rounding explains that phases miss their samples or a limit.
 
-    They have six decimals at most, and lead no further from the samples than numbers that are off by r = 1e-5 each can
-    lead. With n phases of durations d and jerks j, the borders are off by n r, the acceleration by what its own
-    numbers add up to, e = r (1 + sum |j| + sum d), and by as much as it changes while the borders are off; speed and
-    distance by the integrals of that. What is further off is another motion.
+    The numbers of the phases have at most six decimals, each off by at most r = 1e-5. With n phases of durations d and
+    jerks j, the borders are off by n r, the acceleration by e = r (1 + sum |j| + sum d) and by its change while the
+    borders are off; speed and distance by the integrals of that.
 
     Args:
         trajectory: The path and the motion by the phases.
@@ -408,10 +507,10 @@ def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
 
 
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
-    """Whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
+    """Check whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
 
-    Poses that are further off than 1e-6 need the clearance to cover that. Where jerk and yaw acceleration jump, the
-    values on both sides count, and whatever lies between them.
+    Poses further off than 1e-6 need the clearance to cover the deviation. Where jerk and yaw acceleration jump, the
+    values on both sides and all between them are accepted.
 
     Args:
         trajectory: The motion; see `certify_trajectory` for its own verdict.

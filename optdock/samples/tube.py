@@ -1,8 +1,8 @@
-"""The tracking tube: how far poses are off a certified path, and how far they may be.
+"""The tracking tube: deviations of poses from a certified path, and the largest allowed deviations.
 
-A pose that is off by a distance e and turned by w moves no point of the footprint by more than e + 2 R sin(|w| / 2), R
-the circumscribed radius: its displacement. The certificate proves clearance enough for displacements up to the width of
-the tube, `DockingProblem.tube_widths`.
+A pose at distance e and turn w from the path displaces no point of the footprint by more than e + 2 R sin(|w| / 2),
+with the circumscribed radius R. The certificate proves the clearance for displacements up to the width of the tube,
+`DockingProblem.tube_widths`.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Deviations", "Tube"]
 
-_SPACING = 0.002  # [m] between the places looked at first: beside a cusp two legs are as near, so coarse ones mislead
-_CLOSE = 2e-4  # [m]: where the search ends; a displacement is then too large by as much at most
+_SPACING = 0.002  # [m] between the first candidates; next to a cusp, coarser ones may select the wrong gear
+_CLOSE = 2e-4  # [m]: resolution of the search, the largest error of a displacement
 _AROUND = readonly(np.linspace(-1.0, 1.0, 11))
 
 
 class Deviations(NamedTuple):
-    """How far poses are off a path; every column of Shape (n,).
+    """Deviations of poses from a path, Shape (n,) each.
 
     Attributes:
-        s: The place on the path in whose tube each is deepest, or which it is nearest to [m].
-        along: Seen from there, in its heading [m]: small but beyond an end or a cusp.
-        cross: Likewise to the left [m].
+        s: Arc length with the least excess over the tube [m].
+        along: Error along the heading of the path at `s` [m]; small except beyond an end or a cusp.
+        cross: Error to the left of the path at `s` [m].
         yaw: Heading error [rad].
-        displacement: Largest way of a point of the footprint from where the path has it at `s` [m], or a bound of it.
-        width: Of the tube at `s` [m].
+        displacement: Bound of the displacement of the footprint from the path at `s` [m].
+        width: Width of the tube at `s` [m].
     """
 
     s: FloatArray
@@ -48,17 +48,17 @@ class Deviations(NamedTuple):
 
     @property
     def excess(self) -> FloatArray:
-        """By how much each pose is outside the tube, Shape (n,) [m]; not above 0 within."""
+        """Distance outside of the tube, Shape (n,) [m]; <= 0 inside."""
         return self.displacement - self.width
 
 
 class Tube:
-    """The tube around a path that was proven for a problem.
+    """The tube around a certified path.
 
     Args:
         path: The path.
-        problem: What it was proven for.
-        start_relief: Of its certificate [m].
+        problem: Problem of the certificate.
+        start_relief: Start relief of the certificate [m].
     """
 
     def __init__(self, path: Path, problem: DockingProblem, start_relief: float = 0.0) -> None:
@@ -71,19 +71,19 @@ class Tube:
         self._known_widths = readonly(self._widths(self._poses))
 
     def width_at(self, s: FloatArray) -> FloatArray:
-        """How far any point of the footprint may be off at places `s` [m] of the path. Shape (n,) [m]."""
+        """Return the largest displacement of the footprint at arc lengths `s` [m]. Shape (n,) [m]."""
         return self._widths(self.path.poses_at(s))
 
     def _widths(self, poses: FloatArray) -> FloatArray:
         return self.problem.tube_widths(poses, self.problem.start, self._start_clearance, self.start_relief)
 
     def deviations(self, poses: FloatArray, near: float | None = None, within: float = 0.5) -> Deviations:
-        """How far poses are off the path.
+        """Return the deviations of poses from the path.
 
         Args:
-            poses: Shape (n, 3).
-            near: Where on the path they are about [m]; None: anywhere.
-            within: How far around `near` to look [m].
+            poses: Poses, Shape (n, 3).
+            near: Approximate arc length of the poses [m]; None: unknown.
+            within: Search range around `near` [m].
         """
         rows = slice(None)
         if near is not None:

@@ -296,7 +296,7 @@ NO_SCENARIOS = [
     (MINIMAL + "1: 2\n", "bay.yaml:5: 1: a key must be text, got 1"),
     (MINIMAL + "planner: {step: fine}\n", "bay.yaml:5: planner.step: must be a number, got 'fine'"),
     (MINIMAL + "smoother: {plugin: }\n", "bay.yaml:5: smoother.plugin: must be text, got None"),
-    (MINIMAL + "dock: {pose: [2, 0, 0]}\n", "bay.yaml:5: dock: stands here again; first in line 3"),
+    (MINIMAL + "dock: {pose: [2, 0, 0]}\n", "bay.yaml:5: dock: is repeated; first in line 3"),
     ("\x00", "bay.yaml: is not valid YAML"),
 ]
 

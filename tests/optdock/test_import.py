@@ -1,7 +1,6 @@
 """Scenario files that are written read back as the same problem; `optdock import` writes them."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
@@ -31,7 +30,6 @@ from optdock.plugins.registry import PluginChoice
 ELL = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.1, -0.3], [0.1, 0.1], [0.4, 0.1]]
 CORNER = [[3.0, 0.0], [4.0, 0.0], [4.0, 2.0], [3.5, 2.0], [3.5, 0.5], [3.0, 0.5]]
 CHARGER = Footprint(np.array([[0.41, -0.2], [0.6, -0.2], [0.6, 0.2], [0.41, 0.2]]))
-CASE = "0,0,0, 6,0,0, 1, 6, 0,2,6,2,6,3,3,3,3,4,0,4"
 
 
 def invoke(*words):
@@ -146,41 +144,6 @@ def test_nothing_is_left_of_a_file_that_cannot_be_written(tmp_path):
     with pytest.raises(InvalidFile, match="cannot be written"):
         save_scenario(tmp_path / "file" / "scene.yaml", Scenario(problem()))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_case_of_the_competition_becomes_a_scenario_that_plans(tmp_path):
-    (tmp_path / "case.csv").write_text(CASE)
-    done = invoke("tpcap", tmp_path / "case.csv", "-o", tmp_path / "case.yaml")
-    assert (done.exit_code, done.stdout) == (0, f"written: {tmp_path / 'case.yaml'}\n"), done.output
-    assert "[[0.0, 2.0], [6.0, 2.0], [6.0, 3.0], [3.0, 3.0], [3.0, 4.0], [0.0, 4.0]]" in (
-        tmp_path / "case.yaml"
-    ).read_text().replace("\n ", "")
-    scenario = load_scenario(tmp_path / "case.yaml")
-    assert scenario.time_budget == 1.0
-    plan = plan_dock(scenario.problem, time_budget=5.0, planner="DockPlanner")
-    assert plan.certificate.certified
-
-
-def test_a_scene_becomes_a_scenario(tmp_path):
-    from tests.optdock.io.test_parking_cases import SCENES
-
-    (tmp_path / "scenes.json").write_text(json.dumps(SCENES))
-    words = ("obca", tmp_path / "scenes.json", "--out", tmp_path / "p.yaml", "--time-budget", 0.5, "--scene")
-    assert invoke(*words, "backwards", "--start", 4).exit_code == 0
-    scenario = load_scenario(tmp_path / "p.yaml")
-    assert (scenario.problem.start.y, scenario.time_budget) == (7, 0.5)
-    for asked, told in (("side", "--scene: must be"), ("parallel --start 6", "--start: must be in 0..5, got 6")):
-        refused = invoke(*words, *asked.split())
-        assert refused.exit_code == 2
-        assert told in refused.stderr
-
-
-def test_the_file_that_is_read_is_not_written_over(tmp_path):
-    (tmp_path / "case.csv").write_text(CASE)
-    refused = invoke("tpcap", tmp_path / "case.csv", "-o", tmp_path / "case.csv")
-    assert refused.exit_code == 2
-    assert "would be overwritten" in refused.stderr
-    assert (tmp_path / "case.csv").read_text() == CASE
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_every_ratio_must_be_proven(problems):
         (lambda d: d["tried"][0].update(price=1.0), "tried: the lowest price is 1 s"),
         (lambda d: d.update(raw_path=document_of("straight")["raw_path"]), "raw_path begins"),
         (lambda d: d.update(status="FailedToSmoothPath", trajectory=None), "the file is a refusal"),
-        (lambda d: d.update(frame="odom"), "the plan stands in frame 'odom'"),
+        (lambda d: d.update(frame="odom"), "the frame of the plan is 'odom'"),
     ],
 )
 def test_false_claims_refute_a_file(problems, change, said):
@@ -168,7 +168,7 @@ def test_false_claims_refute_a_file(problems, change, said):
             lambda d: d.update(status="certified", impossibility=None),
             "status: is 'certified', but",
         ),
-        (lambda d: d.update(status="unknown"), "error: stands beside status 'unknown'"),
+        (lambda d: d.update(status="unknown"), "error: contradicts status 'unknown'"),
     ],
 )
 def test_contradictions_are_no_plan(problems, change, said):

@@ -33,8 +33,7 @@ from optdock.plotting import plan_picture, save_animation, save_plan_picture, sa
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
-from optdock.plotting.scene import draw_scene, view_of
-from optdock.plotting.view_drawing import _cone
+from optdock.plotting.scene import _cone, draw_scene, view_of
 from optdock.simulation import Run
 from optdock.verification import certify_path
 
@@ -111,8 +110,9 @@ def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
     found = _place(problem, refusal, path)
     expected = (end.x, end.y) if end is not None else place
     assert (found.x, found.y) == pytest.approx(expected, abs=2e-3)
-    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
-    assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 50
+    if speaks_of == "the start":
+        save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
+        assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 50
 
 
 @pytest.mark.parametrize("where", [{}, {"iterations": 7}, {"obstacle": "obstacles[0]"}])
@@ -130,6 +130,7 @@ def test_a_refused_path_is_drawn_in_its_gears_and_called_what_it_is(tmp_path, pr
     monkeypatch.setattr(
         plan_picture, "legend_below", lambda _, axes: legends.append(axes.get_legend_handles_labels()[1])
     )
+    monkeypatch.setattr(plan_picture, "save_figure", lambda *_: None)
     refusal, refused = FailedToSmoothPath("no", where={"s": 1.0}), certify_path(path, problem.starting_at(path.end))
     for proof in (None, refused, certify_path(path, problem)):
         save_plan_picture(tmp_path / "p.png", problem, path=path, certificate=proof, refusal=refusal)
@@ -220,11 +221,9 @@ def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
     assert set(panels["acceleration"].upper[reverse]) == {limits.max_deceleration}
 
 
-@pytest.mark.parametrize("more", [{}, {"max_lateral_acceleration": 0.2}])
-def test_a_profile_picture_is_drawn(tmp_path, trajectory, more):
-    save_profile_picture(
-        tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0, **more), SpeedZone(), title="t"
-    )
+def test_a_profile_picture_is_drawn(tmp_path, trajectory):
+    limits = MotionLimits(max_curvature=1.0, max_lateral_acceleration=0.2)
+    save_profile_picture(tmp_path / "v.png", trajectory, limits, SpeedZone(), title="t")
     colours = colours_in(tmp_path / "v.png")
     assert colours.get(COLOURS["path"], 0) > 500
     assert colours.get(COLOURS["goal"], 0) > 200
@@ -239,7 +238,7 @@ def test_a_run_picture_is_drawn(tmp_path, problem, run):
 
 def test_an_animation_moves_the_robot_from_start_to_end(tmp_path, problem, run):
     done = []
-    save_animation(tmp_path / "a.gif", problem, run.times, run.poses, lambda i, n: done.append((i, n)))
+    save_animation(tmp_path / "a.gif", problem, 0.2 * run.times, run.poses, lambda i, n: done.append((i, n)))
     with Image.open(tmp_path / "a.gif") as animation:
         frames = animation.n_frames
         pictures = []
@@ -296,7 +295,7 @@ def texts_beyond(figure):
     ]
 
 
-@pytest.mark.parametrize("width", [3.0, 5.0, 9.0])
+@pytest.mark.parametrize("width", [3.0, 9.0])
 @pytest.mark.parametrize(
     "title", ["short", "a_scenario_with_a_name_of_one_long_word_" * 4, "FailedToSmoothPath: clearance missing, " * 5]
 )
@@ -392,10 +391,11 @@ def test_the_picture_shows_the_marker_and_what_the_camera_sees(tmp_path, problem
     seen = dataclasses.replace(problem, robot=robot, dock=dock)
     save_plan_picture(tmp_path / "plain.png", problem, path=path)
     save_plan_picture(tmp_path / "seen.png", seen, path=path, certificate=certify_path(path, seen))
-    refusal = FailedToSmoothPath("view: lost", where={"reason": "view", "s": 2.0, "pose": [0.5, 0.5, 0.0]})
-    save_plan_picture(tmp_path / "lost.png", seen, path=path, refusal=refusal)
-    pixels = {one: (tmp_path / f"{one}.png").read_bytes() for one in ("plain", "seen", "lost")}
-    assert len(set(pixels.values())) == 3
+    if field < 1.0:
+        refusal = FailedToSmoothPath("view: lost", where={"reason": "view", "s": 2.0, "pose": [0.5, 0.5, 0.0]})
+        save_plan_picture(tmp_path / "lost.png", seen, path=path, refusal=refusal)
+    files = list(tmp_path.iterdir())
+    assert len({file.read_bytes() for file in files}) == len(files)
 
 
 def test_a_cone_is_drawn_with_the_marker_inside_exactly_where_it_is_seen(path, problem):

@@ -70,7 +70,7 @@ def test_a_tube_that_is_none_is_refused(values):
         TrackingTube(*values)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(1e-3, 0.1), st.floats(0.0, 0.1), st.floats(-5e-3, 5e-3))
 def test_a_corridor_is_certified_if_and_only_if_the_tube_fits_as_well(cross, yaw, spare):
     tube = TrackingTube(cross, yaw)
@@ -85,7 +85,7 @@ def test_a_corridor_is_certified_if_and_only_if_the_tube_fits_as_well(cross, yaw
     assert certify_path(path, without).certified is (gap >= 0.05)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_every_pose_within_the_tube_keeps_the_clearance(seed):
     problem, plan = planned()

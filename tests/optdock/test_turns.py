@@ -487,7 +487,9 @@ def test_motion_that_leaves_out_a_turn_is_refuted():
     without = gears((1.0, 0.0, 1), (1.0, 0.0, 1))
     motion = TrajectoryColumns.from_trajectory(timed(without), 0.02)
     found = check_sampled_motion(motion, straight, problem_of(straight))
-    assert "the motion drives; the path drives, turns left, drives" in found.violations[0].message
+    assert (
+        "the motion drives forward; the path drives forward, turns left, drives forward" in found.violations[0].message
+    )
 
 
 @pytest.mark.parametrize("path", [STILL, gears((0.7,), (1.0, 0.4, 1), (-0.7,), (0.5, 0.0, -1))])

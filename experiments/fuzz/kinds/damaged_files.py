@@ -27,10 +27,10 @@ from experiments.fuzz.doors import path_spec, problem_spec
 from experiments.fuzz.generators.damages import damaged_case, damaged_document
 from experiments.fuzz.kinds.paths import refuted
 from experiments.fuzz.oracle.motion import motion_of
+from experiments.parking_cases import load_tpcap
 from optdock.config import load_scenario
 from optdock.errors import OptdockError
 from optdock.io.maps import load_map
-from optdock.io.parking_cases import load_tpcap
 from optdock.io.plan_file import load_plan, parse_plan
 from optdock.nav2.docks import load_dock_database
 from optdock.reports.plan_file_verdict import judge_plan_file

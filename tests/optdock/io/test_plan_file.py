@@ -148,7 +148,7 @@ def test_where_all_numbers_are_rounded_the_samples_are_the_path(tmp_path, caplog
     (tmp_path / "rounded.json").write_text(json.dumps(rounded(document)))
     (segment,) = load_plan(tmp_path / "rounded.json").path.segments
     assert isinstance(segment, PolylineSegment)
-    assert "the segments are rounded, so the samples count" in caplog.text
+    assert "the segments are rounded, so the samples are used" in caplog.text
     document["path"]["segments"][0]["knots"][1] += 1e-5 / 3.0
     (tmp_path / "exact.json").write_text(json.dumps(document))
     with pytest.raises(InvalidFile, match="off the segments"):

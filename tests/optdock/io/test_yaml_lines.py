@@ -84,9 +84,9 @@ def test_all_repeated_keys_are_listed(document):
         document("a: 1\nb: {c: 1, c: 2}\na: 3\na: 4")
     lines = str(error.value).splitlines()
     assert [line.split(": ", 1)[1] for line in lines] == [
-        "a: stands here again; first in line 1",
-        "a: stands here again; first in line 1",
-        "c: stands here again; first in line 2",
+        "a: is repeated; first in line 1",
+        "a: is repeated; first in line 1",
+        "c: is repeated; first in line 2",
     ]
     assert [line.split(":")[1] for line in lines] == ["3", "4", "2"]
 
@@ -129,7 +129,7 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
             ":2: is not valid YAML: expected a single document in the stream, but found another document",
         ),
         ("a: !!python/object/apply:os.getcwd []", ":1: is not valid YAML"),
-        ("a:\n\tb: 1", ":2: is not valid YAML: a tab stands where only spaces may; indent with spaces"),
+        ("a:\n\tb: 1", ":2: is not valid YAML: a tab where only spaces are allowed; indent with spaces"),
         ("a:\n  b: 1\n\tc: 2", ":3: is not valid YAML: a tab"),
         ("a: \u00e4\U0001f916\nb: @x", ":2: is not valid YAML: found character"),
         (b"a: \xff", "cannot be read as UTF-8 text"),

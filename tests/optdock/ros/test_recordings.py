@@ -186,7 +186,7 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
     first = run("bag", folder / "run.json", "run.mcap")
     assert re.fullmatch(r"written: run\.mcap, \d+ messages on 8 topics\n", first.stdout)
     again = run("bag", folder / "plan.json", "run.mcap")
-    assert again.stdout.endswith("topics, in place of the one before\n")
+    assert again.stdout.endswith("topics, replacing the previous recording\n")
     before = Path("run.mcap").read_bytes()
     Path("broken.json").write_text('{"format": "optdock-plan/1", "status": "GoalOccupied"}')
     refused = run("bag", "broken.json", "run.mcap")
@@ -358,7 +358,7 @@ WRONG_RECORDINGS = [
 ]
 WRONG_OPTIONS = [
     ("--since 2 --until 1", "--since: must be >= 0 s and before --until, got 2.0 and 1.0"),
-    ("--radius 0.1 --footprint [[0,0],[1,0],[0,1]]", "--radius: --footprint says the outline already"),
+    ("--radius 0.1 --footprint [[0,0],[1,0],[0,1]]", "--radius: cannot be given with --footprint"),
     ("--contact nan", "--contact: must be finite and >= 0 m, got nan"),
     ("--clearance -1", "--clearance: must be finite and >= 0 m, got -1.0"),
     ("--occupied-from 0", "--occupied-from: must be in 1..100, got 0"),

@@ -5,9 +5,11 @@ import math
 
 import pytest
 
+from experiments.parking_cases import OBCA_SCENES, load_obca, load_tpcap, main, obca_cases
+from optdock.config import load_scenario
 from optdock.errors import InvalidFile, InvalidValue
-from optdock.io.parking_cases import OBCA_SCENES, load_obca, load_tpcap, obca_cases
 from optdock.model.robot import Drive
+from optdock.planning.pipeline import plan_dock
 
 # A square and an L, which is not convex.
 CASE = "1,2,0.5, 8,2,-0.5, 2, 4,6, 0,5,1,5,1,6,0,6, 5,5,8,5,8,6,6,6,6,8,5,8"
@@ -130,3 +132,19 @@ def test_the_true_files_are_read(real_data):
         assert len(load_tpcap(real_data / "tpcap" / f"Case{number}.csv").problem.obstacles) >= 2
     for scene in OBCA_SCENES:
         assert len(obca_cases(real_data / "obca" / "scenes.json", scene)) == 84
+
+
+def test_a_case_and_a_scene_become_scenarios(tmp_path, capsys):
+    (tmp_path / "case.csv").write_text("0,0,0, 6,0,0, 1, 6, 0,2,6,2,6,3,3,3,3,4,0,4")
+    assert main([str(tmp_path / "case.csv"), "-o", str(tmp_path / "case.yaml")]) == 0
+    assert capsys.readouterr().out == f"written: {tmp_path / 'case.yaml'}\n"
+    scenario = load_scenario(tmp_path / "case.yaml")
+    assert scenario.time_budget == 1.0
+    assert plan_dock(scenario.problem, time_budget=5.0, planner="DockPlanner").certificate.certified
+    words = [str(scenes(tmp_path)), "-o", str(tmp_path / "p.yaml"), "--time-budget", "0.5", "--scene"]
+    assert main([*words, "backwards", "--start", "4"]) == 0
+    scenario = load_scenario(tmp_path / "p.yaml")
+    assert (scenario.problem.start.y, scenario.time_budget) == (7, 0.5)
+    for asked, told in (("side", "scene: must be"), ("parallel --start 6", "start: must be in 0..5, got 6")):
+        assert main([*words, *asked.split()]) == 2
+        assert told in capsys.readouterr().err

@@ -9,17 +9,23 @@ dock: there is no station, no last straight stretch, and either gear may end in 
 - OBCA, the scenes of the optimization-based collision avoidance paper [Zhang2021]: a JSON file of a car,
   the scenes `backwards` and `parallel`, and the grid of starts that both share. Its bounds of x and y hold for the rear
   axle, not for the body: they are not walls, and every wall that the scenes have is an obstacle in the file.
+
+    python -m experiments.parking_cases Case1.csv -o case1.yaml
+    python -m experiments.parking_cases scenes.json --scene parallel --start 3 -o parallel3.yaml
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.config import Scenario, save_scenario
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
@@ -33,6 +39,9 @@ from optdock.model.limits import MotionLimits
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.plugins.parameters import closest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 __all__ = ["OBCA_SCENES", "ParkingCase", "load_obca", "load_tpcap", "obca_cases"]
 
@@ -307,3 +316,31 @@ def _known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     parts |= dict.fromkeys(OBCA_SCENES, _Scene)
     model = parts.get(str(key[0])) if key else _Scenes
     return tuple(model.model_fields) if model and len(key) < 2 else ()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the scenario file of a case; returns the exit status."""
+    parser = argparse.ArgumentParser(description="Write a scenario file of a public parking case.")
+    parser.add_argument("file", type=Path, help="TPCAP case (CSV), or OBCA scenes (JSON) with --scene")
+    parser.add_argument("--scene", help="backwards or parallel")
+    parser.add_argument("--start", type=int, default=0, help="start in the grid, from 0: y by y, for each x")
+    parser.add_argument("--out", "-o", type=Path, required=True, help="scenario file to write (YAML)")
+    parser.add_argument("--time-budget", type=float, default=1.0, help="wall clock for planning [s]")
+    given = parser.parse_args(arguments)
+    try:
+        if given.scene is None:
+            case, name = load_tpcap(given.file), "TPCAP"
+        else:
+            case = load_obca(given.file, given.scene, given.start)
+            name = f"OBCA, scene {given.scene}, start {given.start}"
+        scenario = Scenario(case.problem, given.time_budget)
+        written = save_scenario(given.out, scenario, obstacles=case.obstacles, note=f"{name}, {given.file.name}")
+    except OptdockError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print("written:", *written)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
