@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -30,7 +31,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 PROGRAMS = Path(sys.prefix) / "bin"
 DOMAINS = range(80, 102)  # ids above take ports that Linux hands out to others; people who choose one choose low
@@ -336,6 +337,14 @@ class Lifecycle:
 
     def _state(self) -> State:
         return self.client.call(GetState, f"/{self.node}/get_state").current_state
+
+
+def flattened(block: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Return the dotted names of nested parameters."""
+    flat: dict[str, object] = {}
+    for name, value in block.items():
+        flat |= flattened(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return flat
 
 
 @contextlib.contextmanager

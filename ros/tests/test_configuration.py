@@ -29,7 +29,7 @@ def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("server", ["smoother_server", "planner_server", "docking_server"])
+@pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
 def test_our_file_starts_the_servers_and_names_every_parameter(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
 ) -> None:
@@ -76,13 +76,3 @@ def test_stock_files_of_nav2_start_the_servers(
     assert life.deactivate()
     assert life.cleanup()
     assert started.stop() == 0
-
-
-def test_a_stock_file_with_a_plugin_of_nav2_that_is_not_here_is_refused_by_name(
-    process: Processes, lifecycle: Callable[[str], Lifecycle]
-) -> None:
-    started = process("planner_server", params=stock("nav2_params.yaml"))
-    assert not lifecycle("planner_server").configure()
-    assert "nav2_navfn_planner::NavfnPlanner" in started.log()
-    assert started.is_running
-    assert lifecycle("planner_server").state == "unconfigured"

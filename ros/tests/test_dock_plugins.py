@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
 from optdock_ros.dock_database import Docks, docks_of_parameters
-from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
+from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, Told, plugin_class
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
 
@@ -41,7 +41,7 @@ FACING = (1.0, 0.0, 0.0, 0.0)
 
 
 def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
-    dock = SimpleNonChargingDock("dock", EXACT)
+    dock = DockPlugin("dock", EXACT)
     found = dock.detection(seen(0.1, -0.1, 1.3, FACING), CAMERA)
     # 0.2 m before the camera's 1.3 m, and Nav2's 0.2 m before the marker; right of the axis is negative y.
     assert found.pose.as_array() == pytest.approx([1.3, -0.1, 0.0], abs=1e-9)
@@ -50,12 +50,12 @@ def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
 
 
 def test_nav2s_own_defaults_are_a_quarter_turn_but_for_their_rounding() -> None:
-    found = SimpleNonChargingDock("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
+    found = DockPlugin("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array() == pytest.approx([1.3, 0.0, 0.0], abs=2e-3)
 
 
 def test_a_robot_that_backs_in_stands_turned_round() -> None:
-    dock = SimpleNonChargingDock("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
+    dock = DockPlugin("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
     found = dock.detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array()[:2] == pytest.approx([1.3, 0.0], abs=1e-9)
     assert abs(found.pose.yaw) == pytest.approx(math.pi)
@@ -77,7 +77,7 @@ def test_a_robot_that_backs_in_stands_turned_round() -> None:
 )
 def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: str) -> None:
     with pytest.raises(InvalidMessage, match=words):
-        SimpleNonChargingDock("dock", EXACT).detection(message, CAMERA)
+        DockPlugin("dock", EXACT).detection(message, CAMERA)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: st
 )
 def test_wrong_parameters_are_refused_by_name(parameters: Mapping[str, object], words: str) -> None:
     with pytest.raises(InvalidValue, match=words):
-        SimpleNonChargingDock("dock", parameters)
+        DockPlugin("dock", parameters)
 
 
 def test_other_classes_are_refused_by_name() -> None:
@@ -118,7 +118,7 @@ def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
     assert dock.is_charging(told(BatteryState(current=math.nan)), 10.5) is False
     assert dock.is_charging(told(BatteryState(current=0.6)), 30.0) is False
     assert SimpleChargingDock("dock", {"use_battery_status": False}).is_charging(None, 10.0) is False
-    assert SimpleNonChargingDock("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is False
+    assert DockPlugin("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is False
 
 
 @pytest.mark.parametrize("use_battery_status", [True, False])
@@ -133,7 +133,7 @@ def test_nav2s_parameters_are_those_of_a_simple_dock(use_battery_status: bool, s
     assert made.parameters.charging_current == (0.7 if use_battery_status else None)
     assert made.waits_for_charge is dock.waits_for_charge is dock.uses_battery is use_battery_status
     assert made.back_out_distance == 0.3
-    chosen = SimpleNonChargingDock("dock", {**felt, "contact": "distance"}).dock_type({})
+    chosen = DockPlugin("dock", {**felt, "contact": "distance"}).dock_type({})
     assert not chosen.is_pressed_on
 
 
@@ -160,7 +160,7 @@ def test_a_switch_tells_as_long_as_it_is_fresh() -> None:
     assert dock.is_switched(told(Bool(data=True)), 10.2) is True
     assert dock.is_switched(told(Bool(data=False)), 10.2) is False
     assert dock.is_switched(told(Bool(data=True)), 10.4) is None
-    other = SimpleNonChargingDock("dock", {})
+    other = DockPlugin("dock", {})
     assert (other.contact_topic, other.is_switched(told(Bool(data=True)), 10.0)) == ("", None)
 
 
@@ -189,7 +189,7 @@ def test_a_dock_type_that_is_wrong_is_refused_by_name(name: str, parameters: Map
 
 
 def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
-    dock = SimpleNonChargingDock("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
+    dock = DockPlugin("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
 
     def joints(velocity: float, effort: float) -> Told:
         return told(
@@ -208,7 +208,7 @@ def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
 
 def docks(**entries: Mapping[str, object]) -> Docks:
     """Of one type `bay`, and those of parameters."""
-    plugins: dict[str, DockPlugin] = {"bay": SimpleNonChargingDock("bay", {})}
+    plugins: dict[str, DockPlugin] = {"bay": DockPlugin("bay", {})}
     return Docks(plugins, docks_of_parameters({"docks": list(entries), **entries}))
 
 

@@ -15,8 +15,8 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import Client, Lifecycle, Processes
 from launch_stand_in import launched
-from nav2_msgs.action import ComputePathToPose, DockRobot, SmoothPath, UndockRobot
-from optdock_ros import dock_plugins, docking_parameters, planner_server, smoother_server
+from nav2_msgs.action import DockRobot, SmoothPath, UndockRobot
+from optdock_ros import dock_plugins, docking_parameters, smoother_server
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
@@ -195,7 +195,6 @@ def test_the_launch_file_of_the_page(tmp_path: Path) -> None:
         (docking_parameters.DockParameters, "docking_parameters"),
         (dock_plugins.SimpleChargingDockParameters, "dock_plugins"),
         (smoother_server.SmootherServerParameters, "smoother_server"),
-        (planner_server.PlannerServerParameters, "planner_server"),
     ],
 )
 def test_what_the_tables_are_made_of_are_the_parameters(model: Any, module: str) -> None:
@@ -215,7 +214,7 @@ def codes(text: str) -> set[int]:
 
 @pytest.mark.parametrize(
     ("action", "where"),
-    [(SmoothPath, "smoother_server"), (ComputePathToPose, "planner_server"), (DockRobot, "docking_server"),
+    [(SmoothPath, "smoother_server"), (DockRobot, "docking_server"),
      (UndockRobot, "docking_server")],
 )  # fmt: skip
 def test_every_code_of_an_action_is_explained(action: Any, where: str) -> None:

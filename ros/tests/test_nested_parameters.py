@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from harness import Client, Lifecycle, spinning
 from optdock_ros.nested_parameters import (
-    Faults,
+    BlockReader,
     ServerParameters,
     clearance_parameters,
-    flattened,
-    merged,
     nested,
     parameters_of,
     plain,
@@ -38,12 +36,11 @@ if TYPE_CHECKING:
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-def test_blocks_and_dotted_names_are_the_same() -> None:
+def test_names_with_dots_are_nested() -> None:
     flat = {"a": 1, "b.c": [1.0], "b.d.e": "x"}
     assert nested(flat) == {"a": 1, "b": {"c": [1.0], "d": {"e": "x"}}}
-    assert flattened(nested(flat)) == flat
     for clash in ({"a": 1, "a.b": 2}, {"a.b": 2, "a": 1}):
-        with pytest.raises(InvalidValue, match=r"a value,? and a block"):
+        with pytest.raises(InvalidValue, match="both a value and a block"):
             nested(clash)
 
 
@@ -51,12 +48,6 @@ def test_values_are_plain() -> None:
     assert plain(array.array("d", [1.0])) == [1.0]
     assert plain(None) == []
     assert plain("x") == "x"
-
-
-def test_a_change_is_merged_and_an_unset_one_is_gone() -> None:
-    block = {"a": {"b": 1, "c": 2}}
-    changes = [Parameter("a.b", value=3), Parameter("a.c"), Parameter("d", value=[1, 2])]
-    assert merged(block, changes) == {"a": {"b": 3}, "d": [1, 2]}
 
 
 def test_names_that_nobody_reads() -> None:
@@ -68,15 +59,21 @@ def test_names_that_nobody_reads() -> None:
         assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout")) == ([], [theirs])
 
 
-def test_faults_are_told_at_once() -> None:
-    faults = Faults(["first"])
-    assert faults.attempt(lambda: clearance_parameters(0.1)) is not None
-    assert faults.attempt(lambda: clearance_parameters({"required": -1.0, "tapr": 1.0})) is None
+def test_all_faults_are_reported_together() -> None:
+    reader = BlockReader({"controller": 1.0})
+    assert reader.attempt(lambda: clearance_parameters(0.1), None) is not None
+    assert reader.attempt(lambda: clearance_parameters({"required": -1.0, "tapr": 1.0}), None) is None
+    assert (reader.inner("controller"), reader.inner("robot")) == ({}, {})
+    assert reader.known({"costmap_topic": 1, "costmap_topik": 2, "other": 3}, ["costmap_topic"], owner="x") == {
+        "costmap_topic": 1
+    }
+    assert reader.ignored == ["x.other"]
     with pytest.raises(InvalidValue) as caught:
-        faults.look()
-    assert str(caught.value).splitlines()[0] == "first"
+        reader.check()
     assert "clearance.required" in str(caught.value)
     assert "clearance.tapr: unknown key; did you mean taper?" in str(caught.value)
+    assert "x.costmap_topik: unknown parameter; did you mean costmap_topic?" in str(caught.value)
+    assert "controller: must be a block of parameters, got 1.0" in str(caught.value)
 
 
 def test_the_robot_in_the_words_of_the_scenario_format() -> None:
@@ -163,9 +160,9 @@ class Tried(Server[Settings]):
         """As `Server.tear_down`."""
         self._note("tear_down")
 
-    def changed(self, before: Settings) -> None:
+    def changed(self) -> None:
         """As `Server.changed`."""
-        self._note(f"changed from {before.own.speed} to {self.settings.own.speed}")
+        self._note(f"changed to {self.settings.own.speed}")
 
 
 @pytest.fixture
@@ -217,6 +214,10 @@ def test_shutdown_while_active_stops_first(server: Tried) -> None:
 
 def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
     server.trigger_configure()
+    changes = [Parameter("speed"), Parameter("names", value=["c"]), Parameter("Other.y", value=[1, 2])]
+    block = parameters_of(server, changes)
+    assert "speed" not in block, "an unset parameter is left out"
+    assert (block["names"], block["Other"]) == (["c"], {"x": 1, "y": [1, 2]})
     before = server.settings
     for refused in (
         [Parameter("speed", value=3.0), Parameter("topic", value="elsewhere")],
@@ -231,7 +232,7 @@ def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
     assert server.set_parameters_atomically([Parameter("topic", value="somewhere")]).successful
     assert server.set_parameters_atomically([Parameter("speed", value=3)]).successful
     assert server.settings.own.speed == 3.0
-    assert server.diary[-1] == "changed from 2.0 to 3.0"
+    assert server.diary[-1] == "changed to 3.0"
     server.trigger_cleanup()
     assert server.set_parameters_atomically([Parameter("speed", value=-1.0)]).successful
     assert server.trigger_configure() == FAILURE

@@ -13,12 +13,11 @@ import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import TransformStamped
 from hall import CELLS, ORIGIN, OUTLINE, RESOLUTION, Surroundings, hall, message, raw_path
-from harness import Lifecycle, spinning
+from harness import Lifecycle, flattened, spinning
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
-from optdock_ros import smoother_server
-from optdock_ros.nested_parameters import flattened
 from optdock_ros.smoother_server import SmootherServer
+from optdock_ros.smoothing_task import SmoothingTask
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -449,7 +448,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
     overrides = [Parameter(name, value=value or None) for name, value in flattened(parameters).items()]
     node = SmootherServer("faulty", parameter_overrides=overrides)
     said: list[str] = []
-    node.say = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
+    node.log_error = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
     try:
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
         for word in ["configure failed", *words]:
@@ -514,7 +513,7 @@ def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # no
 def test_what_no_smoother_may_return(answer: Callable[[Any], Any], words: str) -> None:
     path = Path.from_poses(raw_path(), "map")
     poses = SimpleNamespace(segments=path.segments, poses=raw_path())
-    task = smoother_server._Task(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
+    task = SmoothingTask(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
     with pytest.raises(SmootherException, match=words):
         task.check_answer(answer(poses), "odd")
     task.check_answer(SmoothingResult(path), "even")

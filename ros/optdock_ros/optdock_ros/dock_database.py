@@ -1,4 +1,4 @@
-"""The docks that the server knows: by name, from parameters or a database file."""
+"""The docks that the server knows by name, from parameters or a database file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:
-    from optdock.geometry.pose import Pose2
     from optdock.io.yaml_lines import Keys
     from optdock_ros.dock_plugins import DockPlugin
 
@@ -21,30 +20,30 @@ __all__ = ["Docks", "docks_of_parameters"]
 
 
 class Docks:
-    """Docks by name, and what knows how to dock at them.
+    """Docks and their plugins.
 
     Args:
-        plugins: By the name of the instance.
-        entries: By their names.
+        plugins: Dock plugins by the names of their instances.
+        entries: Docks by their names.
     """
 
     def __init__(self, plugins: Mapping[str, DockPlugin], entries: Mapping[str, DockEntry]) -> None:
         self.plugins, self.entries = dict(plugins), dict(entries)
 
     def reload(self, path: str) -> None:
-        """Take the docks of a file instead.
+        """Replace the docks by those of a file.
 
         Raises:
-            InvalidFile: It cannot be read or breaks its format; the docks stay as they are.
+            InvalidFile: If the file is unreadable or invalid; the docks are unchanged.
         """
         self.entries = load_dock_database(path)
 
     def find(self, name: str) -> tuple[DockEntry, DockPlugin]:
-        """A dock.
+        """Return a dock and its plugin.
 
         Raises:
-            DockNotInDB: There is none of this name.
-            DockNotValid: Its type is unknown.
+            DockNotInDB: If the name is unknown.
+            DockNotValid: If the type of the dock is unknown.
         """
         entry = self.entries.get(name)
         if entry is None:
@@ -52,20 +51,11 @@ class Docks:
             raise DockNotInDB(f"dock_id: there is no dock {name!r}{closest(name, self.entries)}; known: {known}")
         return entry, self.plugin(entry.type, f"dock {name}")
 
-    def at(self, pose: Pose2, frame: str, type_name: str) -> tuple[DockEntry, DockPlugin]:
-        """A dock that is not in the database.
-
-        Raises:
-            DockNotValid: Its type is unknown.
-        """
-        plugin = self.plugin(type_name, "dock_type")
-        return DockEntry("dock at a pose", plugin.name, pose, frame), plugin
-
     def plugin(self, type_name: str, owner: str) -> DockPlugin:
-        """A type; the only one where none is named.
+        """Return a dock plugin; the only one for an empty name.
 
         Raises:
-            DockNotValid: It is unknown.
+            DockNotValid: If the type is unknown.
         """
         if not type_name and len(self.plugins) == 1:
             return next(iter(self.plugins.values()))
@@ -79,18 +69,18 @@ class Docks:
 
 
 class _Parameters(Document):
-    """Parameters that may come from several files: a fault names the parameter alone."""
+    """Parameters, possibly of several files; a fault names the parameter only."""
 
     def fault(self, keys: Keys, message: str) -> str:
         return printable(f"{'.'.join(map(str, keys))}: {message}")
 
 
 def docks_of_parameters(block: Mapping[str, object]) -> dict[str, DockEntry]:
-    """The docks of a parameter block, or of the file that it names.
+    """Return the docks of a parameter block, or of the file that it names.
 
     Raises:
-        InvalidFile: The file breaks its format.
-        InvalidValue: A dock of the block is wrong; every fault on a line.
+        InvalidFile: If the file is invalid.
+        InvalidValue: If a dock of the block is invalid; one line per fault.
     """
     path = block.get("dock_database")
     if path:
