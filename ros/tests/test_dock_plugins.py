@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
-from optdock_ros.dock_database import Docks, docks_of_parameters
 from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, Told, plugin_class
+from optdock_ros.docking_parameters import Docks, docks_of_parameters
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
 

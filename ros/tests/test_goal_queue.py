@@ -49,9 +49,11 @@ class Queue:
         return done(result=SmoothPath.Result(was_completed=True))
 
     def dock(self, name: str = "") -> Any:
+        """Send a goal."""
         return self.client.send(DockRobot, "dock", DockRobot.Goal(dock_id=name))
 
     def path(self, smoother: str = "") -> Any:
+        """Send a goal."""
         return self.client.send(SmoothPath, "path", SmoothPath.Goal(smoother_id=smoother))
 
 

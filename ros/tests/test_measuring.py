@@ -11,7 +11,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from optdock_ros.measuring import DatedCostmap, MeasurementRules, Measuring
+from optdock_ros.measuring import MeasurementRules, Measuring
 
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costmap import Costmap
@@ -217,12 +217,12 @@ def test_what_was_seen_before_the_robot_was_followed_is_left_out() -> None:
 def test_a_costmap_is_told_as_long_as_it_is_new() -> None:
     told = measuring(Frames())
     grid = Costmap(np.zeros((2, 2), dtype=np.uint8), 0.1)
-    told.take_surroundings(DatedCostmap(grid, 100.0))
+    told.take_surroundings(grid, 100.0)
     assert told.measurements(100.5).costmap is grid
     assert told.measurements(100.9).costmap is grid
     assert told.measurements(101.1).costmap is None
     assert "1.10 s old" in told.faults["costmap"]
     without = measuring(Frames(), RULES._replace(costmap_timeout=None))
-    without.take_surroundings(DatedCostmap(grid, 100.0))
+    without.take_surroundings(grid, 100.0)
     assert without.measurements(100.5).costmap is None
     assert "costmap" not in without.faults

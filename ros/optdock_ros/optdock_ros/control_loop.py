@@ -50,16 +50,9 @@ _AT_REST = 1e-9  # [m/s], [rad/s]: rounding errors of a command at rest
 
 
 class CycleTimes(NamedTuple):
-    """Statistics of the loop over the last `_KEPT` cycles.
+    """Cycles and missed deadlines of a task, and statistics over the last `_KEPT` cycles [s].
 
-    Attributes:
-        cycles: Number of cycles of the task.
-        missed: Number of missed deadlines of the task.
-        period: Nominal period [s].
-        late_p99: 99th percentile of the delay of commands [s].
-        late_max: Largest delay [s].
-        busy_p99: 99th percentile of the duration of measuring and deciding [s].
-        busy_max: Largest duration [s].
+    `late` is the delay of commands, `busy` the duration of measuring and deciding.
     """
 
     cycles: int
@@ -82,7 +75,6 @@ class TaskRun:
 
     Attributes:
         done: Set when the robot stands and the last command, zero, has been sent.
-        ending: How the task ended; None before.
         stopping: Reason of a stop from outside; empty otherwise.
     """
 

@@ -49,48 +49,36 @@ class SimpleNonChargingDockParameters(PluginParameters):
     """Parameters of a dock without a charger."""
 
     dock_direction: Literal["forward", "backward"] = Field(
-        default="forward", description="gear of the last motion; the dock's pose points into it either way"
+        "forward", description="gear into the dock; its pose points inward either way"
     )
-    rotate_to_dock: bool = Field(
-        default=False, description="detect the dock ahead, turn round, and back in without detections"
-    )
-    staging_x_offset: float = Field(default=-0.7, description="of the staging pose along the dock's x [m]")
-    staging_yaw_offset: float = Field(default=0.0, description="added to the dock's yaw there [rad]")
-    docking_threshold: float = Field(default=0.05, gt=0.0, description="contact is only accepted nearer than this [m]")
+    rotate_to_dock: bool = Field(default=False, description="detect the dock ahead, turn round, back in")
+    staging_x_offset: float = Field(-0.7, description="of the staging pose along the dock's x [m]")
+    staging_yaw_offset: float = Field(0.0, description="added to the dock's yaw there [rad]")
+    docking_threshold: float = Field(0.05, gt=0, description="contact is only accepted nearer than this [m]")
 
-    use_external_detection_pose: bool = Field(
-        default=False, description="the dock's pose comes from detected_dock_pose"
-    )
-    external_detection_timeout: float = Field(default=1.0, gt=0.0, description="older detections are not used [s]")
+    use_external_detection_pose: bool = Field(default=False, description="detect the dock by detected_dock_pose")
+    external_detection_timeout: float = Field(1.0, gt=0, description="older detections are not used [s]")
     external_detection_translation_x: float = Field(
-        default=-0.2, description="from the detected pose to the docked robot, along the docked robot's x [m]"
+        -0.2, description="from the detection to the docked robot, its x [m]"
     )
-    external_detection_translation_y: float = Field(default=0.0, description="as above, along its y [m]")
-    external_detection_rotation_roll: float = Field(
-        default=-1.57, description="rotates the detected pose into the dock's frame: z up, x into the dock [rad]"
-    )
-    external_detection_rotation_pitch: float = Field(default=1.57, description="as above; after the roll [rad]")
-    external_detection_rotation_yaw: float = Field(default=0.0, description="as above; after the pitch [rad]")
-    filter_coef: float = Field(
-        default=0.1, description="Nav2's filter of detections; not read, the estimate weights them by their sigmas"
-    )
-    detection_position_sigma: float = Field(
-        default=0.005, gt=0.0, description="standard deviation of a detection's x and y, each; ours [m]"
-    )
-    detection_yaw_sigma: float = Field(default=0.01, gt=0.0, description="as above, of its yaw; ours [rad]")
+    external_detection_translation_y: float = Field(0.0, description="as above, along its y [m]")
+    external_detection_rotation_roll: float = Field(-1.57, description="to the dock's frame: z up, x inward [rad]")
+    external_detection_rotation_pitch: float = Field(1.57, description="as above; after the roll [rad]")
+    external_detection_rotation_yaw: float = Field(0.0, description="as above; after the pitch [rad]")
+    filter_coef: float = Field(0.1, description="not read: the estimate weights detections by their sigmas")
+    detection_position_sigma: float = Field(0.005, gt=0, description="of a detection's x and y, each; ours [m]")
+    detection_yaw_sigma: float = Field(0.01, gt=0, description="as above, of its yaw; ours [rad]")
 
     contact: Literal["", "distance", "touch"] = Field(
-        default="",
-        description="contact by the estimated distance, or by touch, pressing on; empty: touch with stall detection; "
-        "ours",
+        "", description="by distance or touch; empty: touch with stall detection; ours"
     )
     use_stall_detection: bool = Field(default=False, description="contact is felt: joints that push and do not turn")
-    stall_joint_names: list[str] = Field(default=[], description="these joints; their mean counts")
-    stall_velocity_threshold: float = Field(default=1.0, ge=0.0, description="slower is a stall [rad/s]")
-    stall_effort_threshold: float = Field(default=1.0, ge=0.0, description="and a larger effort [Nm]")
+    stall_joint_names: list[str] = Field([], description="these joints; their mean counts")
+    stall_velocity_threshold: float = Field(1.0, ge=0, description="slower is a stall [rad/s]")
+    stall_effort_threshold: float = Field(1.0, ge=0, description="and a larger effort [Nm]")
 
-    detector_service_name: str = Field(default="", description="std_srvs/Trigger that switches the detector")
-    detector_service_timeout: float = Field(default=5.0, gt=0.0, description="for its answer [s]")
+    detector_service_name: str = Field("", description="std_srvs/Trigger that switches the detector")
+    detector_service_timeout: float = Field(5.0, gt=0, description="for its answer [s]")
     subscribe_toggle: bool = Field(default=False, description="subscribe to detections while docking only")
 
     @model_validator(mode="after")
@@ -106,7 +94,7 @@ class SimpleChargingDockParameters(SimpleNonChargingDockParameters):
     """Parameters of a dock that charges."""
 
     use_battery_status: bool = Field(default=True, description="charging is read from battery_state; else from contact")
-    charging_threshold: float = Field(default=0.5, description="a larger current charges [A]")
+    charging_threshold: float = Field(0.5, description="a larger current charges [A]")
 
 
 class Told(NamedTuple):
@@ -213,11 +201,7 @@ class DockPlugin:
         return Detection(stamp, self.docked_pose(dock), p.detection_position_sigma, p.detection_yaw_sigma)
 
     def is_stalled(self, told: Told | None, now: float) -> bool:
-        """Whether the joints push without turning.
-
-        Args:
-            told: Newest sensor_msgs/JointState.
-            now: Time [s].
+        """Whether the joints push without turning, by the newest sensor_msgs/JointState.
 
         Raises:
             InvalidMessage: If velocity or effort of a joint is missing.
@@ -237,34 +221,20 @@ class DockPlugin:
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
     def is_switched(self, told: Told | None, now: float) -> bool | None:
-        """Return the state of the contact switch; None if there is no recent message.
-
-        Args:
-            told: Newest std_msgs/Bool of `contact_topic`.
-            now: Time [s].
-        """
+        """Return the state of the contact switch; None without a recent std_msgs/Bool of `contact_topic`."""
         if told is None or not self.contact_topic or now - told.at > getattr(self.parameters, "contact_timeout", 0.0):
             return None
         return bool(told.message.data)
 
     def current(self, told: Told | None, now: float) -> float | None:
-        """Return the current into the battery [A]; None without a recent, finite value.
-
-        Args:
-            told: Newest sensor_msgs/BatteryState.
-            now: Time [s].
-        """
+        """Return the current of the newest sensor_msgs/BatteryState [A]; None without a recent, finite value."""
         if not self.uses_battery or told is None or now - told.at > _CHARGE_AGE:
             return None
         current = float(told.message.current)
         return current if math.isfinite(current) else None
 
     def is_charging(self, told: Told | None, now: float) -> bool:
-        """Whether the battery is being charged according to its state.
-
-        Args:
-            told: Newest sensor_msgs/BatteryState.
-            now: Time [s].
+        """Whether the battery is being charged, by the newest sensor_msgs/BatteryState.
 
         Raises:
             PluginError: If the dock type returns an invalid value.
@@ -306,8 +276,8 @@ class OwnDockParameters(SimpleNonChargingDockParameters):
 
     use_battery_status: bool = Field(default=False, description="pass the current of battery_state to the dock type")
 
-    contact_topic: str = Field(default="", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
-    contact_timeout: float = Field(default=0.5, gt=0.0, description="older messages of it are not used [s]")
+    contact_topic: str = Field("", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
+    contact_timeout: float = Field(0.5, gt=0, description="older messages of it are not used [s]")
 
     @model_validator(mode="after")
     def _has_no_contact(self) -> OwnDockParameters:
@@ -320,10 +290,6 @@ class OwnDock(DockPlugin):
     """A third party's dock type, found by its entry point.
 
     Parameters that the dock type declares are passed to it; the others are those of `OwnDockParameters`.
-
-    Args:
-        name: As for `DockPlugin`.
-        parameters: Both kinds of parameters.
 
     Raises:
         InvalidValue: As `DockPlugin`.

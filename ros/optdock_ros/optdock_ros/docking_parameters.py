@@ -5,31 +5,42 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from optdock.errors import InvalidValue
+from optdock.errors import DockNotInDB, DockNotValid, InvalidValue
 from optdock.executor import ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.io.quoting import printable
+from optdock.io.yaml_lines import Document
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.problem import ClearanceRule
-from optdock.nav2.docks import DockEntry
+from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
-from optdock.plugins.parameters import PluginParameters, parse_parameters
+from optdock.plugins.parameters import PluginParameters, closest, parse_parameters
 from optdock.plugins.registry import PluginChoice, plugin_from
-from optdock_ros.dock_database import docks_of_parameters
 from optdock_ros.dock_plugins import DockPlugin, plugin_class
 from optdock_ros.nested_parameters import BlockReader, ServerParameters, clearance_parameters, robot_parameters
 from optdock_ros.surroundings import nav2_footprint
 
 if TYPE_CHECKING:
+    from optdock.io.yaml_lines import Keys
     from optdock.plugins.interfaces import DockType
     from optdock.plugins.lifecycle import Plugin
     from optdock_ros.nested_parameters import RobotParameters
 
-__all__ = ["ControllerParameters", "DockParameters", "DockingParameters", "DockingSettings", "docking_settings"]
+__all__ = [
+    "ControllerParameters",
+    "DockParameters",
+    "DockingParameters",
+    "DockingSettings",
+    "Docks",
+    "docking_settings",
+    "docks_of_parameters",
+]
 
 _SLOWEST, _FASTEST = 10.0, 200.0  # [Hz]: tested range of the control laws
 
@@ -38,89 +49,62 @@ class DockingParameters(ServerParameters):
     """The parameters at the top."""
 
     controller_frequency: float = Field(
-        default=50.0, ge=_SLOWEST, le=_FASTEST, description="of the control loop and of cmd_vel [Hz]"
+        50.0, ge=_SLOWEST, le=_FASTEST, description="of the control loop and of cmd_vel [Hz]"
     )
-    initial_perception_timeout: float = Field(default=5.0, gt=0.0, description="for the first detections [s]")
-    wait_charge_timeout: float = Field(default=5.0, gt=0.0, description="in contact, for the charge to begin [s]")
-    dock_approach_timeout: float = Field(
-        default=30.0, gt=0.0, description="largest delay of an approach relative to its plan [s]"
-    )
-    max_retries: int = Field(default=3, ge=0, description="approaches after the first one")
-    base_frame: str = Field(default="base_link", min_length=1, description="of the robot")
-    fixed_frame: str = Field(
-        default="odom", min_length=1, description="frame of planning and driving; it must not jump"
-    )
-    dock_prestaging_tolerance: float = Field(
-        default=0.5, gt=0.0, description="no staging within this distance: one norm over m, m, rad"
-    )
-    odom_topic: str = Field(default="odom", min_length=1, description="nav_msgs/Odometry with the robot's velocity")
-    odom_duration: float = Field(default=0.3, gt=0.0, description="an older velocity is not used [s]")
-    navigator_bt_xml: str = Field(default="", description="behaviour tree of the way to the staging pose")
-    dock_plugins: list[str] = Field(default=[], description="names of the dock types; each has a block")
-    dock_database: str = Field(default="", description="file with the docks; else they are in the parameters")
-    docks: list[str] = Field(default=[], description="names of the docks; each has a block")
+    initial_perception_timeout: float = Field(5.0, gt=0, description="for the first detections [s]")
+    wait_charge_timeout: float = Field(5.0, gt=0, description="in contact, for the charge to begin [s]")
+    dock_approach_timeout: float = Field(30.0, gt=0, description="largest delay of an approach behind its plan [s]")
+    max_retries: int = Field(3, ge=0, description="approaches after the first one")
+    base_frame: str = Field("base_link", min_length=1, description="of the robot")
+    fixed_frame: str = Field("odom", min_length=1, description="frame of planning; it must not jump")
+    dock_prestaging_tolerance: float = Field(0.5, gt=0, description="no staging within this norm of m, m, rad")
+    odom_topic: str = Field("odom", min_length=1, description="nav_msgs/Odometry with the robot's velocity")
+    odom_duration: float = Field(0.3, gt=0, description="an older velocity is not used [s]")
+    navigator_bt_xml: str = Field("", description="behaviour tree of the way to the staging pose")
+    dock_plugins: list[str] = Field([], description="names of the dock types; each has a block")
+    dock_database: str = Field("", description="file with the docks; else they are in the parameters")
+    docks: list[str] = Field([], description="names of the docks; each has a block")
     enable_stamped_cmd_vel: bool = Field(default=True, description="TwistStamped, as Nav2 since Kilted; else Twist")
 
-    use_realtime_priority: bool = Field(
-        default=False,
-        description="real-time scheduling of this process while a task runs; needs the permission rtprio",
-    )
+    use_realtime_priority: bool = Field(default=False, description="real-time scheduling during tasks; needs rtprio")
 
     stage_by_executor: bool = Field(
-        default=False, description="drive to the staging pose here, certified, instead of asking navigate_to_pose"
+        default=False, description="certified drive to the staging pose, no navigate_to_pose"
     )
-    footprint: str = Field(default="", description="'[[x, y], ...]', if there is no topic [m]")
-    robot_radius: float = Field(default=0.1, gt=0.0, description="of a round robot, if nothing else is given [m]")
-    footprint_padding: float = Field(
-        default=0.01, ge=0.0, description="distance by which that outline is moved outward [m]"
-    )
+    footprint: str = Field("", description="'[[x, y], ...]', if there is no topic [m]")
+    robot_radius: float = Field(0.1, gt=0, description="of a round robot, if nothing else is given [m]")
+    footprint_padding: float = Field(0.01, ge=0, description="outward offset of that outline [m]")
 
 
 class ControllerParameters(PluginParameters):
     """The block `controller`: the parameters of Nav2 that are used here."""
 
-    v_linear_max: float = Field(
-        default=0.25, gt=0.0, description="default of robot.limits.max_speed, either gear [m/s]"
-    )
-    v_angular_max: float = Field(default=0.75, gt=0.0, description="default of robot.limits.max_yaw_rate [rad/s]")
-    use_collision_detection: bool = Field(
-        default=True, description="false: neither costmap nor obstacles; only the dock's own outline counts"
-    )
-    costmap_topic: str = Field(default="local_costmap/costmap_raw", min_length=1, description="the local costmap")
-    footprint_topic: str = Field(
-        default="local_costmap/published_footprint", min_length=1, description="the robot's outline"
-    )
-    transform_tolerance: float = Field(default=0.1, gt=0.0, description="an older pose of the robot is not used [s]")
-    map_topic: str = Field(
-        default="", description="a larger map, merged with the local costmap; empty: the local costmap only"
-    )
-    costmap_timeout: float = Field(default=1.0, gt=0.0, description="an older costmap stops the robot [s]")
+    v_linear_max: float = Field(0.25, gt=0, description="default of robot.limits.max_speed [m/s]")
+    v_angular_max: float = Field(0.75, gt=0, description="default of robot.limits.max_yaw_rate [rad/s]")
+    use_collision_detection: bool = Field(default=True, description="false: the station is the only obstacle")
+    costmap_topic: str = Field("local_costmap/costmap_raw", min_length=1, description="the local costmap")
+    footprint_topic: str = Field("local_costmap/published_footprint", min_length=1, description="the robot's outline")
+    transform_tolerance: float = Field(0.1, gt=0, description="an older pose of the robot is not used [s]")
+    map_topic: str = Field("", description="larger map, merged with the local costmap; empty: none")
+    costmap_timeout: float = Field(1.0, gt=0, description="an older costmap stops the robot [s]")
 
 
 class TolerancesParameters(PluginParameters):
     """The block `dock.tolerances`: accepted errors of a docked robot."""
 
-    along: float = Field(default=0.01, gt=0.0, description="accepted error along the heading [m]")
-    cross: float = Field(default=0.02, gt=0.0, description="accepted error across it [m]")
-    yaw: float = Field(default=0.05, gt=0.0, description="accepted heading error [rad]")
+    along: float = Field(default=0.01, gt=0, description="accepted error along the heading [m]")
+    cross: float = Field(default=0.02, gt=0, description="accepted error across it [m]")
+    yaw: float = Field(default=0.05, gt=0, description="accepted heading error [rad]")
 
 
 class DockParameters(PluginParameters):
     """The block `dock` for all docks and `<type>.dock` for one type, in the names of the scenario format."""
 
-    footprint: str = Field(
-        default="", description="outline of the station seen from the docked robot, '[[x, y], ...]', an obstacle [m]"
-    )
-    final_straight: float = Field(default=0.0, ge=0.0, description="straight run at the end of the path [m]")
-    approach_speed: float = Field(
-        default=0.1, gt=0.0, description="largest speed over the last approach_distance [m/s]"
-    )
-    approach_distance: float = Field(default=0.15, ge=0.0, description="length of the slow stretch [m]")
-    contact_margin: float = Field(
-        default=0.05,
-        ge=0.0,
-        description="distance around the docked robot's front in which costmap cells are freed [m]",
-    )
+    footprint: str = Field("", description="station's outline in the docked robot's frame, '[[x, y], ...]' [m]")
+    final_straight: float = Field(0.0, ge=0, description="straight run at the end of the path [m]")
+    approach_speed: float = Field(0.1, gt=0, description="largest speed within approach_distance [m/s]")
+    approach_distance: float = Field(0.15, ge=0, description="length of the slow stretch [m]")
+    contact_margin: float = Field(0.05, ge=0, description="free costmap around the docked robot's front [m]")
     tolerances: TolerancesParameters = Field(
         default=TolerancesParameters(), description="accepted errors of a docked robot"
     )
@@ -186,18 +170,80 @@ _LIMITS = {
 _TUBE = {"cross": 0.02, "yaw": 0.03}  # [m], [rad]: deviations of the study's robots with noise and lag
 
 
+class Docks:
+    """Dock plugins by the names of their instances, and docks by their names."""
+
+    def __init__(self, plugins: Mapping[str, DockPlugin], entries: Mapping[str, DockEntry]) -> None:
+        self.plugins, self.entries = dict(plugins), dict(entries)
+
+    def reload(self, path: str) -> None:
+        """Replace the docks by those of a file; an `InvalidFile` leaves them unchanged."""
+        self.entries = load_dock_database(path)
+
+    def find(self, name: str) -> tuple[DockEntry, DockPlugin]:
+        """Return a dock and its plugin.
+
+        Raises:
+            DockNotInDB: If the name is unknown.
+            DockNotValid: If the type of the dock is unknown.
+        """
+        entry = self.entries.get(name)
+        if entry is None:
+            known = ", ".join(self.entries) or "none"
+            raise DockNotInDB(f"dock_id: there is no dock {name!r}{closest(name, self.entries)}; known: {known}")
+        return entry, self.plugin(entry.type, f"dock {name}")
+
+    def plugin(self, type_name: str, owner: str) -> DockPlugin:
+        """Return a dock plugin; the only one for an empty name.
+
+        Raises:
+            DockNotValid: If the type is unknown.
+        """
+        if not type_name and len(self.plugins) == 1:
+            return next(iter(self.plugins.values()))
+        found = self.plugins.get(type_name)
+        if found is None:
+            known = ", ".join(self.plugins)
+            raise DockNotValid(
+                f"{owner}: there is no dock type {type_name!r}{closest(type_name, self.plugins)}; known: {known}"
+            )
+        return found
+
+
+class _Parameters(Document):
+    """Parameters, possibly of several files; a fault names the parameter only."""
+
+    def fault(self, keys: Keys, message: str) -> str:
+        return printable(f"{'.'.join(map(str, keys))}: {message}")
+
+
+def docks_of_parameters(block: Mapping[str, object]) -> dict[str, DockEntry]:
+    """Return the docks of a parameter block, or of the file that it names.
+
+    Raises:
+        InvalidFile: If the file is invalid.
+        InvalidValue: If a dock of the block is invalid; one line per fault.
+    """
+    path = block.get("dock_database")
+    if path:
+        return load_dock_database(str(path))
+    names = block.get("docks") or []
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise InvalidValue(f"docks: must be a list of names, got {names!r}")
+    faults: list[str] = []
+    document = _Parameters(Path(), block, {})
+    entries = [read_dock(document, (name,), faults) for name in dict.fromkeys(names)]
+    if faults:
+        raise InvalidValue("\n".join(faults))
+    return {entry.name: entry for entry in entries if entry is not None}
+
+
 @dataclass(frozen=True)
 class DockingSettings:
     """All parameters of the server, validated.
 
     Attributes:
-        own: Parameters at the top.
-        controller: Block `controller`.
-        executor: Block `executor`; see `executor_settings`.
-        robot: Block `robot`.
-        clearance: Block `clearance`.
-        tracker: Controller, block `tracker`.
-        goal_checker: Goal checker, block `goal_checker`.
+        own: Parameters at the top; the blocks follow under their names.
         plugins: Dock types by name.
         dock_parameters: Block `dock` of every dock type.
         docks: Docks by name.
@@ -222,12 +268,7 @@ class DockingSettings:
         return 1.0 / self.own.controller_frequency
 
     def executor_settings(self, plugin: DockPlugin, **of_goal: object) -> ExecutorSettings:
-        """Return the executor's settings for a dock type.
-
-        Args:
-            plugin: Dock type.
-            **of_goal: Settings of the goal.
-        """
+        """Return the executor's settings for a dock type and a goal."""
         own, of_type = self.own, plugin.parameters
         values: dict[str, object] = {
             **{name: value for name, value in self.executor.items() if name not in _OF_SIMPLE_DOCK},
@@ -253,11 +294,7 @@ class DockingSettings:
 
 
 def docking_settings(block: Mapping[str, object], own: DockingParameters) -> DockingSettings:
-    """Return the validated parameters of all blocks.
-
-    Args:
-        block: All parameters, nested.
-        own: Parameters at the top.
+    """Return the validated parameters of all blocks, given those at the top.
 
     Raises:
         InvalidValue: If a block is invalid; one line per fault.
@@ -265,7 +302,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     read = BlockReader(block)
     given = read.known(read.inner("controller"), ControllerParameters.model_fields, _LAW, "controller")
     controller = read.attempt(
-        lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters()
+        lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters.model_validate({})
     )
     robot = read.attempt(lambda: robot_parameters(_robot(read, controller)), robot_parameters({}))
     clearance = read.attempt(lambda: clearance_parameters(block.get("clearance", {})), ClearanceRule())
@@ -335,7 +372,9 @@ def _read_type(
     special = read.inner("dock", given)
     tolerances = {**read.inner("tolerances", dock), **read.inner("tolerances", special)}
     values = {**dock, **special, **({"tolerances": tolerances} if tolerances else {})}
-    parameters = read.attempt(lambda: parse_parameters(DockParameters, values, f"{name}.dock"), DockParameters())
+    parameters = read.attempt(
+        lambda: parse_parameters(DockParameters, values, f"{name}.dock"), DockParameters.model_validate({})
+    )
 
     def made() -> DockPlugin | None:
         kind = plugin_class(name, given.get("plugin"))

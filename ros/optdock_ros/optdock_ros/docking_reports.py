@@ -31,12 +31,7 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Reports:
-    """Publishers of the reports.
-
-    Args:
-        node: Node of the publishers.
-        frame: Frame of all poses.
-    """
+    """Publishers of the reports of a node; all poses are in `frame`."""
 
     def __init__(self, node: Node, frame: str) -> None:
         self._node, self._frame = node, frame
@@ -59,13 +54,7 @@ class Reports:
         self._poses[name].publish(ros.pose_message(ros.imported, pose, self._frame, now))
 
     def motion(self, motion: DrivenMotion, exempt: str, now: float) -> None:
-        """Publish trajectory, markers and certificate of a new motion.
-
-        Args:
-            motion: The driven motion; it is published once.
-            exempt: Description of the obstacles that its certificate does not count.
-            now: Time [s].
-        """
+        """Publish trajectory, markers and certificate of a new motion once; `exempt` is what it does not count."""
         if motion is self._published:
             return
         self._published = motion

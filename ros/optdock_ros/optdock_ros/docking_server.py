@@ -21,8 +21,7 @@ from optdock.executor import PlanningProcess
 from optdock.geometry.pose import Twist2
 from optdock.model.trajectory import braking_time
 from optdock_ros.control_loop import may_be_preferred
-from optdock_ros.dock_database import Docks
-from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, docking_settings
+from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, Docks, docking_settings
 from optdock_ros.docking_reports import Reports
 from optdock_ros.docking_task import DockingTask
 from optdock_ros.frame_lookup import TransformBuffer, now

@@ -18,7 +18,7 @@ from optdock.model.problem import DockingProblem
 from optdock.nav2.docks import DockEntry
 from optdock_ros.goal_queue import Ended, GoalOutcome, done, failed
 from optdock_ros.measuring import Measuring
-from optdock_ros.robot_topics import POLL
+from optdock_ros.robot_topics import BATTERY, POLL
 from optdock_ros.surroundings import nav2_footprint
 from optdock_ros.task_drive import DockedAt, TaskDrive, measurement_rules
 
@@ -43,10 +43,6 @@ class DockingTask:
 
     `dock` and `undock` raise `Ended` with the outcome of a goal that ends early, and `OptdockError`, with Nav2's error
     code if there is one, for a goal that cannot be worked on.
-
-    Args:
-        resources: Resources of the server.
-        goal: The goal.
     """
 
     def __init__(self, resources: DockingResources, goal: Goal) -> None:
@@ -111,12 +107,7 @@ class DockingTask:
         return max(float(seconds), self._settings.period)
 
     def _wanted(self, request: DockRobot.Goal) -> tuple[DockEntry, DockPlugin]:
-        """Return the dock of a goal.
-
-        Raises:
-            DockNotInDB: If its name is unknown.
-            DockNotValid: If its type is unknown or its pose is invalid.
-        """
+        """Return the dock of a goal; raise `DockNotInDB` or `DockNotValid`."""
         if request.use_dock_id:
             return self._resources.docks.find(request.dock_id)
         try:
@@ -157,7 +148,7 @@ class DockingTask:
         return found.planar()
 
     def _is_charging(self, plugin: DockPlugin) -> bool:
-        return plugin.is_charging(self._resources.topics.battery, self._resources.now())
+        return plugin.is_charging(self._resources.topics.newest(BATTERY), self._resources.now())
 
     def _is_in_dock(self, plugin: DockPlugin, docked: list[Pose2]) -> bool:
         """Whether the battery is charging or the robot is at one of the docked poses."""

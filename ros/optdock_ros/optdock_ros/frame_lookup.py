@@ -31,11 +31,7 @@ def now(node: Node) -> float:
 
 
 class TransformBuffer(ros.TransformTree):
-    """The transforms of /tf and /tf_static, kept for 10 s; a clock that jumps back removes those of moving frames.
-
-    Args:
-        node: Node of the subscriptions.
-    """
+    """The transforms of /tf and /tf_static, kept for 10 s; a clock that jumps back removes those of moving frames."""
 
     def __init__(self, node: Node) -> None:
         super().__init__(_HISTORY)

@@ -36,15 +36,7 @@ _CANCELLED = "cancelled"
 
 
 class GoalOutcome(NamedTuple):
-    """How a goal ended.
-
-    Attributes:
-        success: Whether the goal was reached.
-        code: Nav2's error code.
-        text: Reason.
-        retries: Number of approaches after the first one.
-        result: Result message of the action; None: an empty one.
-    """
+    """How a goal ended: Nav2's error code, the reason, the approaches after the first one, and the result message."""
 
     success: bool
     code: int = 0
@@ -72,13 +64,7 @@ class Ended(Exception):
 
 
 class GoalAction(NamedTuple):
-    """An action.
-
-    Attributes:
-        name: Name of the action.
-        work: Works on a goal, in the worker thread.
-        code_of_end: Error code of a goal that is preempted, or ended by a transition of the node.
-    """
+    """Name of an action, the work on its goals, and the error code of a goal that is preempted or deactivated."""
 
     name: str
     work: Callable[[Goal], GoalOutcome]
@@ -86,12 +72,7 @@ class GoalAction(NamedTuple):
 
 
 class Goal:
-    """A goal of an action.
-
-    Args:
-        kind: Type of the action.
-        action: The action.
-        handle: Goal handle of rclpy.
+    """A goal of an action of the type `kind`.
 
     Attributes:
         request: Goal message.
@@ -136,12 +117,7 @@ class Goal:
         return failed(code, f"{self.ending}{where and ' '}{where}", retries)
 
     def publish_progress(self, state: int, retries: int = 0) -> None:
-        """Publish the feedback of a docking, as far as the action has the fields.
-
-        Args:
-            state: Nav2's number of the state.
-            retries: Number of approaches after the first one.
-        """
+        """Publish Nav2's number of the state and the retries, as far as the action has the fields."""
         passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - self.began))).to_msg()
         message = _filled(self.kind.Feedback(), state=state, docking_time=passed, num_retries=retries)
         with suppress(RCLError):  # the goal may have ended
@@ -149,13 +125,7 @@ class Goal:
 
 
 class GoalQueue:
-    """The action servers of a node, and the thread that works on their goals.
-
-    Args:
-        node: Node of the action servers.
-        actions: Actions by their types.
-        result_timeout: Time for which results are kept [s].
-    """
+    """The action servers of a node, and the thread that works on their goals; results are kept for a time [s]."""
 
     def __init__(self, node: Server[Any], actions: Mapping[Any, GoalAction], result_timeout: float = 10.0) -> None:
         self._node, self._actions = node, actions
@@ -220,12 +190,9 @@ class GoalQueue:
             current.end(reason)
 
     def join(self, patience: float) -> bool:
-        """Wait until no goal is active.
+        """Whether the work on all goals returns within `patience` [s].
 
-        If that takes longer than `patience` [s], the goal is aborted, and a new thread replaces its worker thread.
-
-        Returns:
-            Whether the work on the last goal has returned.
+        If not, the active goal is aborted, and a new thread replaces the worker thread.
         """
         if self._is_idle.wait(patience):
             return True

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from time import monotonic
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from optdock import ros
 from optdock.errors import InvalidMessage, OptdockError
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from optdock.model.costmap import Costmap
-    from optdock.ros.transforms import Transform
+    from optdock.ros import Transform, TransformTree
 
-__all__ = ["DatedCostmap", "Frames", "MeasurementRules", "Measuring"]
+__all__ = ["MeasurementRules", "Measuring"]
 
 _QUEUED = 200  # messages between two cycles: 4 s of odometry at 50 Hz
 _AHEAD = 0.1  # [s]: tolerance for the clocks of two computers
@@ -30,31 +30,8 @@ _TRANSFORM_WAIT = 0.2  # [s] for the transform of a detection to arrive, as in N
 _AT_REST = 0.01  # [m/s], [rad/s]: noise of the encoders of a robot at rest
 
 
-class Frames(Protocol):
-    """Transforms between frames, as of a `TransformBuffer`."""
-
-    def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
-        """Return the pose of `source` in `target`."""
-
-
-class DatedCostmap(NamedTuple):
-    """A costmap in the fixed frame and its stamp [s]."""
-
-    costmap: Costmap
-    stamp: float
-
-
 class MeasurementRules(NamedTuple):
-    """Frames, and largest ages of the measurements.
-
-    Attributes:
-        fixed_frame: Frame in which the robot is located.
-        base_frame: Frame of the robot.
-        transform_tolerance: Largest age of the transform between them [s].
-        odom_tolerance: Largest age of the velocity [s].
-        costmap_timeout: Largest age of the costmap [s]; None: no costmap is used.
-        detection_timeout: Largest age of a detection [s].
-    """
+    """Frames, and largest ages of transform, velocity, costmap (None: no costmap is used) and detection [s]."""
 
     fixed_frame: str
     base_frame: str
@@ -81,7 +58,7 @@ class Measuring:
     def __init__(
         self,
         rules: MeasurementRules,
-        frames: Frames,
+        frames: TransformTree,
         detect: Callable[[Any, Transform], Detection] | None,
         contact: Callable[[float], bool | None],
         current: Callable[[float], float | None] = lambda _: None,
@@ -90,7 +67,7 @@ class Measuring:
         self._contact, self._current = contact, current
         self._odometry: deque[Any] = deque(maxlen=_QUEUED)
         self._seen: deque[Any] = deque(maxlen=_QUEUED)
-        self._surroundings: DatedCostmap | None = None
+        self._surroundings: tuple[Costmap, float] | None = None
         self._twist: tuple[float, Twist2] | None = None
         self._odometry_pose: OdometryPose | None = None
         self._heard, self._heard_at = Twist2(), -math.inf
@@ -113,9 +90,9 @@ class Measuring:
         if self._detect is not None:
             self._seen.append(message)
 
-    def take_surroundings(self, surroundings: DatedCostmap) -> None:
-        """Replace the costmap. Callable from any thread."""
-        self._surroundings = surroundings
+    def take_surroundings(self, costmap: Costmap, stamp: float) -> None:
+        """Replace the costmap in the fixed frame and its stamp [s]. Callable from any thread."""
+        self._surroundings = costmap, stamp
 
     def measurements(self, now: float) -> Measurements:
         """Return the measurements at a time [s]; for the thread of the control loop."""
@@ -218,11 +195,7 @@ class Measuring:
         return tuple(found)
 
     def _detection(self, message: Any, now: float) -> Detection | None:
-        """Return the detection of a message; None while its transform may arrive.
-
-        Raises:
-            OptdockError: If the message is invalid or too old.
-        """
+        """Return the detection of a message; None while its transform may arrive; raise if it is invalid or old."""
         stamp, frame = ros.seconds(message.header.stamp), message.header.frame_id
         age = now - stamp
         if age > self._rules.detection_timeout or age < -_AHEAD:
@@ -243,8 +216,8 @@ class Measuring:
         timeout, seen = self._rules.costmap_timeout, self._surroundings
         if timeout is None:
             return None
-        age = math.inf if seen is None else now - seen.stamp
+        age = math.inf if seen is None else now - seen[1]
         if seen is None or abs(age) > timeout:
             faults["costmap"] = "none has come" if seen is None else f"the last one is {age:.2f} s old"
             return None
-        return seen.costmap
+        return seen[0]

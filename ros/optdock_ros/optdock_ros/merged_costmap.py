@@ -29,15 +29,9 @@ Box = tuple[float, float, float, float]  # least x and y, largest x and y [m]
 
 
 def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
-    """Transform a costmap to another frame.
+    """Return a costmap, or the part in a box, in another frame, in which its own frame has the pose `frame`.
 
-    Args:
-        costmap: Costmap in its own frame.
-        frame: Pose of that frame in the other frame.
-        box: Part to keep, in the other frame; None: everything.
-
-    Returns:
-        A grid of the same resolution. A cell has the worst cost of the cells it overlaps, NO_INFORMATION outside.
+    The resolution is kept. A cell has the worst cost of the cells it overlaps, NO_INFORMATION outside.
     """
     side, (ox, oy) = costmap.resolution, costmap.origin
     if abs(frame.yaw) < _ALIGNED:
@@ -69,9 +63,7 @@ def cropped(costmap: Costmap, box: Box) -> Costmap:
 def joined(wide: Costmap, local: Costmap) -> Costmap:
     """Merge a wide map with the local costmap: the larger cost of both, but the local cost where the map is unknown.
 
-    Args:
-        wide: Map in the frame of `local`, with any grid.
-        local: Local costmap; its grid is kept.
+    Both are in one frame; the grid is that of `local`.
     """
     side = local.resolution
     low = np.minimum(np.floor((np.array(wide.lower) - local.lower) / side + _ALIGNED), 0.0).astype(int)

@@ -24,11 +24,7 @@ _ANSWER = 2.0  # [s] for the server to appear, and for it to accept a goal, as t
 
 
 class Navigator:
-    """A client of `navigate_to_pose`.
-
-    Args:
-        node: Node of the client; its executor must run in another thread than `go`.
-    """
+    """A client of `navigate_to_pose`; the executor of its node must run in another thread than `go`."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -41,16 +37,13 @@ class Navigator:
         self._client.destroy()
 
     def go(self, pose: PoseStamped, tree: str, limit: float, is_over: Callable[[], bool]) -> str:
-        """Navigate the robot to a pose; a goal that is given up is cancelled.
+        """Navigate the robot to a pose, and return the reason of a failure; empty after success.
 
         Args:
             pose: Pose to navigate to.
             tree: Behaviour tree; empty for the navigator's default.
             limit: Time limit of all attempts [s].
             is_over: Waits for a moment and returns whether to give up; called repeatedly.
-
-        Returns:
-            The reason of the failure; empty after success.
         """
         until, fault = time.monotonic() + limit, ""
         for _ in range(_ATTEMPTS):

@@ -71,15 +71,7 @@ _MISSPELT = 0.86
 
 
 class BlockReader:
-    """Reads nested parameters and collects every fault and every ignored name.
-
-    Args:
-        block: All parameters of a node, nested.
-
-    Attributes:
-        faults: One line per fault.
-        ignored: Dotted names that are not read.
-    """
+    """Reads nested parameters; collects `faults`, one line each, and `ignored`, the dotted names that are not read."""
 
     def __init__(self, block: Mapping[str, object]) -> None:
         self.block = block
@@ -113,11 +105,7 @@ class BlockReader:
         return {key: value for key, value in given.items() if key in names}
 
     def check(self) -> None:
-        """Raise the collected faults.
-
-        Raises:
-            InvalidValue: If there are faults; one line per fault.
-        """
+        """Raise `InvalidValue` if there are faults, with one line per fault."""
         if self.faults:
             raise InvalidValue("\n".join(dict.fromkeys(self.faults)))
 
@@ -130,10 +118,7 @@ def plain(value: object) -> object:
 
 
 def nested(flat: Mapping[str, object]) -> dict[str, object]:
-    """Return nested blocks from dotted names.
-
-    Raises:
-        InvalidValue: If a name is both a value and a block.
+    """Return nested blocks from dotted names; raise `InvalidValue` if a name is both a value and a block.
 
     >>> nested({"a": 1, "b.c": 2, "b.d.e": 3})
     {'a': 1, 'b': {'c': 2, 'd': {'e': 3}}}
@@ -154,11 +139,7 @@ def nested(flat: Mapping[str, object]) -> dict[str, object]:
 
 
 def parameters_of(node: Node, changes: Iterable[Parameter[Any]] = ()) -> dict[str, object]:
-    """Return all parameters of a node after a set of changes, nested; a parameter that is unset is left out.
-
-    Raises:
-        InvalidValue: If a name is both a value and a block.
-    """
+    """Return all parameters of a node after changes, as by `nested`; a parameter that is unset is left out."""
     names = list(node.list_parameters([], 0).names)
     flat = {parameter.name: plain(parameter.value) for parameter in node.get_parameters(names)}
     for parameter in changes:
@@ -170,12 +151,7 @@ def parameters_of(node: Node, changes: Iterable[Parameter[Any]] = ()) -> dict[st
 
 
 def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
-    """Declare every parameter of the parameter files and the command line, with any type.
-
-    Args:
-        node: The node.
-        given: Further overrides, as passed to the node's constructor.
-    """
+    """Declare all parameters of files and command line, and those given to the node's constructor, with any type."""
     names = {*node.handle.get_parameters(Parameter), *(parameter.name for parameter in given)}
     for name in sorted(names):
         if not node.has_parameter(name):
@@ -183,17 +159,9 @@ def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
 
 
 def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, object]:
-    """Declare the fields of a model with description and default.
+    """Declare the fields of a model with description and default, and return those that were not declared before.
 
     A default without a ROS type, such as None, is not declared; the parameter can still be set.
-
-    Args:
-        node: The node.
-        model: Model of the parameters.
-        prefix: Prefix of every name, with its dot.
-
-    Returns:
-        Names and values of the parameters that were not declared before.
     """
     added: dict[str, object] = {}
     for name, spec in model.model_fields.items():
@@ -223,18 +191,10 @@ def _has_ros_type(value: object) -> bool:
 def unknown_names(
     block: Mapping[str, object], known: Iterable[str], accepted: Iterable[str] = ()
 ) -> tuple[list[str], list[str]]:
-    """Return the names of a block that are not read.
+    """Return fault lines for the misspelt names of a block, and the other names that are not read.
 
     A misspelt name is a fault, because a limit or a topic that is silently ignored is dangerous. Other names, such as
-    parameters of other versions of Nav2, are only listed.
-
-    Args:
-        block: Block of parameters.
-        known: Names of the parameters, plugins and blocks that are read.
-        accepted: Names of Nav2 that have no effect here.
-
-    Returns:
-        Fault lines, and the ignored names.
+    parameters of other versions of Nav2 and the `accepted` ones, are only listed.
     """
     ours, others = set(known), {*accepted, *OF_EVERY_NODE}
     faults, ignored = [], []
@@ -269,30 +229,18 @@ def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class RobotParameters:
-    """The block `robot`, in the names of the scenario format.
-
-    Args:
-        document: The validated block; its outline is a placeholder if `footprint` is None.
-        footprint: Outline of the block, or None.
-    """
+    """The block `robot`; the outline of the document is a placeholder if `footprint` is None."""
 
     document: RobotDocument
     footprint: Footprint | None
 
     def robot(self, footprint: Footprint) -> Robot:
-        """Return the robot with this outline.
-
-        Raises:
-            InvalidValue: As `Robot`.
-        """
+        """Return the robot with this outline, or raise `InvalidValue` as `Robot`."""
         return dataclasses.replace(self.document.value(), footprint=footprint)
 
 
 def robot_parameters(block: object) -> RobotParameters:
-    """Return the robot of a block `robot`, all of whose keys are optional.
-
-    Args:
-        block: Block with `footprint` as text or `radius`, `drive`, `turns_in_place`, `tracking.*` and `limits.*`.
+    """Return the block `robot` in the names of the scenario format; all keys are optional, `footprint` is text.
 
     Raises:
         InvalidValue: If the block breaks the scenario format; one line per fault.

@@ -31,20 +31,15 @@ if TYPE_CHECKING:
     from optdock_ros.goal_queue import Goal
     from optdock_ros.measuring import Measuring
 
-__all__ = ["POLL", "RobotTopics"]
+__all__ = ["BATTERY", "JOINTS", "POLL", "RobotTopics"]
 
 POLL = 0.05  # [s]: period at which the thread of a goal checks for messages, cancellations and reports
 _DETECTIONS = "detected_dock_pose"
-_BATTERY, _JOINTS = "battery_state", "joint_states"
+BATTERY, JOINTS = "battery_state", "joint_states"
 
 
 class RobotTopics:
     """Subscriptions, and the newest message of each topic.
-
-    Args:
-        node: Node of the subscriptions.
-        settings: Names of the topics.
-        frames: Transforms for the footprint.
 
     Attributes:
         costmap: Local costmap; None if obstacles are ignored.
@@ -72,18 +67,8 @@ class RobotTopics:
         """Destroy subscriptions and clients."""
         self._parts.close()
 
-    @property
-    def battery(self) -> Told | None:
-        """Newest sensor_msgs/BatteryState; None before the first."""
-        return self._newest.get(_BATTERY)
-
-    @property
-    def joints(self) -> Told | None:
-        """Newest sensor_msgs/JointState; None before the first."""
-        return self._newest.get(_JOINTS)
-
-    def switch(self, topic: str) -> Told | None:
-        """Return the newest std_msgs/Bool of a topic; None before the first."""
+    def newest(self, topic: str) -> Told | None:
+        """Return the newest message of `BATTERY`, `JOINTS` or the topic of a switch; None before the first."""
         return self._newest.get(topic)
 
     def _subscribe_surroundings(self, settings: DockingSettings, frames: TransformBuffer) -> None:
@@ -103,9 +88,9 @@ class RobotTopics:
         if any(of_type.use_external_detection_pose and not of_type.subscribe_toggle for of_type in types):
             self._subscribe(PoseStamped, _DETECTIONS, self._take_detection, 10)
         if any(plugin.uses_battery for plugin in plugins):
-            self._keep(BatteryState, _BATTERY, 1)
+            self._keep(BatteryState, BATTERY, 1)
         if any(of_type.use_stall_detection for of_type in types):
-            self._keep(JointState, _JOINTS, 10)
+            self._keep(JointState, JOINTS, 10)
         for topic in {plugin.contact_topic for plugin in plugins} - {""}:
             self._keep(Bool, topic, 10)
         names = {of_type.detector_service_name for of_type in types} - {""}
@@ -136,16 +121,7 @@ class RobotTopics:
 
     @contextmanager
     def detecting(self, plugin: DockPlugin, measuring: Measuring, goal: Goal) -> Iterator[None]:
-        """Switch the detector on, and pass messages to the measurements.
-
-        Args:
-            plugin: Dock type.
-            measuring: Measurements.
-            goal: The goal that is worked on.
-
-        Raises:
-            Ended: If the detector cannot be switched on, or the goal is to end.
-        """
+        """Switch the detector on, and pass messages to the measurements; raise `Ended` if that fails."""
         subscription = None
         self._measuring = measuring
         if measuring.detects:

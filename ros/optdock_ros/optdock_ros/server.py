@@ -33,7 +33,6 @@ from optdock_ros.nested_parameters import BlockReader, ServerParameters, declare
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rclpy.context import Context
     from rclpy.executors import Executor
     from rclpy.parameter import Parameter
 
@@ -52,12 +51,6 @@ class Server(LifecycleNode, Generic[S]):
     A subclass validates its parameters (`check`), makes and destroys its interfaces (`set_up`, `tear_down`), and begins
     and ends its work (`start`, `stop`). Each method may raise; the transition then fails, everything that was made is
     destroyed, and the reason is logged.
-
-    Args:
-        name: Name of the node.
-        namespace: Namespace of the node, unless the command line sets one.
-        parameter_overrides: Values in addition to those of the command line, for tests.
-        context: Context of rclpy; None for the default one.
 
     Attributes:
         settings: Result of `check`; set from configure to cleanup.
@@ -78,15 +71,13 @@ class Server(LifecycleNode, Generic[S]):
         name: str,
         *,
         namespace: str | None = None,
-        parameter_overrides: Sequence[Parameter[Any]] | None = None,
-        context: Context | None = None,
+        parameter_overrides: Sequence[Parameter[Any]] = (),
     ) -> None:
-        given = list(parameter_overrides or ())
+        given = list(parameter_overrides)
         super().__init__(
             name,
             namespace=namespace,
             parameter_overrides=given,
-            context=context,
             allow_undeclared_parameters=True,  # a plugin that is set later has parameters of its own
         )
         declare_overrides(self, given)
@@ -103,10 +94,7 @@ class Server(LifecycleNode, Generic[S]):
     # For subclasses.
 
     def check(self, block: dict[str, object]) -> S:
-        """Return all parameters as one frozen value, without side effects on the node's interfaces.
-
-        Args:
-            block: All parameters of the node, nested.
+        """Return all parameters, a nested block, as one frozen value.
 
         Raises:
             OptdockError: If a parameter is invalid; one line per fault.
@@ -129,11 +117,7 @@ class Server(LifecycleNode, Generic[S]):
         """React to new `settings` of a configured node."""
 
     def own_parameters(self, block: dict[str, object], blocks: Sequence[str] = ()) -> ServerParameters:
-        """Return the validated parameters of `Parameters`, and log ignored names at the top once.
-
-        Args:
-            block: All parameters of the node, nested.
-            blocks: Further names at the top that are read.
+        """Return the validated parameters of `Parameters`, and log ignored names at the top; `blocks` are other names.
 
         Raises:
             InvalidValue: If values are invalid or names misspelt; one line per fault.

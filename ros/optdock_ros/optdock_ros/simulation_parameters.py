@@ -28,18 +28,12 @@ __all__ = ["PARAMETERS", "SimulationParameters", "about_z"]
 
 BAY = Path(__file__).with_name("simulated_bay.yaml")
 PARAMETERS: dict[str, tuple[object, str]] = {
-    "scenario": (
-        "",
-        "scenario file (optdock-scenario/1): robot, dock, obstacles, start; empty: the bay of this package",
-    ),
+    "scenario": ("", "scenario file with robot, dock, obstacles, start; empty: the bay of this package"),
     "start": ([], "x [m], y [m], yaw [rad] of the robot in the map; empty: the scenario's"),
     "dock_offset": ([0.0, 0.0, 0.0], "true pose of the dock relative to the scenario's [m, m, rad]"),
     "seed": (0, "of the noise"),
     "rate": (100.0, "steps of the simulation [Hz]"),
-    "speed": (
-        0.0,
-        "0: real time, on the system's clock; otherwise the factor by which the published /clock is faster [1]",
-    ),
+    "speed": (0.0, "0: real time, system clock; otherwise speed of the published /clock [1]"),
     "map_frame": ("map", "of localization, the scenario and the truth"),
     "odom_frame": ("odom", "of odometry and costmap"),
     "base_frame": ("base_link", "of the robot"),
@@ -69,14 +63,8 @@ PARAMETERS: dict[str, tuple[object, str]] = {
     "detection.field_of_view": (2.0, "horizontal angle of the camera [rad]"),
     "detection.max_range": (4.0, "largest distance of a detected marker [m]"),
     "camera.frame": ("camera_optical_frame", "x right, y down, z forward"),
-    "camera.pose": (
-        [0.0, 0.0, 0.3],
-        "of the camera on the robot: x, y, z [m]; it points in the direction of the approach",
-    ),
-    "marker.distance": (
-        0.2,
-        "from the docked robot's origin into the dock; Nav2's external_detection_translation_x [m]",
-    ),
+    "camera.pose": ([0.0, 0.0, 0.3], "of the camera on the robot: x, y, z [m]; it faces the direction of the approach"),
+    "marker.distance": (0.2, "from the docked robot into the dock; minus external_detection_translation_x [m]"),
     "marker.height": (0.3, "above the floor [m]"),
     "station.stops": (True, "whether the station blocks the robot at the docked pose"),
     "station.depth": (0.0, "distance by which it can be driven beyond the docked pose [m]"),

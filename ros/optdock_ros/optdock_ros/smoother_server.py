@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -76,13 +77,7 @@ class SmootherServerParameters(ServerParameters):
 
 @dataclass(frozen=True)
 class NamedSmoother:
-    """A smoother of the parameters; each goal gets a new instance, with the parameters at its begin.
-
-    Args:
-        name: Name of the instance.
-        choice: Its class, as in the parameters, and the parameters that are used.
-        not_read: Its other parameters, with hints for misspelt ones.
-    """
+    """A smoother of the parameters, with hints for those that are not read; each goal gets a new instance."""
 
     name: str
     choice: PluginChoice
@@ -94,11 +89,7 @@ class NamedSmoother:
 
     @contextmanager
     def active(self, context: PluginContext) -> Iterator[Smoother]:
-        """Return a new instance, configured and active, and shut it down at the end.
-
-        Raises:
-            OptdockError: If it refuses the context.
-        """
+        """Return a new instance, configured and active, and shut it down at the end."""
         plugin = self.made()
         try:
             plugin.configure(context)
@@ -110,14 +101,7 @@ class NamedSmoother:
 
 @dataclass(frozen=True)
 class SmootherSettings:
-    """The validated parameters of the server.
-
-    Args:
-        own: Parameters at the top.
-        plugins: Smoothers by name.
-        robot: Block `robot`, or None.
-        clearance: Block `clearance`, or None.
-    """
+    """The validated parameters of the server; None for a block that is missing."""
 
     own: SmootherServerParameters
     plugins: Mapping[str, NamedSmoother]
@@ -126,11 +110,7 @@ class SmootherSettings:
 
 
 class SmootherServer(Server[SmootherSettings]):
-    """The node.
-
-    Attributes:
-        transforms: Transforms between frames.
-    """
+    """The node."""
 
     Parameters = SmootherServerParameters
     fixed = frozenset(
@@ -140,8 +120,6 @@ class SmootherServer(Server[SmootherSettings]):
         }
     )
 
-    transforms: TransformBuffer
-
     def __init__(self, name: str = "smoother_server", **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self._parts = ExitStack()
@@ -149,11 +127,7 @@ class SmootherServer(Server[SmootherSettings]):
         self._footprint: FootprintTopic | None = None
 
     def check(self, block: dict[str, object]) -> SmootherSettings:
-        """Return all parameters, validated.
-
-        Raises:
-            InvalidValue: If a parameter is invalid; one line per fault.
-        """
+        """As `Server.check`."""
         given = block.get("smoother_plugins", [_DEFAULT])
         names = tuple(map(str, given)) if isinstance(given, list | tuple) else ()
         if names == (_DEFAULT,):
@@ -180,14 +154,14 @@ class SmootherServer(Server[SmootherSettings]):
             self.get_logger().info(f"Created smoother: {plugin.name} of type {plugin.choice.name}")
             if plugin.not_read:
                 self.get_logger().info(f"{plugin.name}: not read: {', '.join(plugin.not_read)}")
-        self.transforms = parts.enter_context(closing(TransformBuffer(self)))
+        self._transforms = parts.enter_context(closing(TransformBuffer(self)))
         if own.costmap_topic:
             self._costmap = parts.enter_context(closing(CostmapTopic(self, own.costmap_topic)))
         else:
             self.get_logger().warning("costmap_topic is empty: nothing is known of obstacles")
         if own.footprint_topic:
             base, tolerance = own.robot_base_frame, own.transform_tolerance
-            outline = FootprintTopic(self, own.footprint_topic, self.transforms, base, tolerance)
+            outline = FootprintTopic(self, own.footprint_topic, self._transforms, base, tolerance)
             self._footprint = parts.enter_context(closing(outline))
         self._publisher = self.create_lifecycle_publisher(PathMessage, "plan_smoothed", 1)
         parts.callback(self.destroy_lifecycle_publisher, self._publisher)
@@ -260,11 +234,7 @@ class SmootherServer(Server[SmootherSettings]):
         return result
 
     def _task(self, message: PathMessage, settings: SmootherSettings) -> SmoothingTask:
-        """Return the task of a goal.
-
-        Raises:
-            OptdockError: If the path is invalid, or the surroundings or a transform are missing or too old.
-        """
+        """Return the task of a goal; raise if its path is invalid, or messages are missing or too old."""
         if not message.poses:
             raise InvalidPath("path: has no poses")
         try:
@@ -279,7 +249,7 @@ class SmootherServer(Server[SmootherSettings]):
         seen = Pose2(0.0, 0.0, 0.0)
         if frame.lstrip("/") != given.frame.lstrip("/"):
             tolerance = settings.own.transform_tolerance
-            seen = self.transforms.lookup(frame, given.frame, now(self), tolerance).planar()
+            seen = self._transforms.lookup(frame, given.frame, now(self), tolerance).planar()
         poses = with_headings(transform_poses(seen, given.poses))
         path, footprint = Path.from_poses(poses, frame), self._outline(settings)
         rule = settings.clearance or ClearanceRule(0.0, 0.0, 0.0)
@@ -299,11 +269,7 @@ class SmootherServer(Server[SmootherSettings]):
         return SmoothingTask(path, problem, footprint, near, whole, given.frame, seen, mean_spacing(poses))
 
     def _outline(self, settings: SmootherSettings) -> Footprint | None:
-        """Return the outline of the parameters or of the topic; None if no message has been received.
-
-        Raises:
-            OptdockError: If the message is invalid or too old, or has an unknown frame.
-        """
+        """Return the outline of the parameters or of the topic; None if no message has been received."""
         if settings.robot is not None and settings.robot.footprint is not None:
             return settings.robot.footprint
         if self._footprint is None or not self._footprint.is_heard:
@@ -343,17 +309,13 @@ def _named_smoothers(reader: BlockReader, node: str, names: tuple[str, ...]) -> 
         answer = provided(PluginInstance(node, "smoother", name, kind, rest, (name,), 0), params)
         count = len(reader.faults)
         if not {":", "/"} & set(kind) and (answer.unknown or answer.refused):
-            _check_parameters(reader, kind, name, rest)
+            reader.attempt(partial(parse_parameters, load_plugin(Smoother, kind).Parameters, rest, name), None)
         if len(reader.faults) > count:
             continue
         if answer.plugin is None:
             reader.faults.append(f"Failed to create smoother {name} of type {kind}: {answer.outcome}")
         found[name] = NamedSmoother(name, PluginChoice(kind, dict(answer.taken)), answer.unknown)
     return found
-
-
-def _check_parameters(reader: BlockReader, kind: str, name: str, given: Mapping[str, object]) -> None:
-    reader.attempt(lambda: parse_parameters(load_plugin(Smoother, kind).Parameters, given, name), None)
 
 
 def main() -> int:

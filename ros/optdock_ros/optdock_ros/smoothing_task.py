@@ -66,11 +66,7 @@ class SmoothingTask:
     spacing: float
 
     def check_answer(self, found: SmoothingResult, name: str) -> None:
-        """Check the type, the frame and the ends of a smoother's result.
-
-        Raises:
-            SmootherException: If one of them is wrong.
-        """
+        """Raise `SmootherException` if the type, the frame or the ends of a smoother's result are wrong."""
         if not (isinstance(found, SmoothingResult) and isinstance(found.path, Path)):
             raise SmootherException(f"{name}: returned no smoothed path, but {found!r}")
         if not may_be_one_frame(found.path.frame, self.path.frame):
@@ -121,13 +117,10 @@ class SmoothingTask:
 
 
 def with_headings(poses: FloatArray) -> FloatArray:
-    """Return poses whose headings follow the travel if no headings were given.
+    """Return poses, shape (n, 3), whose headings follow the travel if no headings were given.
 
     Nav2's grid planners leave the identity in all poses but the last one. Equal headings, except for the last one, are
     regarded as missing if a step leads aside of them or if the last heading differs.
-
-    Args:
-        poses: Shape (n, 3).
     """
     if len(poses) < 3 or not np.all(poses[:-1, 2] == poses[0, 2]):
         return poses

@@ -53,10 +53,7 @@ class SurroundingsError(OptdockError):
 class CostmapTopic:
     """The newest costmap of a topic, with its later updates.
 
-    Args:
-        node: Node of the subscriptions.
-        topic: Name of the topic, with nav2_msgs/Costmap if it ends in `_raw`, as Nav2's `costmap_raw`; otherwise with
-            nav_msgs/OccupancyGrid. The name of the updates ends in `_updates`.
+    A topic whose name ends in `_raw` has nav2_msgs/Costmap, any other nav_msgs/OccupancyGrid.
     """
 
     def __init__(self, node: Node, topic: str) -> None:
@@ -87,11 +84,7 @@ class CostmapTopic:
         self._subscriptions = []
 
     def newest(self) -> StampedCostmap:
-        """Return the costmap with all updates.
-
-        Raises:
-            SurroundingsError: If there is no message, or an invalid one; the message names topic and fault.
-        """
+        """Return the costmap with all updates; raise `SurroundingsError` if there is no valid message."""
         with self._converting:
             with self._lock:
                 whole, updates = self._whole, self._updates
@@ -131,14 +124,8 @@ class CostmapTopic:
 class FootprintTopic:
     """The newest outline of a topic, in the robot's frame.
 
-    Nav2 publishes the outline in the frame of its costmap; the transform of the same time transforms it back.
-
-    Args:
-        node: Node of the subscription.
-        topic: Name of the topic; geometry_msgs/PolygonStamped.
-        transforms: Transforms between frames.
-        base_frame: The robot's frame.
-        tolerance: Largest age of the transform relative to the message [s].
+    Nav2 publishes the outline in the frame of its costmap; the transform of the same time transforms it back, which
+    may be older than the message by `tolerance` [s].
     """
 
     def __init__(
@@ -215,12 +202,9 @@ def _updated(known: StampedCostmap, updates: Sequence[Any]) -> StampedCostmap:
 
 
 def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -> int:
-    """Return the first pose at which an edge of the outline meets a lethal or unknown cell or leaves the map, or -1.
+    """Return the first of the poses, shape (n, 3), at which the outline meets a lethal or unknown cell, or -1.
 
-    Args:
-        poses: Shape (n, 3).
-        footprint: Outline of the robot.
-        costmap: Costmap to check.
+    Only the edges of the outline are checked, as in Nav2; cells off the map are unknown.
     """
     corners = transform_points(poses, footprint.vertices)
     count = corners.shape[1]
@@ -237,12 +221,7 @@ def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -
 
 
 def nav2_footprint(footprint: str, robot_radius: float, padding: float) -> Footprint:
-    """Return the outline of Nav2's three parameters.
-
-    Args:
-        footprint: `"[[x, y], ...]"` [m]; empty or `"[]"` for a round robot.
-        robot_radius: Radius of a round robot [m].
-        padding: Distance by which every vertex is moved outward along x and y [m].
+    """Return the outline of Nav2's three parameters, the last two in metres; an empty footprint is a round robot.
 
     Raises:
         InvalidValue: If the parameters are invalid.

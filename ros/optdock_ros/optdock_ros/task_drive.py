@@ -17,9 +17,9 @@ from optdock.geometry.pose import Pose2
 from optdock_ros.control_loop import ControlLoop, TaskRun
 from optdock_ros.frame_lookup import now
 from optdock_ros.goal_queue import Ended, GoalOutcome, failed
-from optdock_ros.measuring import DatedCostmap, MeasurementRules, Measuring
+from optdock_ros.measuring import MeasurementRules, Measuring
 from optdock_ros.merged_costmap import joined, moved
-from optdock_ros.robot_topics import POLL
+from optdock_ros.robot_topics import BATTERY, JOINTS, POLL
 from optdock_ros.surroundings import SurroundingsError
 
 if TYPE_CHECKING:
@@ -32,9 +32,8 @@ if TYPE_CHECKING:
     from optdock.model.measurements import Measurements
     from optdock.model.problem import DockingProblem
     from optdock.ros import StampedCostmap
-    from optdock_ros.dock_database import Docks
     from optdock_ros.dock_plugins import DockPlugin
-    from optdock_ros.docking_parameters import DockingSettings
+    from optdock_ros.docking_parameters import DockingSettings, Docks
     from optdock_ros.docking_reports import Reports
     from optdock_ros.frame_lookup import TransformBuffer
     from optdock_ros.goal_queue import Goal
@@ -56,7 +55,7 @@ _AROUND = 3.0  # [m] around robot and dock: extent of the merged costmap
 
 
 class DockedAt(NamedTuple):
-    """The last docked pose of the robot in the fixed frame, and the dock type."""
+    """Last docked pose of the robot in the fixed frame, and the dock type."""
 
     pose: Pose2
     type_name: str
@@ -67,13 +66,6 @@ class DockingResources:
     """The resources of the work on goals.
 
     Attributes:
-        node: Node, for its log and its clock.
-        settings: Current parameters.
-        docks: Dock types and docks.
-        frames: Transforms.
-        topics: Topics of the robot.
-        planner: Planning process.
-        reports: Publishers of the reports.
         navigator: Client of `navigate_to_pose`; None if the executor drives to staging poses.
         send: Publishes a command.
         docked: Last docked pose; None if unknown.
@@ -93,16 +85,11 @@ class DockingResources:
     loop: ControlLoop | None = None
 
     def now(self) -> float:
-        """Return the time of the node's clock [s]."""
+        """Return the time of the node [s]."""
         return now(self.node)
 
     def waited(self, goal: Goal, ask: Callable[[], T]) -> T:
-        """Return the result of `ask`, which may raise until the first messages have arrived.
-
-        Raises:
-            OptdockError: If it still raises after 2 s.
-            Ended: If the goal is to end.
-        """
+        """Return the result of `ask`; ask again for 2 s while it raises `OptdockError`, and the goal goes on."""
         until = time.monotonic() + _FIRST_MESSAGES
         while True:
             goal.check_end()
@@ -114,11 +101,7 @@ class DockingResources:
             time.sleep(POLL)
 
     def in_fixed_frame(self, frame: str) -> Pose2:
-        """Return the newest pose of a frame in the fixed frame.
-
-        Raises:
-            TransformError: If there is no transform.
-        """
+        """Return the newest pose of a frame in the fixed frame, or raise `TransformError`."""
         return self.frames.lookup(self.settings.own.fixed_frame, frame).planar()
 
 
@@ -130,7 +113,7 @@ class _WatchedPlanning(ThreadPlanning):
         self.motion: DrivenMotion | None = None
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """Return the result once it is available."""
+        """As `ThreadPlanning.poll`."""
         result = super().poll(stamp)
         if result is not None:
             self.motion = result.motion or self.motion
@@ -138,15 +121,7 @@ class _WatchedPlanning(ThreadPlanning):
 
 
 class TaskDrive:
-    """A task of the executor for one goal; the robot stands before and after it.
-
-    Args:
-        resources: Resources of the server.
-        goal: The goal.
-        plugin: Dock type.
-        problem: Robot, dock and start.
-        settings: Settings of the executor.
-        what: Task of the executor.
+    """A task `what` of the executor for one goal; the robot stands before and after it.
 
     Attributes:
         executor: The executor, which estimates the pose of the dock.
@@ -178,7 +153,7 @@ class TaskDrive:
             resources.frames,
             plugin.detection if settings.use_detections else None,
             contact=self._contact,
-            current=lambda now: plugin.current(self._topics.battery, now),
+            current=lambda now: plugin.current(self._topics.newest(BATTERY), now),
         )
         self._step: Step | None = None
         self._events: deque[Event] = deque()
@@ -190,11 +165,7 @@ class TaskDrive:
         self._feedback_at = self._reported_at = -math.inf
 
     def run(self) -> GoalOutcome:
-        """Drive until the robot stands.
-
-        Raises:
-            Ended: If the goal is to end, or messages or the planning process are missing at the begin.
-        """
+        """Drive until the robot stands; raise `Ended` if the drive cannot begin."""
         try:
             with self._topics.detecting(self._plugin, self._measuring, self._goal):
                 self._wait_for_surroundings()
@@ -262,12 +233,12 @@ class TaskDrive:
     def _contact(self, now: float) -> bool | None:
         """Return the contact by a switch, and by stalled joints until the robot has stopped; None without both."""
         plugin, state = self._plugin, self.executor.state
-        switched = plugin.is_switched(self._topics.switch(plugin.contact_topic), now)
+        switched = plugin.is_switched(self._topics.newest(plugin.contact_topic), now)
         if not plugin.parameters.use_stall_detection:
             return switched
         if state in _PRESSES:
             try:
-                self._stalled = self._stalled or plugin.is_stalled(self._topics.joints, now)
+                self._stalled = self._stalled or plugin.is_stalled(self._topics.newest(JOINTS), now)
             except InvalidMessage as error:
                 self._resources.node.get_logger().error(str(error), throttle_duration_sec=5.0)
         elif state is not State.STOPPING:
@@ -319,12 +290,7 @@ class TaskDrive:
         return f"cells of the costmap within {reach:.3f} m of the docked robot's front, which touches"
 
     def _refresh(self, *, is_first: bool = False) -> None:
-        """Merge the costmaps in the fixed frame if there is a new one.
-
-        Raises:
-            SurroundingsError: If there is no costmap, or the first one is too old.
-            TransformError: If there is no transform to its frame.
-        """
+        """Merge new costmaps in the fixed frame; raise if one is missing, has no transform, or is too old at first."""
         topic, wide_topic = self._topics.costmap, self._topics.map
         if topic is None:
             return
@@ -343,7 +309,7 @@ class TaskDrive:
         if wide is not None:
             costmap = joined(self._in_fixed_frame(wide, box), costmap)
         self._local, self._wide = local, wide
-        self._measuring.take_surroundings(DatedCostmap(costmap, local.stamp))
+        self._measuring.take_surroundings(costmap, local.stamp)
 
     def _in_fixed_frame(self, seen: StampedCostmap, box: Box) -> Costmap:
         """Return the part of a costmap in a box of the fixed frame."""
