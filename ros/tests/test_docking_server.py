@@ -1,4 +1,4 @@
-"""`docking_server` and a simulated robot, as processes: dockings, every error code, and every way to stop."""
+"""`docking_server` and a simulated robot as processes: dockings, error codes, and stops."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ MOST_CHANGE = 0.1  # [m/s] beyond 0.5 m/s^2 times the time between commands: wha
 
 
 class Bay:
-    """The simulated robot, the server, and what they say."""
+    """The simulated robot, the server, and their messages."""
 
     def __init__(self, client: Client, processes: Processes, server: dict[str, object] = SERVER) -> None:
         self.client, self.processes = client, processes
@@ -90,7 +90,7 @@ class Bay:
         assert all(r.successful for r in set_parameters(self.client, "simulated_robot", **values))
 
     def reset(self, **values: object) -> None:
-        """The world anew, all sensors at work."""
+        """Restart the world with all sensors working."""
         faults = {f"faults__{name}": False for name in ("transforms", "odometry", "detections", "costmap")}
         self.set(**{"start": NEAR, "dock_offset": [0.01, -0.01, 0.01], **faults, **values})
         assert self.client.call(Trigger, "/simulated_robot/reset").success
@@ -107,7 +107,7 @@ class Bay:
         return self.client.send(UndockRobot, "undock_robot", UndockRobot.Goal(**values))
 
     def driving(self) -> None:
-        """Wait until the robot moves, after it was told to."""
+        """Wait until the robot moves after a command."""
         self.client.until(lambda: self.commands and abs(self.commands[-1].twist.linear.x) > 0.08, what="a motion")
 
     def truth(self) -> dict[str, float]:
@@ -120,7 +120,7 @@ class Bay:
         }
 
     def assert_stopped(self, *, in_limits: bool = True) -> None:
-        """The robot stands, the last command is zero, and what led there kept the limits."""
+        """The robot stands, the last command is zero, and the commands kept the limits."""
         self.client.until(lambda: abs(self.odometry[-1].twist.twist.linear.x) < 0.01, 3.0, "rest")
         time.sleep(0.1)
         last = self.commands[-1].twist
@@ -141,7 +141,7 @@ def set_parameters(client: Client, node: str, **values: object) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def bay(module_process: Processes, client_node: Client) -> Bay:
-    """For the whole module."""
+    """The robot and the server of all tests."""
     return Bay(client_node, module_process)
 
 
@@ -252,18 +252,14 @@ def test_goals_that_name_no_dock(bay: Bay, goal: dict[str, Any], code: int, word
     assert bay.commands == []
 
 
-def test_no_detection_is_904(bay: Bay) -> None:
-    bay.reset(faults__detections=True)
-    reply = bay.dock().reply()
-    assert (reply.status, reply.result.error_code) == (ABORTED, 904), reply.result
-    bay.assert_stopped()
-
-
-def test_no_charge_is_906(bay: Bay) -> None:
-    bay.reset(battery__charging_current=0.0)
+@pytest.mark.parametrize(
+    ("name", "value", "code"), [("faults__detections", True, 904), ("battery__charging_current", 0.0, 906)]
+)
+def test_no_detection_and_no_charge(bay: Bay, name: str, value: object, code: int) -> None:
+    bay.reset(**{name: value})
     reply = bay.dock().reply(30.0)
     bay.set(battery__charging_current=2.0)
-    assert (reply.status, reply.result.error_code) == (ABORTED, 906), reply.result
+    assert (reply.status, reply.result.error_code) == (ABORTED, code), reply.result
     bay.assert_stopped()
 
 
@@ -285,7 +281,7 @@ def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
     ],
 )
 def test_what_is_lost_on_the_way_stops_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
-    """Transforms together with the dock: while that is in view the robot does not need them for the last metre."""
+    """Transforms fail together with detections, which replace them on the last metre."""
     bay.reset(start=[2.2, 1.0, 0.0])
     goal = bay.dock()
     bay.driving()
@@ -330,7 +326,7 @@ def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
 
 
 def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
-    """The detector is switched off as well, and nobody waits for its answer: those who could hear it are stopping."""
+    """The detector is switched off, too, without waiting for its answer."""
     bay.reset()
     asked: list[int] = []
 

@@ -251,7 +251,7 @@ def test_every_parameter_of_the_ros_servers_is_on_their_page():
 
 def test_the_stops_of_a_robot_are_told_with_the_defaults():
     page = (DOCS / "howto" / "ros2.md").read_text(encoding="utf-8")
-    stops = page[page.index("## What stops the robot") : page.index("## What it says")]
+    stops = page[page.index("## What stops the robot") : page.index("## Diagnostics")]
     models = generated.ros_models("docking_parameters")
     own, controller, executor = models["DockingParameters"](), models["ControllerParameters"](), ExecutorSettings()
     cycles = max(0.1, 5.0 / own.controller_frequency)

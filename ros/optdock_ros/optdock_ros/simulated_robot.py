@@ -26,7 +26,7 @@ import math
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rclpy
@@ -72,13 +72,6 @@ ROLLING_TORQUE = 0.3  # [N m] of a rolling wheel
 LATEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z out of the dock, y up, x to the right as seen by the camera
-
-
-class LocalWindow(NamedTuple):
-    """The published local costmap: its lower corner [cells] and its cells, shape (n, n)."""
-
-    corner: tuple[int, int]
-    cells: np.ndarray[Any, np.dtype[np.uint8]]
 
 
 class Topics:
@@ -150,7 +143,7 @@ class SimulatedRobotNode:
         self._is_held = False
         self._contact_since: float | None = None
         self._measured_twist = Twist2()
-        self._window: LocalWindow | None = None
+        self._window: Grid | None = None
         self._station = world.station()
         self._poses = [self._robot.state.pose]
         self._clearance, self._station_clearance = math.inf, math.inf
@@ -316,21 +309,20 @@ class SimulatedRobotNode:
         cell = float(values["costmap.resolution"])
         window = self._surroundings(cell, round(values["costmap.size"] / cell))
         before, self._window = self._window, window
-        if before is None or before.corner != window.corner or before.cells.shape != window.cells.shape:
-            grid = Grid(window.cells, cell, (window.corner[0] * cell, window.corner[1] * cell))
-            self._topics.costmap.publish(ros.costmap_message(ros.imported, grid, frame, stamp))
+        if before is None or before.origin != window.origin or before.data.shape != window.data.shape:
+            self._topics.costmap.publish(ros.costmap_message(ros.imported, window, frame, stamp))
         else:
-            middle = len(window.cells) // 2  # the robot's own cell, which a scanner clears every time
-            changed = np.concatenate((np.argwhere(before.cells != window.cells), [[middle, middle]]))
+            middle = len(window.data) // 2  # the robot's own cell, which a scanner clears every time
+            changed = np.concatenate((np.argwhere(before.data != window.data), [[middle, middle]]))
             (y, x), (y_end, x_end) = changed.min(axis=0).tolist(), (changed.max(axis=0) + 1).tolist()
             part = CostmapUpdate(x=x, y=y, size_x=x_end - x, size_y=y_end - y)
             part.header.stamp, part.header.frame_id = ros.stamp(ros.imported, stamp), frame
-            part.data.frombytes(window.cells[y:y_end, x:x_end].tobytes())
+            part.data.frombytes(window.data[y:y_end, x:x_end].tobytes())
             self._topics.costmap_updates.publish(part)
         outline = transform_points(here.as_array()[None], self._world.problem.robot.footprint.vertices)[0]
         self._topics.footprint.publish(ros.polygon_message(ros.imported, outline, frame, stamp))
 
-    def _surroundings(self, cell: float, side: int) -> LocalWindow:
+    def _surroundings(self, cell: float, side: int) -> Grid:
         """Return the obstacles seen from the true pose, placed relative to the pose of the odometry."""
         here, outlines = self._odometry, self._seen.vertices
         corner = math.floor(here.x / cell) - side // 2, math.floor(here.y / cell) - side // 2
@@ -341,7 +333,7 @@ class SimulatedRobotNode:
             columns, rows = (np.floor(points_along(seen, cell) / cell).astype(int) - corner).T
             inside = (columns >= 0) & (columns < side) & (rows >= 0) & (rows < side)
             cells[rows[inside], columns[inside]] = LETHAL
-        return LocalWindow(corner, cells)
+        return Grid(cells, cell, (corner[0] * cell, corner[1] * cell))
 
     def _publish_report(self, stamp: float) -> None:
         poses = np.array([pose.as_array() for pose in self._poses])

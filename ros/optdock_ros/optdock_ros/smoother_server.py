@@ -7,6 +7,7 @@ is rejected (`costmap_timeout`), cancelling takes milliseconds, and `check_for_c
 
 from __future__ import annotations
 
+import math
 import sys
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
@@ -24,14 +25,16 @@ from optdock import ros
 from optdock.errors import Cancelled, InvalidPath, InvalidValue, OptdockError, SmootherException
 from optdock.geometry.pose import Pose2, transform_poses
 from optdock.model.dock import Dock
-from optdock.model.path import Path
+from optdock.model.path import Path, PolylineSegment, may_be_one_frame
 from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
 from optdock.nav2.provided_plugins import provided
 from optdock.plugins.interfaces import PluginContext, Smoother
+from optdock.plugins.outcomes import SmoothingResult
 from optdock.plugins.parameters import parse_parameters
 from optdock.plugins.registry import PluginChoice, create_plugin, load_plugin
+from optdock.verification import certify_path
 from optdock_ros.frame_lookup import TransformBuffer, now
 from optdock_ros.goal_queue import Goal, GoalAction, GoalOutcome, GoalQueue, done, failed
 from optdock_ros.merged_costmap import cropped
@@ -45,22 +48,38 @@ from optdock_ros.nested_parameters import (
     undeclare,
 )
 from optdock_ros.server import Server, run
-from optdock_ros.smoothing_task import InvalidSmoother, SmoothingTask, mean_spacing, with_headings
-from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError
+from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, first_collision
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.model.costmap import Costmap
 
-__all__ = ["SmootherServer", "SmootherServerParameters", "main"]
+__all__ = ["SmootherServer", "SmootherServerParameters", "SmoothingTask", "main"]
 
 # [m]: extent of the costmap around path and robot that a smoother gets. Smoothers move a path by decimetres; its border
 # is an obstacle.
 _AROUND = 2.0
 _DEFAULT = "simple_smoother"  # Nav2's default plugin, and its class
 _DEFAULT_CLASS = "nav2_smoother::SimpleSmoother"
+_SPACINGS = 0.01, 0.1  # [m]: bounds on the spacing of the poses of a curve
+_END_TOLERANCE = 1e-3  # [m]: above rounding errors
+_NO_HEADING = 1.0  # [rad] between heading and travel: more than a raw path has in one step
 _JOIN = 5.0  # [s] for a smoother to return once its goal is ended; those of this library check every 5 ms
+
+
+class InvalidSmoother(SmootherException):
+    """The goal names an unknown smoother."""
+
+    code = 501
+
+
+class SmoothedPathInCollision(SmootherException):
+    """The smoothed path is in collision."""
+
+    code = 503
 
 
 class SmootherServerParameters(ServerParameters):
@@ -107,6 +126,108 @@ class SmootherSettings:
     plugins: Mapping[str, NamedSmoother]
     robot: RobotParameters | None
     clearance: ClearanceRule | None
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothingTask:
+    """A path to smooth, and what is known of the robot and its surroundings.
+
+    Args:
+        path: Path in the frame of the costmap.
+        problem: Constraints on the path; None if neither robot nor clearance are given.
+        footprint: Outline of the robot, or None.
+        costmap: Part of the costmap around the path, or None.
+        whole: The whole costmap, or None.
+        frame: Frame of the goal's path.
+        seen: Pose of that frame in the frame of the costmap. Its inverse in the plane is the way back, also for a frame
+            that is tilted.
+        spacing: Spacing of the poses that are returned of a curve [m].
+    """
+
+    path: Path
+    problem: DockingProblem | None
+    footprint: Footprint | None
+    costmap: Costmap | None
+    whole: Costmap | None
+    frame: str
+    seen: Pose2
+    spacing: float
+
+    def check_answer(self, found: SmoothingResult, name: str) -> None:
+        """Raise `SmootherException` if the type, the frame or the ends of a smoother's result are wrong."""
+        if not (isinstance(found, SmoothingResult) and isinstance(found.path, Path)):
+            raise SmootherException(f"{name}: returned no smoothed path, but {found!r}")
+        if not may_be_one_frame(found.path.frame, self.path.frame):
+            raise SmootherException(f"{name}: returned a path in {found.path.frame!r}, not in {self.path.frame!r}")
+        away = max(found.path.start.distance_to(self.path.start), found.path.end.distance_to(self.path.end))
+        if away > _END_TOLERANCE:
+            raise SmootherException(f"{name}: returned a path that begins or ends {away:.3g} m off the one to smooth")
+
+    def check_collisions(self, poses: FloatArray, found: SmoothingResult) -> None:
+        """Check that a result is free of collisions.
+
+        As in Nav2, the edges of the outline at every pose must not meet a lethal cell, an unknown cell or the border of
+        the map. If the smoother has certified its result, the certificate is computed again.
+
+        Raises:
+            SmoothedPathInCollision: If the path is in collision, or not certified.
+            SurroundingsError: If there is no costmap or no footprint.
+        """
+        if self.whole is None or self.footprint is None:
+            what = "costmap" if self.whole is None else "footprint"
+            raise SurroundingsError(f"check_for_collisions: there is no {what} to check with")
+        certificate = found.report.certificate
+        at = first_collision(poses, self.footprint, self.whole)
+        if at >= 0:
+            x, y, yaw = poses[at].tolist()
+            hint = ""
+            if certificate is not None and certificate.certified:
+                proven, side = certificate.min_clearance, self.whole.resolution
+                hint = f"; its certified clearance is {proven:.3f} m, less than a cell of {side:g} m: ask for that much"
+            raise SmoothedPathInCollision(
+                f"Smoothed Path collided at X: {x:.3f} Y: {y:.3f} Theta: {yaw:.3f} (pose {at} of {len(poses)}){hint}",
+                where={"pose": [x, y, yaw], "index": at},
+            )
+        if certificate is not None and self.problem is not None:
+            certificate = certify_path(found.path, self.problem)
+        if certificate is not None and not certificate.certified:
+            broken = certificate.violations[0]
+            raise SmoothedPathInCollision(f"Smoothed Path is not certified: {broken.message}", where={"s": broken.s})
+
+    def poses_of(self, path: Path) -> FloatArray:
+        """Return the poses of a result, shape (n, 3): those of polylines, and samples of curves."""
+        blocks = [
+            segment.poses if isinstance(segment, PolylineSegment) else Path((segment,)).sample(self.spacing).poses
+            for segment in path.segments
+        ]
+        # At a cusp one segment ends where the next one begins; controllers cannot use a step of length zero.
+        return np.vstack([blocks[0], *(block[1:] for block in blocks[1:])])
+
+
+def _with_headings(poses: FloatArray) -> FloatArray:
+    """Return poses, shape (n, 3), whose headings follow the travel if no headings were given.
+
+    Nav2's grid planners leave the identity in all poses but the last one. Equal headings, except for the last one, are
+    regarded as missing if a step leads aside of them or if the last heading differs.
+    """
+    if len(poses) < 3 or not np.all(poses[:-1, 2] == poses[0, 2]):
+        return poses
+    step = np.diff(poses[:, :2], axis=0)
+    moves = np.hypot(step[:, 0], step[:, 1]) > 0.0
+    travel = np.arctan2(step[:, 1], step[:, 0])
+    aside = np.abs(np.sin(travel - poses[0, 2]))[moves]
+    leads_aside = bool(aside.size) and aside.max() > math.sin(_NO_HEADING)
+    if not leads_aside and math.cos(poses[-1, 2] - poses[0, 2]) > math.cos(_NO_HEADING):
+        return poses
+    out: FloatArray = poses.copy()
+    out[:-1, 2] = np.where(moves, travel, out[:-1, 2])
+    return out
+
+
+def _mean_spacing(poses: FloatArray) -> float:
+    """Return the mean distance of consecutive poses, shape (n, 3), clipped to a practical range [m]."""
+    length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    return min(max(length / max(len(poses) - 1, 1), _SPACINGS[0]), _SPACINGS[1])
 
 
 class SmootherServer(Server[SmootherSettings]):
@@ -250,7 +371,7 @@ class SmootherServer(Server[SmootherSettings]):
         if frame.lstrip("/") != given.frame.lstrip("/"):
             tolerance = settings.own.transform_tolerance
             seen = self._transforms.lookup(frame, given.frame, now(self), tolerance).planar()
-        poses = with_headings(transform_poses(seen, given.poses))
+        poses = _with_headings(transform_poses(seen, given.poses))
         path, footprint = Path.from_poses(poses, frame), self._outline(settings)
         rule = settings.clearance or ClearanceRule(0.0, 0.0, 0.0)
         near = None
@@ -266,7 +387,7 @@ class SmootherServer(Server[SmootherSettings]):
             robot = (settings.robot or robot_parameters({})).robot(footprint)
             problem = DockingProblem(path.start, Dock(path.end), robot, (), rule, costmap=near, frame=frame)
         whole = None if known is None else known.costmap
-        return SmoothingTask(path, problem, footprint, near, whole, given.frame, seen, mean_spacing(poses))
+        return SmoothingTask(path, problem, footprint, near, whole, given.frame, seen, _mean_spacing(poses))
 
     def _outline(self, settings: SmootherSettings) -> Footprint | None:
         """Return the outline of the parameters or of the topic; None if no message has been received."""
