@@ -1,4 +1,4 @@
-"""The bond, as the other side sees it: a stand-in of the lifecycle manager's half, by the rules of `bondcpp`."""
+"""The bond with a stand-in of the lifecycle manager's side, by the rules of `bondcpp`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PERIOD = 0.1  # [s], the servers' default
 
 
 class Manager:
-    """The half that waits for a bond to form and watches it: other instances under one id are its sister."""
+    """The manager's side, which receives the heartbeat of another instance with the same id."""
 
     def __init__(self, client: Client, name: str) -> None:
         self.name, self.heard = name, list[tuple[float, Status]]()
@@ -40,7 +40,7 @@ class Manager:
 
     @property
     def sister(self) -> str:
-        """The instance that was heard last; empty where it has said that it ends."""
+        """Id of the last instance; empty after it has ended the bond."""
         return self.heard[-1][1].instance_id if self.heard and self.heard[-1][1].active else ""
 
 

@@ -1,4 +1,4 @@
-"""The control loop stops the robot, whatever happens; the last command is zero."""
+"""The control loop always stops the robot; the last command is zero."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ MOVING = Twist2(0.3, 0.2)
 
 
 class Driver:
-    """Stands for an executor that drives on and on, and stops at once when it is cancelled."""
+    """A stand-in of the executor that drives until it is cancelled."""
 
     def __init__(self, cycle: Callable[[int], None] = lambda _: None) -> None:
         self.cycles, self.cancelled, self._cycle = 0, False, cycle
 
     def cancel(self) -> None:
-        """As an executor."""
+        """As `DockingExecutor`."""
         self.cancelled = True
 
     def step(self, measurements: Measurements) -> Step:
-        """As an executor."""
+        """As `DockingExecutor`."""
         self.cycles += 1
         self._cycle(self.cycles)
         ending = Ending(EndingKind.CANCELLED, "", 0, measurements.stamp) if self.cancelled else None
@@ -49,7 +49,7 @@ class Driver:
 
 
 class World:
-    """A loop, what it sends, and what it is told of time."""
+    """A control loop, its commands, and its clock."""
 
     def __init__(self, driver: Any, now: Callable[[], float] = time.monotonic) -> None:
         self.sent: list[Twist2] = []
@@ -58,14 +58,14 @@ class World:
         self.run = TaskRun(driver, lambda stamp: Measurements(stamp, None), lambda _, step: self.seen.append(step))
 
     def end(self, timeout: float = 5.0) -> Ending:
-        """Wait for it."""
+        """Return the ending."""
         assert self.run.done.wait(timeout)
         assert self.run.ending is not None
         assert self.sent[-1] == Twist2(), "the last command is zero"
         return self.run.ending
 
     def assert_ramp(self) -> None:
-        """From moving to rest within the limits, the rounding of periods apart."""
+        """The commands ramp down to rest within the limits."""
         speeds = np.array([command.linear for command in self.sent])
         last = int(np.flatnonzero(speeds == MOVING.linear)[-1])
         ramp = np.diff(speeds[last:]) / PERIOD
@@ -75,7 +75,7 @@ class World:
 
 
 def broken(cycle: int) -> None:
-    """In the twentieth cycle."""
+    """Raise in the twentieth cycle."""
     if cycle == 20:
         raise ZeroDivisionError("by a plugin")
 
@@ -116,7 +116,7 @@ def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> Non
 
 
 def test_what_was_decided_before_a_pause_is_not_sent_after_it() -> None:
-    """The process was stopped in the middle of a cycle; bases stop by themselves meanwhile."""
+    """The process was suspended within a cycle; bases stop by themselves in that time."""
     world = World(Driver(lambda cycle: time.sleep(0.7) if cycle == 10 else None))
     world.loop.start(world.run)
     time.sleep(0.5)

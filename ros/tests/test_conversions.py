@@ -1,4 +1,4 @@
-"""The conversions of `optdock.ros` with the real message classes: what is sent over the wire comes back the same."""
+"""Round trips of `optdock.ros` with the message classes of rclpy."""
 
 import math
 import os
@@ -19,7 +19,7 @@ PLACE = od.Pose2(1.0, -2.0, 3.0)
 
 
 def sent(message: ros.Message) -> ros.Message:
-    """The message as it reaches another node."""
+    """Return the message after serialization."""
     return deserialize_message(serialize_message(message), type(message))
 
 
@@ -80,7 +80,7 @@ def test_what_is_shown_survives_the_wire() -> None:
 
 
 def test_every_field_has_the_type_of_its_class() -> None:
-    """The classes check what they are given only where they are asked to; they are asked to here."""
+    """The classes check the types of fields only with this environment variable."""
     tests = ("motion_survives", "surroundings_survive", "what_is_shown_survives")
     script = "import test_conversions as t; " + "; ".join(f"t.test_{name}_the_wire()" for name in tests)
     checked = {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"}

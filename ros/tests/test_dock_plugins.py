@@ -1,4 +1,4 @@
-"""Nav2's simple docks: parameters, what detections mean, contact and charge, docks by name."""
+"""Nav2's simple docks: parameters, detections, contact and charge, docks by name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EXACT = {"external_detection_rotation_roll": -0.5 * math.pi, "external_detection
 
 
 def seen(x: float, y: float, z: float, turn: tuple[float, float, float, float]) -> PoseStamped:
-    """A detection in the camera's frame."""
+    """Return a detection in the camera's frame."""
     message = PoseStamped()
     message.header.stamp.sec, message.header.frame_id = 5, "camera"
     message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
@@ -105,7 +105,7 @@ def test_other_classes_are_refused_by_name() -> None:
 
 
 def told(message: Any, at: float = 10.0) -> Told:
-    """A message that came at a time."""
+    """Return a message that arrived at 10 s."""
     return Told(message, at)
 
 
@@ -165,7 +165,7 @@ def test_a_switch_tells_as_long_as_it_is_fresh() -> None:
 
 
 def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:
-    """Nav2's pose of a dock points into it either way; a robot that docks backward stands with its back to it."""
+    """Nav2's pose of a dock points into it in either gear."""
     kind, dock = plugin_class("bay", "SimpleDock"), Pose2(2.0, 1.0, 0.5)
     for direction, turned in (("forward", 0.0), ("backward", math.pi)):
         found = kind("bay", {"dock_direction": direction, "staging_x_offset": -0.9}).staging_pose(dock)
@@ -207,7 +207,7 @@ def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
 
 
 def docks(**entries: Mapping[str, object]) -> Docks:
-    """Of one type `bay`, and those of parameters."""
+    """Return docks of the type `bay`."""
     plugins: dict[str, DockPlugin] = {"bay": DockPlugin("bay", {})}
     return Docks(plugins, docks_of_parameters({"docks": list(entries), **entries}))
 

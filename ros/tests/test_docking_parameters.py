@@ -1,4 +1,4 @@
-"""What the parameters of the docking server mean, and what is said of wrong ones."""
+"""The parameters of the docking server, and the faults of invalid ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHARGER = {"plugin": "opennav_docking::SimpleChargingDock"}
 
 
 def settings(**block: object) -> DockingSettings:
-    """Of a block with one type, `bay`."""
+    """Return the settings of a block with one dock type, `bay`."""
     whole = {"dock_plugins": ["bay"], "bay": CHARGER, **block}
     own = {name: value for name, value in whole.items() if name in DockingParameters.model_fields}
     return docking_settings(whole, DockingParameters.model_validate(own))
@@ -51,12 +51,12 @@ def test_nav2s_names_reach_the_executor() -> None:
 
 
 def dock_type(found: DockingSettings) -> DockType:
-    """What the executor asks about docks of the type `bay`."""
+    """Return the dock type `bay` of the executor."""
     return found.dock_type(found.plugins["bay"])
 
 
 def test_what_the_dock_type_does_is_not_a_setting_of_the_executor() -> None:
-    """Where the type is one of Nav2's, the block `executor` still says how a stall is told."""
+    """For Nav2's dock types the block `executor` has the parameters of stalls."""
     said = {"stall_speed": 0.01, "stall_time": 0.6, "back_out_distance": 0.25}
     found = settings(executor=said)
     assert dock_type(found).back_out_distance == 0.25

@@ -86,7 +86,7 @@ class Bay:
         self.odometry: list[Odometry] = client.heard(Odometry, "odom")
 
     def set(self, **values: object) -> None:
-        """Parameters of the simulated robot; __ stands for a dot."""
+        """Set parameters of the simulated robot; __ stands for a dot."""
         assert all(r.successful for r in set_parameters(self.client, "simulated_robot", **values))
 
     def reset(self, **values: object) -> None:
@@ -111,7 +111,7 @@ class Bay:
         self.client.until(lambda: self.commands and abs(self.commands[-1].twist.linear.x) > 0.08, what="a motion")
 
     def truth(self) -> dict[str, float]:
-        """The next report of the simulated robot."""
+        """Return the next report of the simulated robot."""
         count = len(self.reports)
         self.client.until(lambda: len(self.reports) >= count + 2, what="a report")
         words = {"True": 1.0, "False": 0.0}
@@ -187,7 +187,7 @@ def test_a_docking_and_an_undocking(bay: Bay) -> None:
 
 
 def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
-    """After the test before."""
+    """Continues the previous test."""
     again = bay.dock().reply()
     assert (again.status, again.result.success) == (SUCCEEDED, True)
     assert "already" in again.result.error_msg
@@ -224,7 +224,7 @@ def test_docks_that_are_backed_into_unseen_that_are_felt_and_of_a_type_by_name(b
 
 
 def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStamped:
-    """A dock's."""
+    """Return the pose of a dock."""
     message = PoseStamped()
     message.header.frame_id, message.pose.position.x, message.pose.position.y = frame, x, y
     message.pose.orientation.w = w
@@ -400,7 +400,7 @@ def test_parameters_are_judged_while_it_works(bay: Bay) -> None:
 
 
 def children(process: Process) -> list[int]:
-    """Ids of the processes that it started."""
+    """Return the ids of the child processes."""
     found = Path(f"/proc/{process.pid}/task").glob("*/children")
     return [int(pid) for file in found for pid in file.read_text().split()]
 

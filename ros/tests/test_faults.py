@@ -53,7 +53,7 @@ class World:
         self.commands.append((stamp, message.twist.linear.x, message.twist.angular.z))
 
     def start(self) -> Process:
-        """A docking server, active."""
+        """Start and activate a docking server."""
         self.server = self.processes("docking_server", params=WORLD)
         with stranger(int(os.environ["ROS_DOMAIN_ID"])) as client:
             Lifecycle(client, "docking_server").up()
@@ -76,18 +76,18 @@ class World:
 
     @property
     def speed(self) -> float:
-        """True, now [m/s]."""
+        """True speed [m/s]."""
         twist = self.truth[-1].twist.twist
         return max(abs(twist.linear.x), 0.3 * abs(twist.angular.z))
 
     @property
     def driven(self) -> float:
-        """Distance from where it was reset [m]."""
+        """Distance from the start [m]."""
         begin, end = (self.truth[k].pose.pose.position for k in (0, -1))
         return math.hypot(end.x - begin.x, end.y - begin.y)
 
     def send(self, client: Client | None = None) -> Goal:
-        """Dock."""
+        """Send a goal."""
         goal = DockRobot.Goal(dock_id="bay", navigate_to_staging_pose=False)
         self.goal = (client or self.client).send(DockRobot, "dock_robot", goal)
         return self.goal
@@ -143,7 +143,7 @@ class World:
 
 @pytest.fixture(scope="module")
 def world(client_node: Client, module_process: Processes) -> World:
-    """One robot; the servers come and go."""
+    """The robot of all tests, with changing servers."""
     return World(client_node, module_process)
 
 
@@ -159,7 +159,7 @@ def _a_server_that_lives(world: World) -> Iterator[None]:
 
 
 def family(pid: int) -> list[int]:
-    """The processes that a process has started."""
+    """Return the ids of the child processes."""
     return [int(word) for task in Path(f"/proc/{pid}/task").glob("*/children") for word in task.read_text().split()]
 
 

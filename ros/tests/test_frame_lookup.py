@@ -1,4 +1,4 @@
-"""`TransformBuffer` in a node of this process, and against the algebra of poses."""
+"""`TransformBuffer` in a node of this process, compared with products of matrices and poses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def node(context: None) -> Iterator[Node]:  # noqa: ARG001 - a node needs it
 
 @pytest.fixture
 def buffer(node: Node) -> Iterator[TransformBuffer]:
-    """A buffer of its own."""
+    """A new buffer."""
     made = TransformBuffer(node)
     yield made
     made.close()
@@ -49,7 +49,7 @@ def told(
     turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
     stamp: float = BEGAN,
 ) -> TransformStamped:
-    """A message; `turn` is x, y, z, w."""
+    """Return a message; `turn` is x, y, z, w."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id, message.header.stamp = parent, ros.stamp(ros.imported, stamp)
     at, q = message.transform.translation, message.transform.rotation
@@ -59,19 +59,19 @@ def told(
 
 
 def about_z(yaw: float) -> tuple[float, float, float, float]:
-    """A turn in the plane."""
+    """Return a rotation about the vertical axis."""
     return 0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0)
 
 
 def random_turn(random: np.random.Generator) -> tuple[float, float, float, float]:
-    """Any rotation."""
+    """Return a random rotation."""
     x, y, z, w = random.normal(size=4).tolist()
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     return x / norm, y / norm, z / norm, w / norm
 
 
 def matrix(transform: Transform) -> np.ndarray:
-    """A transform as a matrix, Shape (4, 4)."""
+    """Return a transform as a matrix, shape (4, 4)."""
     x, y, z, w = transform.rotation
     found = np.eye(4)
     found[:3, :3] = [
@@ -84,7 +84,7 @@ def matrix(transform: Transform) -> np.ndarray:
 
 
 def test_chains_are_products_of_matrices(buffer: TransformBuffer) -> None:
-    """Through a tree with two branches, in three dimensions, both ways round."""
+    """A tree with two branches, in three dimensions, in both directions."""
     random = np.random.default_rng(1)
     edges = {"odom": "map", "base": "odom", "camera": "base", "dock": "map", "marker": "dock"}
     for child, parent in edges.items():
@@ -121,7 +121,7 @@ def test_between_messages_it_is_interpolated_the_short_way(buffer: TransformBuff
 
 
 def test_the_newest_common_time(buffer: TransformBuffer) -> None:
-    """A localization that dates its transforms into the future does not move the robot there."""
+    """Future stamps of a localization do not extrapolate the pose of the robot."""
     for n in range(11):
         buffer.insert(told("odom", "base", (0.1 * n, 0.0, 0.0), stamp=BEGAN + 0.1 * n))
     buffer.insert(told("map", "odom", stamp=BEGAN))
@@ -216,7 +216,7 @@ def test_topics_late_static_ones_and_a_clock_that_jumps_back(node: Node, client_
 
 
 def test_storing_and_looking_up_take_microseconds(buffer: TransformBuffer) -> None:
-    """No figure is asked for here but that nobody copies histories or waits: 1,000 of each within a second."""
+    """1,000 insertions and lookups take less than a second."""
     began = time.perf_counter()
     for n in range(1000):
         buffer.insert(told("odom", "base", stamp=BEGAN + 0.01 * n))

@@ -1,4 +1,4 @@
-"""The launch files start what they say they start; `ros2 launch` itself cannot be installed here and is not run."""
+"""The processes of the launch files, by a stand-in of `ros2 launch`, which cannot be installed from PyPI."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SERVERS = ["smoother_server", "docking_server"]
 
 
 def options(started: Started, flag: str) -> list[str]:
-    """The values of a repeated option."""
+    """Return the values of a repeated option."""
     return [value for key, value in zip(started.arguments, started.arguments[1:], strict=False) if key == flag]
 
 
@@ -74,7 +74,7 @@ def test_robot_and_server_in_the_simulated_world(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("given", "found"), [(None, "1"), ("2", "2")])
 def test_a_server_has_one_thread_of_linear_algebra_unless_told(given: str | None, found: str) -> None:
-    """Said before NumPy is loaded, which reads it once."""
+    """The variable is set before NumPy is loaded."""
     code = "import sys, optdock_ros, os; assert 'numpy' not in sys.modules; print(os.environ['OMP_NUM_THREADS'])"
     env = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
     env |= {} if given is None else {"OMP_NUM_THREADS": given}
@@ -83,7 +83,7 @@ def test_a_server_has_one_thread_of_linear_algebra_unless_told(given: str | None
 
 
 def test_everything_that_is_launched_is_installed() -> None:
-    """Executables of the launch files are console scripts; launch files and parameters are data files."""
+    """Executables of the launch files are console scripts; launch and parameter files are data files."""
     setup = (PACKAGE / "setup.py").read_text()
     scripts = re.findall(r'"(\w+) = optdock_ros', setup)
     assert {*SERVERS, "simulated_robot"} == set(scripts)

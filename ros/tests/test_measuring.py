@@ -1,4 +1,4 @@
-"""What is believed of the newest messages, and what is not."""
+"""The measurements of the newest messages, and the rejected ones."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ RULES = MeasurementRules("odom", "base_link", 0.1, 0.3, 1.0, 1.0)
 
 
 class Frames:
-    """The robot on the x axis, at 0.2 m/s since 100 s, told at 50 Hz until `newest`; a camera of its own."""
+    """A robot that moves along the x axis at 0.2 m/s from 100 s, with transforms until `newest`, and a camera."""
 
     newest = 100.0
     tilted = False
 
     def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
-        """As a buffer does."""
+        """As `TransformBuffer.lookup`."""
         assert tolerance == 0.0
         if source == "camera":
             return Transform(target, source, stamp or 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -41,12 +41,12 @@ class Frames:
 
 
 def stamp(seconds: float) -> Time:
-    """A time."""
+    """Return a time message."""
     return Time(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
 
 
 def odometry(at: float, speed: float = 0.2) -> Odometry:
-    """The robot's velocity."""
+    """Return a message with the robot's velocity."""
     message = Odometry(child_frame_id="base_link")
     message.header.frame_id, message.header.stamp = "odom", stamp(at)
     message.pose.pose.position.x = 0.2 * (at - 100.0)
@@ -56,14 +56,14 @@ def odometry(at: float, speed: float = 0.2) -> Odometry:
 
 
 def detected(at: float, frame: str = "camera") -> PoseStamped:
-    """The dock."""
+    """Return a detection of the dock."""
     message = PoseStamped()
     message.header.frame_id, message.header.stamp = frame, stamp(at)
     return message
 
 
 def measuring(frames: Frames, rules: MeasurementRules = RULES) -> Measuring:
-    """Detections are where their frame is."""
+    """Return measurements whose detections are at the origin of their frame."""
 
     def detect(message: Any, base: Transform) -> Detection:
         seconds = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

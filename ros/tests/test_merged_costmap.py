@@ -1,4 +1,4 @@
-"""Costmaps of several frames and topics as one: nothing that any of them shows is lost, but at the dock."""
+"""Merged costmaps keep every obstacle of their sources."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from optdock.model.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 
 
 def scattered(seed: int, side: float = 0.05, origin: tuple[float, float] = (0.3, -0.7)) -> Costmap:
-    """A grid of 40 x 30 cells, some of them occupied or unknown."""
+    """Return a grid of 40 x 30 cells, some of them occupied or unknown."""
     random = np.random.default_rng(seed)
     data = random.choice([FREE_SPACE, 100, LETHAL, NO_INFORMATION], p=[0.9, 0.05, 0.03, 0.02], size=(30, 40))
     return Costmap(data.astype(np.uint8), side, origin)
 
 
 def points_within(costmap: Costmap, count: int = 20000) -> np.ndarray:
-    """Random points on a grid."""
+    """Return random points on a grid."""
     return np.random.default_rng(1).uniform(costmap.lower, costmap.upper, size=(count, 2))
 
 
@@ -60,7 +60,7 @@ def test_only_what_is_wanted_is_moved(yaw: float) -> None:
 
 
 def at_origin(frame: Pose2, points: np.ndarray) -> np.ndarray:
-    """Points in the frame's own coordinates."""
+    """Return points in the frame's coordinates."""
     return transform_points(frame.inverse().as_array()[None], points)[0]
 
 

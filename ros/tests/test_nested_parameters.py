@@ -1,4 +1,4 @@
-"""ROS parameters as blocks, what is wrong with them, and the life of a server in this process."""
+"""Nested ROS parameters and their faults, and the lifecycle of a server in this process."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_a_wrong_robot(block: object, words: str) -> None:
 
 
 class Told(ServerParameters):
-    """Of the server below."""
+    """Parameters of the server below."""
 
     speed: float = Field(1.0, gt=0, description="how fast [m/s]")
     topic: str = Field("somewhere", description="of something")
@@ -117,14 +117,14 @@ class Told(ServerParameters):
 
 @dataclass(frozen=True)
 class Settings:
-    """What the parameters of the server below mean."""
+    """Settings of the server below."""
 
     own: Any
     seen: int
 
 
 class Tried(Server[Settings]):
-    """A server that keeps a diary."""
+    """A server that records its method calls."""
 
     Parameters = Told
     fixed = frozenset({"topic"})
@@ -167,7 +167,7 @@ class Tried(Server[Settings]):
 
 @pytest.fixture
 def server(context: None) -> Iterator[Tried]:  # noqa: ARG001 - a node needs it
-    """A server that nobody spins."""
+    """A server that is not spun."""
     made = Tried("tried", parameter_overrides=[Parameter("speed", value=2), Parameter("Other.x", value=1)])
     yield made
     made.destroy_node()

@@ -1,4 +1,4 @@
-"""The simulated robot behaves as a real base, localization, detector and costmap would."""
+"""The simulated robot behaves like a real base, localization, detector and costmap."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def set_parameters(client: Client, values: Mapping[str, object]) -> list[Any]:
 
 
 def reset(client: Client, **values: object) -> None:
-    """The world anew."""
+    """Restart the world."""
     results = set_parameters(client, {name.replace("__", "."): value for name, value in values.items()})
     assert all(result.successful for result in results), results
     answer = client.call(Trigger, "/simulated_robot/reset")
@@ -54,7 +54,7 @@ def reset(client: Client, **values: object) -> None:
 
 
 def report(client: Client) -> dict[str, float]:
-    """The next report, made after now."""
+    """Return the next report."""
     heard = client.heard(DiagnosticArray, "/simulated_robot/report")
     client.until(lambda: len(heard) >= 2, what="a report")
     return {
@@ -63,7 +63,7 @@ def report(client: Client) -> dict[str, float]:
 
 
 def drive(client: Client, linear: float, angular: float, seconds: float) -> None:
-    """Command for a while, at 50 Hz."""
+    """Send commands at 50 Hz."""
     publisher = client.create_publisher(TwistStamped, "cmd_vel", 1)
     client.until(publisher.get_subscription_count)
     message = TwistStamped()
@@ -76,7 +76,7 @@ def drive(client: Client, linear: float, angular: float, seconds: float) -> None
 
 @pytest.fixture(scope="module")
 def robot(module_process: Processes, client_node: Client) -> Client:
-    """Exact sensors."""
+    """A robot with exact sensors."""
     module_process("simulated_robot", params=EXACT)
     heard = client_node.heard(Odometry, "odom")
     client_node.until(lambda: heard)
@@ -93,7 +93,7 @@ def test_the_watchdog_stops_it_when_commands_end(robot: Client) -> None:
 
 
 def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
-    """Chained as a server does it, with the rotation that Nav2's simple docks take by default."""
+    """The chain of transforms as in a server, with the default rotation of Nav2's simple docks."""
     static = robot.heard(TFMessage, "/tf_static", LATCHED)
     reset(robot, start=[1.8, 1.2, -0.2], dock_offset=[0.03, 0.02, 0.05])
     kept = robot.heard(TFMessage, "/tf", 100)
@@ -116,7 +116,7 @@ def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
 
 
 def homogeneous(position: Any, rotation: Any) -> np.ndarray[Any, Any]:
-    """A 4 x 4 matrix of a transform's parts."""
+    """Return a 4 x 4 matrix of a transform's parts."""
     x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
     found = np.eye(4)
     found[:3, :3] = [
@@ -129,7 +129,7 @@ def homogeneous(position: Any, rotation: Any) -> np.ndarray[Any, Any]:
 
 
 def about(axis: int, angle: float) -> np.ndarray[Any, Any]:
-    """A turn about a coordinate axis."""
+    """Return a rotation about a coordinate axis."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     found = np.eye(3)
@@ -214,7 +214,7 @@ def test_wrong_parameters_are_refused_by_name(robot: Client) -> None:
 
 
 def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processes, client_node: Client) -> None:
-    """A process that was stopped, or swapped out, must not tell of now as if it were then."""
+    """After a suspension the stamps are not in the past."""
     started = process("simulated_robot", args=("-r", "__ns:=/stalled", "-r", "/tf:=tf"))
     ages: list[float] = []
 

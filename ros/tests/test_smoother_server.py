@@ -76,7 +76,7 @@ def server(
 
 @pytest.fixture
 def fresh(server: Process, world: Surroundings) -> Surroundings:  # noqa: ARG001 - who hears it
-    """A costmap and an outline that have just come."""
+    """Publish a new costmap and outline."""
     world.costmap()
     world.footprint()
     time.sleep(0.1)
@@ -97,7 +97,7 @@ def send(client: Client, *args: Any, **kwargs: Any) -> Goal:
 
 
 def roughness(poses: np.ndarray) -> float:
-    """Mean change of direction between steps [rad]."""
+    """Return the mean change of direction between steps [rad]."""
     travel = np.arctan2(*np.diff(poses[:, :2], axis=0).T[::-1])
     return float(np.abs(np.angle(np.exp(1j * np.diff(travel)))).mean())
 
@@ -200,7 +200,7 @@ def test_collision_with_an_update_of_the_costmap(fresh: Surroundings, client_nod
 
 
 def boxed() -> Grid:
-    """The hall with a box on the path."""
+    """Return the hall with a box on the path."""
     data = np.array(hall().data)
     data[MIDDLE - 3 : MIDDLE + 3, MIDDLE - 3 : MIDDLE + 3] = LETHAL
     return Grid(data, RESOLUTION, ORIGIN)
@@ -219,7 +219,7 @@ def test_a_certified_path_within_a_cell_of_something(fresh: Surroundings, client
 
 
 def test_no_path_keeps_the_bounds(fresh: Surroundings, client_node: Client) -> None:
-    """A wall across the lane: the smoother that proves its results has none."""
+    """The certifying smoother has no result with a wall across the lane."""
     data = np.array(hall().data)
     data[:, MIDDLE : MIDDLE + 4] = LETHAL
     fresh.costmap(Grid(data, RESOLUTION, ORIGIN))
@@ -254,7 +254,7 @@ def test_invalid_path(client_node: Client, path: PathMessage, words: str) -> Non
 
 @pytest.mark.usefixtures("fresh")
 def test_a_path_without_headings_is_one_all_the_same(client_node: Client) -> None:
-    """Nav2's grid planners leave the identity in all poses but the last."""
+    """Nav2's grid planners leave the identity in all poses but the last one."""
     poses = raw_path()[::-1].copy()
     poses[:-1, 2], poses[-1, 2] = 0.0, math.pi + poses[-1, 2]
     reply = send(client_node, message(poses), "casadi", check=True).reply()
@@ -340,7 +340,7 @@ def test_inactive_takes_no_goal_and_deactivation_ends_one(
 
 
 def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Client, world: Surroundings) -> None:
-    """With `robot` and `clearance` what is returned keeps them, and one smoother needs no name."""
+    """Results keep the limits of `robot` and `clearance`; the only smoother needs no name."""
     outline = str(OUTLINE.vertices.tolist())
     parameters = {
         "autostart": True,
@@ -421,7 +421,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
 
 
 def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
-    """Two smoothers of Nav2's class, with parameters of Nav2's; names of every Nav2 node are no fault."""
+    """Two smoothers of Nav2's class with Nav2's parameters, and the parameters of every Nav2 node."""
     block = {"plugin": SIMPLE, "tolerance": 1.0e-10, "max_its": 1000, "do_refinement": True}
     parameters = {
         "smoother_plugins": ["simple_smoother", "route_smoother"],
@@ -446,7 +446,7 @@ def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
 
 
 def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # noqa: ARG001
-    """After a cleanup; what was declared of the one before is no unknown parameter of it."""
+    """Parameters of the previous class are not unknown parameters of the new one."""
     parameters = {"smoother_plugins": ["one"], "one.plugin": SIMPLE, "one.tolerance": 1e-6}
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     node = SmootherServer("swapped", namespace="swapped", parameter_overrides=overrides)

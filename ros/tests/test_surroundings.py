@@ -39,13 +39,13 @@ def node(context: None) -> Iterator[Node]:  # noqa: ARG001 - a node needs it
 
 @pytest.fixture(scope="module")
 def world(client_node: Client) -> Surroundings:
-    """Who publishes."""
+    """The publishers."""
     return Surroundings(client_node)
 
 
 @pytest.fixture
 def topic(node: Node, world: Surroundings, client_node: Client) -> Iterator[CostmapTopic]:
-    """A costmap topic that has heard a small grid."""
+    """A costmap topic with a small grid."""
     made = CostmapTopic(node, COSTMAP)
     world.costmap(small())
     client_node.until(lambda: heard(made), what="a costmap")
@@ -58,12 +58,12 @@ def topic(node: Node, world: Surroundings, client_node: Client) -> Iterator[Cost
 
 
 def small(value: int = 0) -> Grid:
-    """A grid of 4 x 3 cells."""
+    """Return a grid of 4 x 3 cells."""
     return Grid(np.full((3, 4), value, dtype=np.uint8), 0.5, (1.0, 2.0))
 
 
 def heard(topic: CostmapTopic) -> StampedCostmap | None:
-    """What a topic holds, if anything."""
+    """Return the costmap of a topic, or None."""
     try:
         return topic.newest()
     except SurroundingsError:
@@ -186,7 +186,7 @@ def test_the_outline_of_nav2s_parameters() -> None:
 
 
 def test_nav2s_collision_check() -> None:
-    """Its own unit test's numbers, an obstacle that only the inside covers, unknown cells, and the edge of the map."""
+    """Nav2's unit test, an obstacle inside the outline, unknown cells, and the border of the map."""
     square, free = Footprint.rectangle(1.0, 1.0, 2.0), np.zeros((100, 100), dtype=np.uint8)
     ring = np.full((100, 100), LETHAL, dtype=np.uint8)
     ring[40:61, 40:61] = 0

@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 
-from optdock.config.document import ClearanceDocument, RobotDocument, synonym
+from optdock.config.document import ClearanceDocument, RobotDocument, known_keys, synonym
 from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
 from optdock.model.robot import Robot
@@ -211,19 +211,15 @@ def unknown_names(
 
 def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
     """Return a section of the scenario format from a block of parameters, or raise `InvalidValue`."""
-
-    def _known(key: tuple[str | int, ...]) -> Iterable[str]:
-        place: type[BaseModel] | None = model
-        for part in key:
-            field = place.model_fields.get(str(part)) if place else None
-            inner: Any = field.annotation if field else None
-            place = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
-        return tuple(place.model_fields) if place else ()
-
     try:
         return model.model_validate(block)
     except ValidationError as error:
-        faults = faults_of(error, _known, (owner,), lambda key, value: synonym((owner, *key), value))
+        faults = faults_of(
+            error,
+            lambda key: known_keys((owner, *key)),
+            (owner,),
+            lambda key, value: synonym((owner, *key), value),
+        )
         raise InvalidValue("\n".join(f"{'.'.join(map(str, key))}: {message}" for key, message in faults)) from error
 
 

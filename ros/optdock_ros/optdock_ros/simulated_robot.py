@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.obstacles import ObstacleSet
     from optdock.model.measurements import Detection
+    from optdock.ros.transforms import Quaternion as Rotation
 
 __all__ = ["SimulatedRobotNode", "main"]
 
@@ -260,12 +261,11 @@ class SimulatedRobotNode:
         return True
 
     def _camera_transform(self) -> TransformStamped:
-        values, (position, (x, y, z, w)) = self._world.values, self._world.camera
-        message = TransformStamped(child_frame_id=values["camera.frame"])
-        message.header.stamp, message.header.frame_id = ros.stamp(ros.imported, self._stamp), values["base_frame"]
+        values, (position, rotation) = self._world.values, self._world.camera
+        message = stamped(TransformStamped, self._stamp, values["base_frame"], child_frame_id=values["camera.frame"])
         shift = message.transform.translation
         shift.x, shift.y, shift.z = position
-        message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+        message.transform.rotation = quaternion(rotation)
         return message
 
     def _detected(self, detection: Detection) -> PoseStamped:
@@ -275,32 +275,30 @@ class SimulatedRobotNode:
         into = about_z(marker.yaw + world.approach_yaw)
         back = (-rotation[0], -rotation[1], -rotation[2], rotation[3])
         offset = (marker.x - position[0], marker.y - position[1], world.values["marker.height"] - position[2])
-        x, y, z, w = quaternion_product(back, quaternion_product(into, MARKER_FACES))
-        message = PoseStamped()
-        message.header.stamp = ros.stamp(ros.imported, self._epoch + self._began + detection.stamp)
-        message.header.frame_id = world.values["camera.frame"]
-        message.pose.position = Point(**dict(zip("xyz", rotated(back, offset), strict=True)))
-        message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+        message = stamped(PoseStamped, self._epoch + self._began + detection.stamp, world.values["camera.frame"])
+        place = message.pose.position
+        place.x, place.y, place.z = rotated(back, offset)
+        message.pose.orientation = quaternion(quaternion_product(back, quaternion_product(into, MARKER_FACES)))
         return message
 
     def _joint_states(self, stamp: float) -> JointState:
         values, rims = self._world.values, self._rim_speeds()
         pushing = math.copysign(values["wheels.stall_effort"], self._robot.state.target[0])
-        efforts = [pushing if self._is_held else math.copysign(ROLLING_TORQUE, rim) if rim else 0.0 for rim in rims]
-        message = JointState(
-            name=["left_wheel_joint", "right_wheel_joint"], position=list(self._wheels), effort=efforts
+        return stamped(
+            JointState,
+            stamp,
+            name=["left_wheel_joint", "right_wheel_joint"],
+            position=list(self._wheels),
+            velocity=[rim / values["wheels.radius"] for rim in rims],
+            effort=[pushing if self._is_held else math.copysign(ROLLING_TORQUE, rim) if rim else 0.0 for rim in rims],
         )
-        message.header.stamp = ros.stamp(ros.imported, stamp)
-        message.velocity = [rim / values["wheels.radius"] for rim in rims]
-        return message
 
     def _battery_state(self, stamp: float) -> BatteryState:
-        block, charges = self._world.block("battery"), self._charges
-        message = BatteryState(present=True, voltage=24.0, percentage=CHARGED)
-        message.header.stamp = ros.stamp(ros.imported, stamp)
-        message.current = float(block["charging_current"] if charges else block["idle_current"])
-        discharging, charging = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING, BatteryState.POWER_SUPPLY_STATUS_CHARGING
-        message.power_supply_status = charging if charges else discharging
+        message = stamped(BatteryState, stamp, present=True, voltage=24.0, percentage=CHARGED)
+        name, status = "battery.idle_current", BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        if self._charges:
+            name, status = "battery.charging_current", BatteryState.POWER_SUPPLY_STATUS_CHARGING
+        message.current, message.power_supply_status = float(self._world.values[name]), status
         return message
 
     def _publish_costmap(self, frame: str, stamp: float) -> None:
@@ -315,8 +313,7 @@ class SimulatedRobotNode:
             middle = len(window.data) // 2  # the robot's own cell, which a scanner clears every time
             changed = np.concatenate((np.argwhere(before.data != window.data), [[middle, middle]]))
             (y, x), (y_end, x_end) = changed.min(axis=0).tolist(), (changed.max(axis=0) + 1).tolist()
-            part = CostmapUpdate(x=x, y=y, size_x=x_end - x, size_y=y_end - y)
-            part.header.stamp, part.header.frame_id = ros.stamp(ros.imported, stamp), frame
+            part = stamped(CostmapUpdate, stamp, frame, x=x, y=y, size_x=x_end - x, size_y=y_end - y)
             part.data.frombytes(window.data[y:y_end, x:x_end].tobytes())
             self._topics.costmap_updates.publish(part)
         outline = transform_points(here.as_array()[None], self._world.problem.robot.footprint.vertices)[0]
@@ -422,6 +419,18 @@ def points_along(outlines: FloatArray, step: float) -> FloatArray:
     return found
 
 
+def stamped(kind: Any, stamp: float, frame: str = "", **fields: object) -> Any:
+    """Return a message of a type with a header."""
+    message = kind(**fields)
+    message.header.stamp, message.header.frame_id = ros.stamp(ros.imported, stamp), frame
+    return message
+
+
+def quaternion(rotation: Rotation) -> Quaternion:
+    """Return a rotation (x, y, z, w) as a message."""
+    return Quaternion(**dict(zip("xyzw", rotation, strict=True)))
+
+
 def transform_of(frame: str, child: str, pose: Pose2, stamp: float) -> list[Any]:
     """Return a list with one TransformStamped."""
     message: TFMessage = ros.transforms_message(ros.imported, [(frame, child, pose)], stamp)
@@ -430,15 +439,13 @@ def transform_of(frame: str, child: str, pose: Pose2, stamp: float) -> list[Any]
 
 def markers(obstacles: ObstacleSet, frame: str, stamp: float) -> MarkerArray:
     """Return the outlines of obstacles; all previous markers are deleted."""
-    found = [Marker(action=Marker.DELETEALL)]
+    found = [stamped(Marker, stamp, frame, action=Marker.DELETEALL)]
     for number, outline in enumerate(obstacles.vertices):
-        marker = Marker(ns="obstacles", id=number, type=Marker.LINE_STRIP, action=Marker.ADD)
-        marker.header.frame_id, marker.header.stamp = frame, ros.stamp(ros.imported, stamp)
+        marker = stamped(Marker, stamp, frame, ns="obstacles", id=number, type=Marker.LINE_STRIP, action=Marker.ADD)
         marker.pose.orientation.w, marker.scale.x = 1.0, 0.01
         marker.color.r, marker.color.a = 0.8, 1.0
         marker.points = [Point(x=x, y=y, z=0.0) for x, y in [*outline.tolist(), outline[0].tolist()]]
         found.append(marker)
-    found[0].header.frame_id = frame
     return MarkerArray(markers=found)
 
 
