@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
-from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, Told, plugin_class
+from optdock_ros.dock_plugins import DockPlugin, Received, SimpleChargingDock, plugin_class
 from optdock_ros.docking_parameters import Docks, docks_of_parameters
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
@@ -104,9 +104,9 @@ def test_other_classes_are_refused_by_name() -> None:
         plugin_class("dock", None)
 
 
-def told(message: Any, at: float = 10.0) -> Told:
+def told(message: Any, at: float = 10.0) -> Received:
     """Return a message that arrived at 10 s."""
-    return Told(message, at)
+    return Received(message, at)
 
 
 def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
@@ -191,7 +191,7 @@ def test_a_dock_type_that_is_wrong_is_refused_by_name(name: str, parameters: Map
 def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
     dock = DockPlugin("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
 
-    def joints(velocity: float, effort: float) -> Told:
+    def joints(velocity: float, effort: float) -> Received:
         return told(
             JointState(name=["arm", "left", "right"], velocity=[9.0, -velocity, velocity], effort=[0.0, effort, effort])
         )

@@ -276,7 +276,6 @@ def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
     ("faults", "code", "words"),
     [
         (("transforms", "detections"), 999, "transform"),
-        (("odometry",), 999, "odometry"),
         (("costmap",), 905, "costmap"),
     ],
 )

@@ -107,7 +107,7 @@ def test_a_wrong_robot(block: object, words: str) -> None:
     assert words in str(caught.value)
 
 
-class Told(ServerParameters):
+class TriedParameters(ServerParameters):
     """Parameters of the server below."""
 
     speed: float = Field(1.0, gt=0, description="how fast [m/s]")
@@ -126,7 +126,7 @@ class Settings:
 class Tried(Server[Settings]):
     """A server that records its method calls."""
 
-    Parameters = Told
+    Parameters = TriedParameters
     fixed = frozenset({"topic"})
 
     def __init__(self, name: str, **kwargs: Any) -> None:
@@ -273,7 +273,7 @@ def test_a_parameter_that_is_unset_has_its_default(server: Tried) -> None:
     for name in ("bond_heartbeat_period", "speed", "names"):
         assert server.set_parameters_atomically([Parameter(name)]).successful
     assert server.trigger_configure() == SUCCESS
-    assert server.settings.own == Told()
+    assert server.settings.own == TriedParameters()
 
 
 def test_transitions_by_services(client_node: Client, context: None) -> None:  # noqa: ARG001

@@ -193,7 +193,7 @@ class ControlLoop:
             self._end(run)
 
     def _end(self, run: TaskRun) -> None:
-        """Send zero as the last command and set `done`, whatever fails."""
+        """Send zero as the last command and set `done`, also after exceptions."""
         try:
             if not self._silent:
                 self._put(Twist2())

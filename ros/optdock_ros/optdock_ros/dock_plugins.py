@@ -31,10 +31,10 @@ __all__ = [
     "DockPlugin",
     "OwnDock",
     "OwnDockParameters",
+    "Received",
     "SimpleChargingDock",
     "SimpleChargingDockParameters",
     "SimpleNonChargingDockParameters",
-    "Told",
     "plugin_class",
 ]
 
@@ -97,7 +97,7 @@ class SimpleChargingDockParameters(SimpleNonChargingDockParameters):
     charging_threshold: float = Field(0.5, description="a larger current charges [A]")
 
 
-class Told(NamedTuple):
+class Received(NamedTuple):
     """A message and the time of its arrival [s]."""
 
     message: Any
@@ -200,16 +200,16 @@ class DockPlugin:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         return Detection(stamp, self.docked_pose(dock), p.detection_position_sigma, p.detection_yaw_sigma)
 
-    def is_stalled(self, told: Told | None, now: float) -> bool:
+    def is_stalled(self, received: Received | None, now: float) -> bool:
         """Whether the joints push without turning, by the newest sensor_msgs/JointState.
 
         Raises:
             InvalidMessage: If velocity or effort of a joint is missing.
         """
         p = self.parameters
-        if told is None or not p.use_stall_detection or now - told.at > _STALL_AGE:
+        if received is None or not p.use_stall_detection or now - received.at > _STALL_AGE:
             return False
-        message = told.message
+        message = received.message
         rows = [i for i, name in enumerate(message.name) if name in p.stall_joint_names]
         if not rows:
             return False
@@ -220,26 +220,30 @@ class DockPlugin:
         # NaN is not a stall: comparisons with it are false.
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
-    def is_switched(self, told: Told | None, now: float) -> bool | None:
+    def is_switched(self, received: Received | None, now: float) -> bool | None:
         """Return the state of the contact switch; None without a recent std_msgs/Bool of `contact_topic`."""
-        if told is None or not self.contact_topic or now - told.at > getattr(self.parameters, "contact_timeout", 0.0):
+        if (
+            received is None
+            or not self.contact_topic
+            or now - received.at > getattr(self.parameters, "contact_timeout", 0.0)
+        ):
             return None
-        return bool(told.message.data)
+        return bool(received.message.data)
 
-    def current(self, told: Told | None, now: float) -> float | None:
+    def current(self, received: Received | None, now: float) -> float | None:
         """Return the current of the newest sensor_msgs/BatteryState [A]; None without a recent, finite value."""
-        if not self.uses_battery or told is None or now - told.at > _CHARGE_AGE:
+        if not self.uses_battery or received is None or now - received.at > _CHARGE_AGE:
             return None
-        current = float(told.message.current)
+        current = float(received.message.current)
         return current if math.isfinite(current) else None
 
-    def is_charging(self, told: Told | None, now: float) -> bool:
+    def is_charging(self, received: Received | None, now: float) -> bool:
         """Whether the battery is being charged, by the newest sensor_msgs/BatteryState.
 
         Raises:
             PluginError: If the dock type returns an invalid value.
         """
-        return self._asked.is_charging(Measurements(now, None, current=self.current(told, now)))
+        return self._checked_type.is_charging(Measurements(now, None, current=self.current(received, now)))
 
     @property
     def waits_for_charge(self) -> bool:
@@ -248,11 +252,11 @@ class DockPlugin:
         Raises:
             PluginError: If the dock type returns an invalid value.
         """
-        return self._asked.waits_for_charge
+        return self._checked_type.waits_for_charge
 
     @property
-    def _asked(self) -> CheckedDockType:
-        """A dock type for queries outside a task."""
+    def _checked_type(self) -> CheckedDockType:
+        """A new dock type, for queries outside a task."""
         return CheckedDockType(self.dock_type({}))
 
 
@@ -325,7 +329,7 @@ class OwnDock(DockPlugin):
         if p.rotate_to_dock:
             return super().staging_pose(dock)
         gear = 1.0 if self.direction is DockDirection.FORWARD else -1.0
-        return self.docked_pose(dock) @ self._asked.staging_poses(gear, abs(p.staging_x_offset))[0]
+        return self.docked_pose(dock) @ self._checked_type.staging_poses(gear, abs(p.staging_x_offset))[0]
 
     def dock_type(self, settings: Mapping[str, object]) -> DockType:  # noqa: ARG002 - for SimpleDock only
         """Return a new dock type of the third party."""

@@ -111,11 +111,11 @@ class DockingTask:
         if request.use_dock_id:
             return self._resources.docks.find(request.dock_id)
         try:
-            told = ros.pose(request.dock_pose)
+            given = ros.pose(request.dock_pose)
         except InvalidMessage as error:
             raise DockNotValid(f"dock_pose: {error}") from error
         plugin = self._resources.docks.plugin(request.dock_type, "dock_type")
-        return DockEntry("dock at a pose", plugin.name, told.pose, told.frame), plugin
+        return DockEntry("dock at a pose", plugin.name, given.pose, given.frame), plugin
 
     def _stored_dock(self, entry: DockEntry) -> Pose2:
         """Return the pose of a dock in the fixed frame; raise `DockNotValid` if its frame is unknown."""

@@ -273,7 +273,7 @@ class GoalQueue:
                     self._is_idle.set()
 
     def _outcome(self, goal: Goal) -> GoalOutcome:
-        """Return the outcome of the work on a goal, whatever the work raises."""
+        """Return the outcome of the work on a goal, also after an exception."""
         goal.began = time.monotonic()
         try:
             goal.check_end()

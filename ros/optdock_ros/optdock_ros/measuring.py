@@ -73,7 +73,7 @@ class Measuring:
         self._heard, self._heard_at = Twist2(), -math.inf
         self._pose_stamp = -math.inf
         self.faults: Mapping[str, str] = {}
-        self._now, self._asked_at = -math.inf, math.inf
+        self._now, self._measured_at = -math.inf, math.inf
         self._began: float | None = None
 
     @property
@@ -100,7 +100,7 @@ class Measuring:
             self._twist = self._odometry_pose = None
             self._pose_stamp = -math.inf
         self._now, is_first = now, self._began is None
-        asked_before, self._asked_at = self._asked_at, monotonic()
+        measured_before, self._measured_at = self._measured_at, monotonic()
         if self._began is None:
             self._began = now
         faults: dict[str, str] = {}
@@ -114,7 +114,7 @@ class Measuring:
         if twist is None:
             # A stop must begin with the velocity just received, even if its stamp is of another clock; but not with
             # one that was received before this process was suspended.
-            is_new = monotonic() - min(self._heard_at, asked_before) <= self._rules.odom_tolerance
+            is_new = monotonic() - min(self._heard_at, measured_before) <= self._rules.odom_tolerance
             twist = self._heard if is_new else Twist2()
         contact, odometry = self._contact(now), self._odometry_pose
         current = self._current(now)
@@ -125,16 +125,16 @@ class Measuring:
         while self._odometry:
             heard_at, message = self._odometry.popleft()
             try:
-                told = ros.odometry(message)
+                odometry = ros.odometry(message)
             except InvalidMessage as error:
                 faults["odometry"] = str(error)
                 continue
-            self._heard, self._heard_at = told.twist, heard_at
-            if told.stamp > now + _AHEAD:
-                faults["odometry"] = f"it is stamped {told.stamp - now:.3f} s ahead of this clock"
-            elif self._twist is None or told.stamp > self._twist[0]:  # neither a duplicate nor out of order
-                self._twist = told.stamp, told.twist
-                self._odometry_pose = self._base_odometry(told, faults)
+            self._heard, self._heard_at = odometry.twist, heard_at
+            if odometry.stamp > now + _AHEAD:
+                faults["odometry"] = f"it is stamped {odometry.stamp - now:.3f} s ahead of this clock"
+            elif self._twist is None or odometry.stamp > self._twist[0]:  # neither a duplicate nor out of order
+                self._twist = odometry.stamp, odometry.twist
+                self._odometry_pose = self._base_odometry(odometry, faults)
         if self._twist is None:
             faults.setdefault("odometry", "none has come")
             return None
@@ -144,13 +144,13 @@ class Measuring:
             return None
         return self._twist[1]
 
-    def _base_odometry(self, told: ros.StampedOdometry, faults: dict[str, str]) -> OdometryPose | None:
+    def _base_odometry(self, odometry: ros.StampedOdometry, faults: dict[str, str]) -> OdometryPose | None:
         """Return the pose of the base from odometry, possibly of another frame of the robot."""
-        child, base = told.child_frame, self._rules.base_frame
+        child, base = odometry.child_frame, self._rules.base_frame
         if child in ("", base):
-            return OdometryPose(told.stamp, told.pose)
+            return OdometryPose(odometry.stamp, odometry.pose)
         try:
-            return OdometryPose(told.stamp, told.pose @ self._frames.lookup(child, base).planar())
+            return OdometryPose(odometry.stamp, odometry.pose @ self._frames.lookup(child, base).planar())
         except OptdockError as error:
             faults["odometry"] = str(error)
             return None

@@ -14,7 +14,7 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from optdock_ros.dock_plugins import Told
+from optdock_ros.dock_plugins import Received
 from optdock_ros.frame_lookup import now
 from optdock_ros.goal_queue import Ended, failed
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic
@@ -51,7 +51,7 @@ class RobotTopics:
         self._node = node
         self._parts = ExitStack()
         self._measuring: Measuring | None = None
-        self._newest: dict[str, Told] = {}
+        self._newest: dict[str, Received] = {}
         self.costmap: CostmapTopic | None = None
         self.map: CostmapTopic | None = None
         self.footprint: FootprintTopic | None = None
@@ -67,7 +67,7 @@ class RobotTopics:
         """Destroy subscriptions and clients."""
         self._parts.close()
 
-    def newest(self, topic: str) -> Told | None:
+    def newest(self, topic: str) -> Received | None:
         """Return the newest message of `BATTERY`, `JOINTS` or the topic of a switch; None before the first."""
         return self._newest.get(topic)
 
@@ -107,7 +107,7 @@ class RobotTopics:
         """Subscribe to a topic, and keep its newest message."""
 
         def _take(message: Any) -> None:
-            self._newest[topic] = Told(message, now(self._node))
+            self._newest[topic] = Received(message, now(self._node))
 
         self._subscribe(kind, topic, _take, depth)
 
@@ -152,9 +152,9 @@ class RobotTopics:
             if answer is None and service.service_is_ready():
                 answer = service.call_async(Trigger.Request())
             time.sleep(POLL)
-        told = answer.result()
-        if told is None or not told.success:
-            raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, f"{what}: {told and told.message}"))
+        reply = answer.result()
+        if reply is None or not reply.success:
+            raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, f"{what}: {reply and reply.message}"))
 
     def _switch_off(self, plugin: DockPlugin) -> None:
         """Switch the detector off without waiting for the answer: the server may be shutting down."""
@@ -164,9 +164,9 @@ class RobotTopics:
         what = f"{service.srv_name}: the detector is not switched off"
 
         def answered(answer: Future[Any]) -> None:
-            told = answer.result()
-            if told is None or not told.success:
-                self._node.get_logger().error(f"{what}: {told and told.message}")
+            reply = answer.result()
+            if reply is None or not reply.success:
+                self._node.get_logger().error(f"{what}: {reply and reply.message}")
 
         if service.service_is_ready():
             service.call_async(Trigger.Request()).add_done_callback(answered)

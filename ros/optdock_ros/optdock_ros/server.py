@@ -78,7 +78,7 @@ class Server(LifecycleNode, Generic[S]):
             name,
             namespace=namespace,
             parameter_overrides=given,
-            allow_undeclared_parameters=True,  # a plugin that is set later has parameters of its own
+            allow_undeclared_parameters=True,  # a plugin that is set later has additional parameters
         )
         declare_overrides(self, given)
         declare(self, self.Parameters)

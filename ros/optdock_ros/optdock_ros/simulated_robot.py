@@ -122,7 +122,9 @@ class SimulatedRobotNode:
         self._begin(world)
         self.node.create_service(Trigger, "~/reset", self._on_reset)
         if world.values["enable_stamped_cmd_vel"]:
-            self.node.create_subscription(TwistStamped, "cmd_vel", lambda told: self._on_command(told.twist), LATEST)
+            self.node.create_subscription(
+                TwistStamped, "cmd_vel", lambda message: self._on_command(message.twist), LATEST
+            )
         else:
             self.node.create_subscription(Twist, "cmd_vel", self._on_command, LATEST)
         self.node.add_on_set_parameters_callback(self._on_parameters)
@@ -186,20 +188,20 @@ class SimulatedRobotNode:
         if self._now - self._commanded > self._world.values["command_timeout"]:
             self._watchdog_stops += command != Twist2()
             self._command = command = Twist2()
-        told = self._robot.advance(command, duration)
+        measured = self._robot.advance(command, duration)
         self._now += duration
-        before, self._measured_twist = self._measured_twist, told.twist
-        mean = (0.5 * (before.linear + told.twist.linear), 0.5 * (before.angular + told.twist.angular), 0.0)
+        before, self._measured_twist = self._measured_twist, measured.twist
+        mean = (0.5 * (before.linear + measured.twist.linear), 0.5 * (before.angular + measured.twist.angular), 0.0)
         self._odometry = Pose2(*arc_end(self._odometry.x, self._odometry.y, self._odometry.yaw, mean, duration))
         state = self._robot.state
         self._poses.append(state.pose)
-        self._is_held = state.encoders == Twist2() and state.target != (0.0, 0.0) and bool(told.contact)
-        self._contact_since = None if not told.contact else self._contact_since or self._now
+        self._is_held = state.encoders == Twist2() and state.target != (0.0, 0.0) and bool(measured.contact)
+        self._contact_since = None if not measured.contact else self._contact_since or self._now
         for side, rim in enumerate(self._rim_speeds()):
             self._wheels[side] += duration * rim / self._world.values["wheels.radius"]
         if self._topics.clock is not None:
             self._topics.clock.publish(Clock(clock=ros.stamp(ros.imported, self._stamp)))
-        self._publish(told.pose, told.detections)
+        self._publish(measured.pose, measured.detections)
 
     def _rim_speeds(self) -> list[float]:
         """Return the speeds of the rims of both wheels [m/s]."""
@@ -244,8 +246,8 @@ class SimulatedRobotNode:
         values, state = self._world.values, self._robot.state
         odom, base, make = values["odom_frame"], values["base_frame"], ros.odometry_message
         if not self._faults["odometry"]:
-            told = make(ros.imported, self._odometry, self._measured_twist, odom, base, stamp)
-            self._topics.odometry.publish(told)
+            message = make(ros.imported, self._odometry, self._measured_twist, odom, base, stamp)
+            self._topics.odometry.publish(message)
         truth = make(ros.imported, state.pose, state.twist, values["map_frame"], base, stamp)
         self._topics.truth.publish(truth)
         self._topics.joints.publish(self._joint_states(stamp))

@@ -130,7 +130,7 @@ class SmootherSettings:
 
 @dataclass(frozen=True, eq=False)
 class SmoothingTask:
-    """A path to smooth, and what is known of the robot and its surroundings.
+    """A path to smooth, and the robot and its surroundings.
 
     Args:
         path: Path in the frame of the costmap.
