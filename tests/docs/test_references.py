@@ -259,10 +259,10 @@ def test_the_stops_of_a_robot_are_told_with_the_defaults():
         "no new transform": f"{controller.transform_tolerance} + {executor.pose_patience} s",
         "no new odometry": f"{own.odom_duration} + {executor.pose_patience} s",
         "no new local costmap": f"{controller.costmap_timeout} + {cycles} s",
-        "something new": f"{executor.obstacle_patience:g} s",
-        "the dock is not seen": "know at the dock whether",
-        "the drive does not follow": f"{executor.progress_time:g} s",
-        "cycles that come": f"{executor.longest_tick} s",
+        "a new obstacle": f"{executor.obstacle_patience:g} s",
+        "no detections": "uncertainty at the dock",
+        "no motion despite": f"{executor.progress_time:g} s",
+        "a cycle more than": f"{executor.longest_tick} s",
     }
     rows = {what: next(row for row in stops.splitlines() if row.startswith(f"| {what}")) for what in told}
     assert {what: row for what, row in rows.items() if told[what] not in row} == {}

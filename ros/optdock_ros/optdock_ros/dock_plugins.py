@@ -56,13 +56,11 @@ class SimpleNonChargingDockParameters(PluginParameters):
     staging_yaw_offset: float = Field(0.0, description="added to the dock's yaw there [rad]")
     docking_threshold: float = Field(0.05, gt=0, description="contact is only accepted nearer than this [m]")
 
-    use_external_detection_pose: bool = Field(default=False, description="detect the dock by detected_dock_pose")
+    use_external_detection_pose: bool = Field(default=False, description="the dock's pose is detected, not stored")
     external_detection_timeout: float = Field(1.0, gt=0, description="older detections are not used [s]")
-    external_detection_translation_x: float = Field(
-        -0.2, description="from the detection to the docked robot, its x [m]"
-    )
+    external_detection_translation_x: float = Field(-0.2, description="detection to docked robot, along its x [m]")
     external_detection_translation_y: float = Field(0.0, description="as above, along its y [m]")
-    external_detection_rotation_roll: float = Field(-1.57, description="to the dock's frame: z up, x inward [rad]")
+    external_detection_rotation_roll: float = Field(-1.57, description="detection to dock: z up, x inward [rad]")
     external_detection_rotation_pitch: float = Field(1.57, description="as above; after the roll [rad]")
     external_detection_rotation_yaw: float = Field(0.0, description="as above; after the pitch [rad]")
     filter_coef: float = Field(0.1, description="not read: the estimate weights detections by their sigmas")
@@ -72,7 +70,7 @@ class SimpleNonChargingDockParameters(PluginParameters):
     contact: Literal["", "distance", "touch"] = Field(
         "", description="by distance or touch; empty: touch with stall detection; ours"
     )
-    use_stall_detection: bool = Field(default=False, description="contact is felt: joints that push and do not turn")
+    use_stall_detection: bool = Field(default=False, description="contact by joints that push without turning")
     stall_joint_names: list[str] = Field([], description="these joints; their mean counts")
     stall_velocity_threshold: float = Field(1.0, ge=0, description="slower is a stall [rad/s]")
     stall_effort_threshold: float = Field(1.0, ge=0, description="and a larger effort [Nm]")

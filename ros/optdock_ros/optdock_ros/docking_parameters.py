@@ -56,8 +56,8 @@ class DockingParameters(ServerParameters):
     dock_approach_timeout: float = Field(30.0, gt=0, description="largest delay of an approach behind its plan [s]")
     max_retries: int = Field(3, ge=0, description="approaches after the first one")
     base_frame: str = Field("base_link", min_length=1, description="of the robot")
-    fixed_frame: str = Field("odom", min_length=1, description="frame of planning; it must not jump")
-    dock_prestaging_tolerance: float = Field(0.5, gt=0, description="no staging within this norm of m, m, rad")
+    fixed_frame: str = Field("odom", min_length=1, description="of planning and driving; it must not jump")
+    dock_prestaging_tolerance: float = Field(0.5, gt=0, description="no staging if closer, as a norm of m, m, rad")
     odom_topic: str = Field("odom", min_length=1, description="nav_msgs/Odometry with the robot's velocity")
     odom_duration: float = Field(0.3, gt=0, description="an older velocity is not used [s]")
     navigator_bt_xml: str = Field("", description="behaviour tree of the way to the staging pose")
@@ -104,7 +104,7 @@ class DockParameters(PluginParameters):
     final_straight: float = Field(0.0, ge=0, description="straight run at the end of the path [m]")
     approach_speed: float = Field(0.1, gt=0, description="largest speed within approach_distance [m/s]")
     approach_distance: float = Field(0.15, ge=0, description="length of the slow stretch [m]")
-    contact_margin: float = Field(0.05, ge=0, description="free costmap around the docked robot's front [m]")
+    contact_margin: float = Field(0.05, ge=0, description="cells this close to the docked front are freed [m]")
     tolerances: TolerancesParameters = Field(
         default=TolerancesParameters(), description="accepted errors of a docked robot"
     )
