@@ -63,7 +63,7 @@ def test_a_bond_forms_lives_and_ends_with_the_server(
     assert manager.sister == "", "who ends says so: else the manager would wait for the timeout"
 
 
-def test_no_bond_where_none_is_wanted(
+def test_no_bond_with_period_zero(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle]
 ) -> None:
     process("smoother_server", params={"bond_heartbeat_period": 0.0})

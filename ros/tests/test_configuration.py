@@ -30,7 +30,7 @@ def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
 
 
 @pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
-def test_our_file_starts_the_servers_and_names_every_parameter(
+def test_package_file_starts_the_servers_and_names_every_parameter(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
 ) -> None:
     started = process(server, params=OURS)

@@ -80,7 +80,7 @@ def broken(cycle: int) -> None:
         raise ZeroDivisionError("by a plugin")
 
 
-def test_what_is_raised_in_a_cycle_ends_in_a_ramp() -> None:
+def test_exception_in_a_cycle_ends_in_a_ramp() -> None:
     world = World(Driver(broken))
     world.loop.start(world.run)
     ending = world.end()
@@ -88,7 +88,7 @@ def test_what_is_raised_in_a_cycle_ends_in_a_ramp() -> None:
     world.assert_ramp()
 
 
-def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
+def test_exception_while_measuring_ends_in_a_ramp() -> None:
     world = World(Driver())
 
     def measure(stamp: float) -> Measurements:
@@ -102,7 +102,7 @@ def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
     world.assert_ramp()
 
 
-def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> None:
+def test_task_is_done_even_if_no_command_can_be_sent() -> None:
     world = World(Driver())
 
     def send(_: Twist2) -> None:
@@ -115,7 +115,7 @@ def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> Non
     assert world.run.ending.reason == "RuntimeError: the publisher is gone"
 
 
-def test_what_was_decided_before_a_pause_is_not_sent_after_it() -> None:
+def test_command_from_before_a_pause_is_not_sent() -> None:
     """The process was suspended within a cycle; bases stop by themselves in that time."""
     world = World(Driver(lambda cycle: time.sleep(0.7) if cycle == 10 else None))
     world.loop.start(world.run)
@@ -140,7 +140,7 @@ def test_no_ramp_begins_after_a_pause() -> None:
     assert [command for command in world.sent if command != MOVING] == [Twist2()]
 
 
-def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
+def test_stopped_clock_ends_in_a_ramp() -> None:
     began = time.monotonic()
     world = World(Driver(), now=lambda: min(time.monotonic(), began + 0.2))
     world.loop.start(world.run)
@@ -148,7 +148,7 @@ def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
     world.assert_ramp()
 
 
-def test_a_slow_clock_repeats_commands_and_steps_nothing_twice() -> None:
+def test_slow_clock_repeats_commands() -> None:
     driver = Driver()
     world = World(driver, now=lambda: round(time.monotonic(), 1))
     world.loop.start(world.run)
@@ -179,7 +179,7 @@ def test_an_executor_that_does_not_stop_is_stopped() -> None:
     world.assert_ramp()
 
 
-def test_a_cycle_that_hangs_leaves_zero_and_a_name() -> None:
+def test_hanging_cycle_ends_with_a_zero_command() -> None:
     free = threading.Event()
     driver = Driver(lambda cycle: None if cycle < 10 else bool(free.wait(5.0)) and None)
     driver.cancel = lambda: None  # type: ignore[method-assign] # it would drive on
@@ -194,7 +194,7 @@ def test_a_cycle_that_hangs_leaves_zero_and_a_name() -> None:
     assert world.sent[count:] == [], "whoever hung commands nothing any more"
 
 
-def test_times_tell_of_missed_deadlines() -> None:
+def test_times_contain_missed_deadlines() -> None:
     world = World(Driver(lambda cycle: time.sleep(0.1) if cycle == 10 else None))
     world.loop.start(world.run)
     time.sleep(0.5)
@@ -205,7 +205,7 @@ def test_times_tell_of_missed_deadlines() -> None:
     assert times.cycles == len(world.seen)
 
 
-def test_realtime_is_given_back() -> None:
+def test_realtime_scheduling_ends_with_the_task() -> None:
     if not may_be_preferred():
         pytest.skip("not permitted here")
     policies: list[int] = []

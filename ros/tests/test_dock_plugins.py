@@ -49,12 +49,12 @@ def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
     assert (found.position_sigma, found.yaw_sigma) == (0.005, 0.01)
 
 
-def test_nav2s_own_defaults_are_a_quarter_turn_but_for_their_rounding() -> None:
+def test_nav2_default_rotations_are_rounded_quarter_turns() -> None:
     found = DockPlugin("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array() == pytest.approx([1.3, 0.0, 0.0], abs=2e-3)
 
 
-def test_a_robot_that_backs_in_stands_turned_round() -> None:
+def test_backward_docking_turns_the_docked_pose() -> None:
     dock = DockPlugin("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
     found = dock.detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array()[:2] == pytest.approx([1.3, 0.0], abs=1e-9)
@@ -75,7 +75,7 @@ def test_a_robot_that_backs_in_stands_turned_round() -> None:
         (seen(0.0, 0.0, 1.0, (QUARTER, 0.0, 0.0, QUARTER)), "steep; look at dock.external_detection_rotation_"),
     ],
 )
-def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: str) -> None:
+def test_invalid_detections_are_rejected(message: PoseStamped, words: str) -> None:
     with pytest.raises(InvalidMessage, match=words):
         DockPlugin("dock", EXACT).detection(message, CAMERA)
 
@@ -96,7 +96,7 @@ def test_wrong_parameters_are_refused_by_name(parameters: Mapping[str, object], 
         DockPlugin("dock", parameters)
 
 
-def test_other_classes_are_refused_by_name() -> None:
+def test_unknown_classes_are_rejected_by_name() -> None:
     assert plugin_class("dock", "opennav_docking/SimpleChargingDock") is SimpleChargingDock
     with pytest.raises(DockNotValid, match="no dock of the class mine::Dock"):
         plugin_class("dock", "mine::Dock")
@@ -109,7 +109,7 @@ def told(message: Any, at: float = 10.0) -> Received:
     return Received(message, at)
 
 
-def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
+def test_recent_current_above_the_threshold_is_charging() -> None:
     dock = SimpleChargingDock("dock", {})
     assert dock.waits_for_charge
     assert dock.is_charging(None, 10.0) is False
@@ -153,7 +153,7 @@ def test_a_dock_type_is_named_by_its_entry_point_and_takes_its_own_parameters() 
     assert dock.staging_pose(Pose2(1.0, 0.0, 0.0)).gap_to(Pose2(0.1, 0.1, 0.2)) < 1e-9
 
 
-def test_a_switch_tells_as_long_as_it_is_fresh() -> None:
+def test_switch_messages_expire() -> None:
     dock = plugin_class("bay", "SimpleDock")("bay", {"contact_topic": "photocell", "contact_timeout": 0.3})
     assert dock.contact_topic == "photocell"
     assert dock.is_switched(None, 10.0) is None
@@ -183,12 +183,12 @@ def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:
         ("SimpleDok", {}, "unknown plugin 'SimpleDok'; did you mean SimpleDock"),
     ],
 )
-def test_a_dock_type_that_is_wrong_is_refused_by_name(name: str, parameters: Mapping[str, object], words: str) -> None:
+def test_invalid_dock_type_is_rejected_by_name(name: str, parameters: Mapping[str, object], words: str) -> None:
     with pytest.raises((InvalidValue, DockNotValid), match=words):
         plugin_class("bay", name)("bay", parameters)
 
 
-def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
+def test_joints_that_push_without_turning_are_a_stall() -> None:
     dock = DockPlugin("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
 
     def joints(velocity: float, effort: float) -> Received:

@@ -46,7 +46,7 @@ class Ears:
         (None, DiagnosticStatus.WARN),
     ],
 )
-def test_a_certificate_without_a_costmap_says_so(costmap: Costmap | None, level: bytes) -> None:
+def test_certificate_without_a_costmap_is_a_warning(costmap: Costmap | None, level: bytes) -> None:
     robot = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits())
     problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap, frame="odom")
     ears = Ears()

@@ -186,7 +186,7 @@ def test_a_docking_and_an_undocking(bay: Bay) -> None:
     assert said["docking_server: state"].message == "idle"
 
 
-def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
+def test_docked_robot_stays_and_undocks(bay: Bay) -> None:
     """Continues the previous test."""
     again = bay.dock().reply()
     assert (again.status, again.result.success) == (SUCCEEDED, True)
@@ -206,7 +206,7 @@ def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
 
 
 @pytest.mark.parametrize(("kind", "yaw"), [("blind", math.pi), ("felt", 0.0), ("own", 0.0)])
-def test_docks_that_are_backed_into_unseen_that_are_felt_and_of_a_type_by_name(bay: Bay, kind: str, yaw: float) -> None:
+def test_backward_touch_and_third_party_docks(bay: Bay, kind: str, yaw: float) -> None:
     bay.reset()
     goal = bay.dock(use_dock_id=False, dock_type=kind, dock_pose=pose("map"))
     reply = goal.reply(40.0)
@@ -244,7 +244,7 @@ def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStam
         ({"use_dock_id": False, "dock_type": "", "dock_pose": pose("map")}, 902, "no dock type ''"),
     ],
 )
-def test_goals_that_name_no_dock(bay: Bay, goal: dict[str, Any], code: int, words: str) -> None:
+def test_goals_with_invalid_docks(bay: Bay, goal: dict[str, Any], code: int, words: str) -> None:
     bay.commands.clear()
     reply = bay.dock(**goal).reply()
     assert (reply.status, reply.result.success, reply.result.error_code) == (ABORTED, False, code)
@@ -263,7 +263,7 @@ def test_no_detection_and_no_charge(bay: Bay, name: str, value: object, code: in
     bay.assert_stopped()
 
 
-def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
+def test_no_costmap_at_the_start_is_905(bay: Bay) -> None:
     bay.reset(faults__costmap=True)
     time.sleep(0.8)
     reply = bay.dock().reply()
@@ -279,7 +279,7 @@ def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
         (("costmap",), 905, "costmap"),
     ],
 )
-def test_what_is_lost_on_the_way_stops_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
+def test_lost_measurements_stop_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
     """Transforms fail together with detections, which replace them on the last metre."""
     bay.reset(start=[2.2, 1.0, 0.0])
     goal = bay.dock()
@@ -305,7 +305,7 @@ def test_cancelling_stops_within_the_limits(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
+def test_new_goal_preempts_and_other_action_waits(bay: Bay) -> None:
     bay.reset()
     first = bay.dock()
     bay.driving()
@@ -324,7 +324,7 @@ def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
+def test_deactivation_stops_the_robot_with_a_reason(bay: Bay) -> None:
     """The detector is switched off, too, without waiting for its answer."""
     bay.reset()
     asked: list[int] = []
@@ -352,7 +352,7 @@ def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
     assert bay.dock(dock_id="hom").reply().result.error_code == 901
 
 
-def test_the_way_to_the_staging_pose_is_navigated_by_others(bay: Bay) -> None:
+def test_staging_by_navigate_to_pose(bay: Bay) -> None:
     bay.reset(start=[1.6, 1.2, 0.0])
     asked: list[NavigateToPose.Goal] = []
     fails = [True, True, True, False]  # two attempts of the first goal, one of the second
@@ -382,7 +382,7 @@ def test_the_way_to_the_staging_pose_is_navigated_by_others(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_parameters_are_judged_while_it_works(bay: Bay) -> None:
+def test_parameters_are_validated_while_active(bay: Bay) -> None:
     for name, value, words in (
         ("max_retries", -1, "max_retries"),
         ("executor.time_budgett", 1.0, "did you mean time_budget"),

@@ -170,7 +170,7 @@ def told_topics(node: str) -> set[str]:
     return bond | {name.removeprefix("/") for row in rows for name in re.findall(r"`([^`]+)`", row)}
 
 
-def test_a_server_beside_nav2s(client_node: Client, process: Processes, tmp_path: Path) -> None:
+def test_server_in_addition_to_nav2(client_node: Client, process: Processes, tmp_path: Path) -> None:
     file_of("beside.yaml", tmp_path)
     (run,) = (words for words in commands(HOWTO) if words[0] == "run" and words[1] == "optdock_ros")
     Shell(client_node, process, tmp_path)(run)
@@ -197,7 +197,7 @@ def test_the_launch_file_of_the_page(tmp_path: Path) -> None:
         (smoother_server.SmootherServerParameters, "smoother_server"),
     ],
 )
-def test_what_the_tables_are_made_of_are_the_parameters(model: Any, module: str) -> None:
+def test_tables_are_generated_from_the_models(model: Any, module: str) -> None:
     """The pages are generated from the source without rclpy; the models themselves are compared here."""
     sys.path.insert(0, str(ROOT / "docs" / "tools"))
     import generated

@@ -171,7 +171,7 @@ def is_gone(pid: int) -> bool:
         return True
 
 
-def test_a_server_that_was_suspended_does_not_throw_a_standing_robot_forward(world: World) -> None:
+def test_suspended_server_does_not_accelerate_a_standing_robot(world: World) -> None:
     """The base has stopped by itself; commands from before the suspension are outdated."""
     world.approach()
     os.kill(world.server.pid, signal.SIGSTOP)
@@ -210,7 +210,7 @@ def test_a_shutdown_stops_the_robot_first(world: World) -> None:
         ("costmap", 1.0 + 0.1 + SLOWEST_STOP),  # costmap_timeout, and a few cycles
     ],
 )
-def test_what_is_not_renewed_stops_the_robot(world: World, fault: str, within: float) -> None:
+def test_missing_inputs_stop_the_robot(world: World, fault: str, within: float) -> None:
     goal = world.approach()
     world.fault(fault, on=True)
     world.stops(within)
@@ -219,14 +219,14 @@ def test_what_is_not_renewed_stops_the_robot(world: World, fault: str, within: f
     assert not goal.is_done, goal.reply()
 
 
-def test_a_dock_in_view_takes_the_place_of_transforms_on_the_last_metre(world: World) -> None:
+def test_detections_replace_transforms_on_the_last_metre(world: World) -> None:
     goal = world.approach()
     world.client.until(lambda: world.driven > 0.5, 20.0, "the last metre")
     world.fault("transforms", on=True)
     assert goal.reply(30.0).result.success, goal.reply()
 
 
-def test_a_killed_server_leaves_a_robot_that_stops_and_a_new_one_docks(world: World) -> None:
+def test_robot_stops_after_a_server_is_killed_and_a_new_server_docks(world: World) -> None:
     # The last test of the file: for 20 s the other client takes the killed server for alive, and may ask a ghost.
     world.approach()
     inner = family(world.server.pid)

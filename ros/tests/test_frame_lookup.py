@@ -109,7 +109,7 @@ def test_planar_transforms_are_poses(buffer: TransformBuffer) -> None:
     assert buffer.lookup("/map", "/base").planar().gap_to(first @ second) < 1e-12
 
 
-def test_between_messages_it_is_interpolated_the_short_way(buffer: TransformBuffer) -> None:
+def test_rotations_are_interpolated_the_short_way(buffer: TransformBuffer) -> None:
     buffer.insert(told("odom", "base", (0.0, 0.0, 0.0), about_z(3.0), BEGAN))
     x, y, z, w = about_z(-3.0)
     # The same rotation by the other sign of its quaternion.
@@ -142,7 +142,7 @@ def test_nothing_is_extrapolated_beyond_the_tolerance(buffer: TransformBuffer) -
         buffer.lookup("odom", "base", BEGAN - 1.0, tolerance=5.0)
 
 
-def test_history_is_ten_seconds_in_whatever_order_it_comes(buffer: TransformBuffer) -> None:
+def test_history_is_ten_seconds_in_any_order_of_messages(buffer: TransformBuffer) -> None:
     order = np.random.default_rng(2).permutation(200)
     for n in order.tolist():
         buffer.insert(told("odom", "base", (0.1 * n, 0.0, 0.0), stamp=BEGAN + 0.1 * n))
@@ -152,7 +152,7 @@ def test_history_is_ten_seconds_in_whatever_order_it_comes(buffer: TransformBuff
         buffer.lookup("odom", "base", BEGAN + 0.1 * 98)
 
 
-def test_what_is_not_known_is_said(buffer: TransformBuffer) -> None:
+def test_unknown_frames_are_named(buffer: TransformBuffer) -> None:
     buffer.insert(told("map", "odom"), is_static=True)
     buffer.insert(told("world", "camera"))
     with pytest.raises(
@@ -174,31 +174,31 @@ def test_what_is_not_known_is_said(buffer: TransformBuffer) -> None:
         told("map", "odom", stamp=time.time() + 3600.0),
     ],
 )
-def test_what_cannot_be_is_not_stored(buffer: TransformBuffer, message: TransformStamped) -> None:
+def test_invalid_transforms_are_not_stored(buffer: TransformBuffer, message: TransformStamped) -> None:
     assert not buffer.insert(message)
     assert not buffer.frames
 
 
-def test_frames_in_a_circle_are_refused(buffer: TransformBuffer) -> None:
+def test_cycles_of_frames_are_rejected(buffer: TransformBuffer) -> None:
     assert buffer.insert(told("a", "b"))
     assert buffer.insert(told("b", "c"))
     assert not buffer.insert(told("c", "a"))
     assert buffer.lookup("a", "c").planar() == Pose2(0.0, 0.0, 0.0)
 
 
-def test_a_frame_that_leans_is_no_pose_in_the_plane(buffer: TransformBuffer) -> None:
+def test_tilted_frame_is_not_planar(buffer: TransformBuffer) -> None:
     buffer.insert(told("base", "camera", turn=(-0.5, 0.5, -0.5, 0.5)), is_static=True)
     with pytest.raises(TransformError, match=r"base <- camera: leans by 1\.571 rad"):
         buffer.lookup("base", "camera").planar()
 
 
-def test_a_frame_may_get_another_parent(buffer: TransformBuffer) -> None:
+def test_frame_can_change_its_parent(buffer: TransformBuffer) -> None:
     buffer.insert(told("odom", "box", (1.0, 0.0, 0.0)))
     buffer.insert(told("gripper", "box", (2.0, 0.0, 0.0), stamp=BEGAN + 1.0))
     assert buffer.frames == {"box": "gripper"}
 
 
-def test_topics_late_static_ones_and_a_clock_that_jumps_back(node: Node, client_node: Client) -> None:
+def test_topics_and_latched_static_transforms(node: Node, client_node: Client) -> None:
     world = Surroundings(client_node)
     world.transform("base", "camera", Pose2(0.3, 0.0, 0.0), static=True)
     late = TransformBuffer(node)

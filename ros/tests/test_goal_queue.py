@@ -114,7 +114,7 @@ def test_work_that_does_not_return_is_given_up(queue: Queue) -> None:
     assert queue.path().reply().status == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_what_the_work_raises_is_the_answer(queue: Queue) -> None:
+def test_exception_of_the_work_is_the_result(queue: Queue) -> None:
     assert answer(queue.path("boom")) == (GoalStatus.STATUS_ABORTED, SmoothPath.Result.UNKNOWN, "SystemExit: boom")
     assert queue.path().reply().status == GoalStatus.STATUS_SUCCEEDED
     with pytest.raises(ZeroDivisionError):

@@ -56,7 +56,7 @@ def test_arguments_reach_the_nodes(tmp_path: Path) -> None:
     assert options(docking, "--log-level") == ["debug"]
 
 
-def test_a_misspelt_argument_of_a_node_is_seen_by_the_stand_in(tmp_path: Path) -> None:
+def test_misspelt_argument_of_a_node_is_an_error(tmp_path: Path) -> None:
     broken = tmp_path / "broken.launch.py"
     text = (PACKAGE / "launch" / "servers.launch.py").read_text()
     broken.write_text(text.replace("executable=", "exec="))
@@ -73,7 +73,7 @@ def test_robot_and_server_in_the_simulated_world(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("given", "found"), [(None, "1"), ("2", "2")])
-def test_a_server_has_one_thread_of_linear_algebra_unless_told(given: str | None, found: str) -> None:
+def test_linear_algebra_has_one_thread_unless_set(given: str | None, found: str) -> None:
     """The variable is set before NumPy is loaded."""
     code = "import sys, optdock_ros, os; assert 'numpy' not in sys.modules; print(os.environ['OMP_NUM_THREADS'])"
     env = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}

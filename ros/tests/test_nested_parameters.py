@@ -50,7 +50,7 @@ def test_values_are_plain() -> None:
     assert plain("x") == "x"
 
 
-def test_names_that_nobody_reads() -> None:
+def test_unknown_names() -> None:
     block = {"costmap_topik": 1, "FollowPath": {}, "use_sim_time": True, "introspection_mode": "", "odd": 1, "ours": 2}
     faults, ignored = unknown_names(block, ("costmap_topic", "ours"), ("odd",))
     assert faults == ["costmap_topik: unknown parameter; did you mean costmap_topic?"]
@@ -76,7 +76,7 @@ def test_all_faults_are_reported_together() -> None:
     assert "controller: must be a block of parameters, got 1.0" in str(caught.value)
 
 
-def test_the_robot_in_the_words_of_the_scenario_format() -> None:
+def test_robot_block_in_the_scenario_format() -> None:
     said = robot_parameters({"drive": "ackermann", "limits": {"max_speed": 1, "wheelbase": 0.6, "max_curvature": 2}})
     assert said.footprint is None
     robot = said.robot(Footprint.from_radius(0.3))
@@ -101,7 +101,7 @@ def test_the_robot_in_the_words_of_the_scenario_format() -> None:
         (3.0, "robot: must be a block of parameters, got 3.0"),
     ],
 )
-def test_a_wrong_robot(block: object, words: str) -> None:
+def test_invalid_robot_block(block: object, words: str) -> None:
     with pytest.raises(InvalidValue) as caught:
         robot_parameters(block)
     assert words in str(caught.value)
@@ -173,7 +173,7 @@ def server(context: None) -> Iterator[Tried]:  # noqa: ARG001 - a node needs it
     made.destroy_node()
 
 
-def test_an_integer_stands_for_a_number_and_defaults_are_declared(server: Tried) -> None:
+def test_integers_are_numbers_and_defaults_are_declared(server: Tried) -> None:
     assert parameters_of(server)["speed"] == 2
     assert parameters_of(server)["names"] == ["a", "b"]
     assert server.trigger_configure() == SUCCESS
@@ -182,7 +182,7 @@ def test_an_integer_stands_for_a_number_and_defaults_are_declared(server: Tried)
 
 
 @pytest.mark.parametrize("word", ["set_up", "start", "stop", "tear_down"])
-def test_what_fails_ends_in_a_state_that_it_can_be_tried_from_again(server: Tried, word: str) -> None:
+def test_failed_transition_can_be_repeated(server: Tried, word: str) -> None:
     server.fails = word
     wanted = FAILURE if word == "set_up" else SUCCESS
     assert server.trigger_configure() == wanted
@@ -212,7 +212,7 @@ def test_shutdown_while_active_stops_first(server: Tried) -> None:
     assert server.diary.count("stop") == 1
 
 
-def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
+def test_changes_are_applied_together_or_not_at_all(server: Tried) -> None:
     server.trigger_configure()
     changes = [Parameter("speed"), Parameter("names", value=["c"]), Parameter("Other.y", value=[1, 2])]
     block = parameters_of(server, changes)

@@ -92,7 +92,7 @@ def test_the_watchdog_stops_it_when_commands_end(robot: Client) -> None:
     assert report(robot)["watchdog_stops"] == 1.0
 
 
-def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
+def test_transforms_and_detections_locate_the_dock(robot: Client) -> None:
     """The chain of transforms as in a server, with the default rotation of Nav2's simple docks."""
     static = robot.heard(TFMessage, "/tf_static", LATCHED)
     reset(robot, start=[1.8, 1.2, -0.2], dock_offset=[0.03, 0.02, 0.05])
@@ -137,7 +137,7 @@ def about(axis: int, angle: float) -> np.ndarray[Any, Any]:
     return found
 
 
-def test_the_costmap_shows_the_dock_and_goes_on_by_updates(robot: Client) -> None:
+def test_costmap_contains_the_dock_and_is_updated(robot: Client) -> None:
     whole = robot.heard(Costmap, "local_costmap/costmap_raw", LATCHED)
     updates = robot.heard(CostmapUpdate, "local_costmap/costmap_raw_updates")
     transforms = robot.heard(TFMessage, "/tf", 100)
@@ -176,13 +176,13 @@ def test_contact_at_the_stop_charges_and_stalls(robot: Client) -> None:
     assert said["contact"] == 1.0
 
 
-def test_a_collision_is_told(robot: Client) -> None:
+def test_collision_is_reported(robot: Client) -> None:
     reset(robot, start=[0.9, 0.25, math.pi])
     drive(robot, 0.2, 0.0, 1.0)
     assert report(robot)["clearance"] < 0.0
 
 
-def test_faults_stop_what_they_name_and_nothing_else(robot: Client) -> None:
+def test_faults_stop_only_their_topics(robot: Client) -> None:
     reset(robot, start=[1.8, 1.15, -0.2])
     topics = {
         "transforms": robot.heard(TFMessage, "/tf", 100),
@@ -213,7 +213,7 @@ def test_wrong_parameters_are_refused_by_name(robot: Client) -> None:
         assert words in result.reason
 
 
-def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processes, client_node: Client) -> None:
+def test_stamps_are_current_after_a_suspension(process: Processes, client_node: Client) -> None:
     """After a suspension the stamps are not in the past."""
     started = process("simulated_robot", args=("-r", "__ns:=/stalled", "-r", "/tf:=tf"))
     ages: list[float] = []
@@ -233,7 +233,7 @@ def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processe
 
 
 @pytest.mark.parametrize(("params", "words"), [({"ratee": 1.0}, "ratee: no such parameter; did you mean rate?")])
-def test_it_does_not_start_with_a_parameter_that_means_nothing(
+def test_unknown_parameter_is_rejected_at_the_start(
     process: Processes, params: Mapping[str, object], words: str
 ) -> None:
     started = process("simulated_robot", params=params)
@@ -241,7 +241,7 @@ def test_it_does_not_start_with_a_parameter_that_means_nothing(
     assert words in started.log()
 
 
-def test_its_own_clock_goes_faster_and_twist_without_a_stamp(process: Processes, client_node: Client) -> None:
+def test_simulated_clock_is_faster_and_twist_is_accepted(process: Processes, client_node: Client) -> None:
     started = process(
         "simulated_robot", params={"speed": 4.0, "enable_stamped_cmd_vel": False}, args=("-r", "__ns:=/fast")
     )

@@ -121,7 +121,7 @@ def test_smooths_a_path(client_node: Client, smoother: str) -> None:
     assert len(heard[-1].poses) == len(reply.result.path.poses)
 
 
-def test_a_path_in_another_frame_is_transformed_and_comes_back_in_it(fresh: Surroundings, client_node: Client) -> None:
+def test_path_in_another_frame_is_returned_in_it(fresh: Surroundings, client_node: Client) -> None:
     seen = Pose2(1.0, -2.0, 0.7)
     fresh.transform("map", "odom", seen)
     time.sleep(0.05)
@@ -138,7 +138,7 @@ def test_a_path_in_another_frame_is_transformed_and_comes_back_in_it(fresh: Surr
     assert np.abs(again[:, :2] - poses[:, :2]).max() < 1e-3
 
 
-def test_a_frame_that_leans_is_there_and_back_the_same(fresh: Surroundings, client_node: Client) -> None:
+def test_tilted_frame_there_and_back(fresh: Surroundings, client_node: Client) -> None:
     """Its plane differs from that of its inverse by 50 mm at a height of 1 m and an angle of 0.05 rad."""
     seen = TransformStamped(child_frame_id="leaning")
     seen.header.frame_id, seen.transform.translation.z = "map", 1.0
@@ -179,12 +179,12 @@ def test_wrong_smoother(client_node: Client, asked: str) -> None:
 
 @pytest.mark.parametrize("smoother", ["simple", "casadi"])
 @pytest.mark.usefixtures("fresh")
-def test_no_time(client_node: Client, smoother: str) -> None:
+def test_duration_of_zero(client_node: Client, smoother: str) -> None:
     refused(client_node, SmoothPath.Result.TIMEOUT, "", smoother=smoother, seconds=0.0)
 
 
 @pytest.mark.usefixtures("fresh")
-def test_part_of_the_work_in_little_time(client_node: Client) -> None:
+def test_intermediate_result_after_a_short_duration(client_node: Client) -> None:
     reply = send(client_node, smoother="slow", seconds=0.1).reply()
     assert reply.status == GoalStatus.STATUS_SUCCEEDED
     assert reply.result.error_code == 0
@@ -253,7 +253,7 @@ def test_invalid_path(client_node: Client, path: PathMessage, words: str) -> Non
 
 
 @pytest.mark.usefixtures("fresh")
-def test_a_path_without_headings_is_one_all_the_same(client_node: Client) -> None:
+def test_path_without_headings(client_node: Client) -> None:
     """Nav2's grid planners leave the identity in all poses but the last one."""
     poses = raw_path()[::-1].copy()
     poses[:-1, 2], poses[-1, 2] = 0.0, math.pi + poses[-1, 2]
@@ -290,7 +290,7 @@ def value_of(client: Client, name: str) -> float:
 
 
 @pytest.mark.usefixtures("fresh")
-def test_parameters_change_wholly_or_not_at_all_also_during_a_goal(client_node: Client) -> None:
+def test_parameters_change_together_or_not_at_all_during_a_goal(client_node: Client) -> None:
     running = send(client_node, smoother="slow", seconds=30.0)
     refusals = {
         "must be < 2": {"simple__w_data": 0.5, "simple__w_smooth": 0.9},
@@ -320,7 +320,7 @@ def test_parameters_are_listed_with_their_defaults(client_node: Client) -> None:
     assert wanted <= set(names)
 
 
-def test_inactive_takes_no_goal_and_deactivation_ends_one(
+def test_inactive_server_rejects_goals_and_deactivation_ends_them(
     fresh: Surroundings, client_node: Client, lifecycle: Callable[[str], Lifecycle]
 ) -> None:
     running, node = send(client_node, smoother="slow", seconds=30.0), lifecycle("smoother_server")
@@ -371,7 +371,7 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
     del running
 
 
-def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node: Client) -> None:
+def test_interrupt_answers_the_active_goal(process: Processes, client_node: Client) -> None:
     parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart": True, "costmap_topic": ""}
     started = process("smoother_server", parameters, args=["-r", "__node:=third", "-r", "smooth_path:=third_path"])
     started.wait_for("[third]: active")
@@ -420,7 +420,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
         node.destroy_node()
 
 
-def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
+def test_nav2_stock_parameters(context: None) -> None:  # noqa: ARG001
     """Two smoothers of Nav2's class with Nav2's parameters, and the parameters of every Nav2 node."""
     block = {"plugin": SIMPLE, "tolerance": 1.0e-10, "max_its": 1000, "do_refinement": True}
     parameters = {
@@ -445,7 +445,7 @@ def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
         node.destroy_node()
 
 
-def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # noqa: ARG001
+def test_class_of_a_plugin_can_change_after_cleanup(context: None) -> None:  # noqa: ARG001
     """Parameters of the previous class are not unknown parameters of the new one."""
     parameters = {"smoother_plugins": ["one"], "one.plugin": SIMPLE, "one.tolerance": 1e-6}
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
@@ -473,7 +473,7 @@ def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # no
         (lambda path: SmoothingResult(Path.from_poses(path.poses[:-5], "map")), r"ends 0\.\d+ m off"),
     ],
 )
-def test_what_no_smoother_may_return(answer: Callable[[Any], Any], words: str) -> None:
+def test_invalid_results_of_smoothers(answer: Callable[[Any], Any], words: str) -> None:
     path = Path.from_poses(raw_path(), "map")
     poses = SimpleNamespace(segments=path.segments, poses=raw_path())
     task = SmoothingTask(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
