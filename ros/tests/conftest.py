@@ -61,15 +61,9 @@ def module_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process
     processes.end()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
     """Makes a `Lifecycle` when called with a node's name."""
-    return functools.partial(Lifecycle, client_node)
-
-
-@pytest.fixture(scope="module")
-def module_lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
-    """As `lifecycle`, for the fixtures of a module."""
     return functools.partial(Lifecycle, client_node)
 
 

@@ -65,10 +65,10 @@ def world(client_node: Client) -> Surroundings:
 
 @pytest.fixture(scope="module")
 def server(
-    module_process: Processes, module_lifecycle: Callable[[str], Lifecycle], client_node: Client, world: Surroundings
+    module_process: Processes, lifecycle: Callable[[str], Lifecycle], client_node: Client, world: Surroundings
 ) -> Process:
     started = module_process("smoother_server", PLUGINS)
-    module_lifecycle("smoother_server").up()
+    lifecycle("smoother_server").up()
     publisher = world._costmap
     client_node.until(lambda: publisher.get_subscription_count() and world._footprint.get_subscription_count())
     return started
