@@ -1,14 +1,12 @@
-"""Compile the interface definitions beside this file for the `rclpy` of this Python, and install them into it.
+"""Compile the interface definitions of this folder for the `rclpy` of this Python, and install them.
 
     python ros/interfaces/build.py
 
-A robot has the packages `nav2_msgs`, `tf2_msgs` and `bond` from its ROS distribution. The wheels of `rclpy` do not
-bring them, so the tests compile what they need: names and order of the fields, which are the interface. It takes a C
-and a C++ compiler and a quarter of a minute. Nothing is done where definitions, script, interpreter and wheels are
-those of last time.
+A ROS distribution contains the packages `nav2_msgs`, `tf2_msgs` and `bond`, but the wheels of `rclpy` do not. This
+script compiles the definitions that the tests need, with the names and the order of the fields. It requires a C and a
+C++ compiler and takes 15 s; it does nothing if definitions, script, interpreter and wheels are unchanged.
 
-The generators are called directly, not through CMake: the wheels' CMake exports name directories of the machine that
-built them.
+The generators are called directly, because the wheels' CMake exports contain directories of the building machine.
 """
 
 from __future__ import annotations
@@ -46,10 +44,10 @@ SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
 PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
-# The middleware of the wheels looks for its own type support, and for introspection: without the latter everything
-# works, but every service and action of these packages complains of it at length when it is made.
+# The middleware of the wheels uses its own type support. Without the introspection type support every service and
+# action of these packages logs warnings.
 MIDDLEWARE, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
-# Libraries that the generated code calls, beside those of the packages whose messages it uses.
+# Libraries of the generated code, in addition to those of the packages whose messages it uses.
 RUNTIME = (
     "rosidl_runtime_c", "rosidl_typesupport_c", MIDDLEWARE, INTROSPECTION, "rosidl_typesupport_fastrtps_cpp", "fastcdr",
     "rmw",
@@ -58,24 +56,22 @@ FLAGS = ("-O1", "-fPIC", "-w", "-pipe")
 
 
 class Library(NamedTuple):
-    """A shared library as a ROS build names it, and what it is compiled from."""
+    """Suffix of a shared library in a ROS build, and its sources."""
 
     suffix: str
     sources: list[Path]
 
 
 def main() -> None:
-    """Build whatever has changed."""
+    """Build all packages if anything has changed."""
     key = fingerprint()
     if MARK.exists() and MARK.read_text() == key:
         return
     MARK.unlink(missing_ok=True)
     for tool in ("cc", "c++"):
         if shutil.which(tool) is None:
-            sys.exit(
-                f"{tool}: not found; nav2_msgs, tf2_msgs and bond are compiled for the tests, which takes a compiler"
-            )
-    os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # the generators look their templates up
+            sys.exit(f"{tool}: not found; it is needed to compile nav2_msgs, tf2_msgs and bond for the tests")
+    os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # where the generators find their templates
     with tempfile.TemporaryDirectory() as work:
         for package in PACKAGES:
             build(package, Path(work) / package)
@@ -83,7 +79,7 @@ def main() -> None:
 
 
 def fingerprint() -> str:
-    """Of everything that the result depends on."""
+    """Return a digest of everything that the result depends on."""
     digest = hashlib.sha256(sys.version.encode())
     for path in sorted(HERE.rglob("*")):
         if path.suffix in (*KINDS, ".py"):
@@ -99,7 +95,7 @@ def build(package: str, work: Path) -> None:
     named = [f"{definitions}:{p.relative_to(definitions)}" for p in sorted(definitions.rglob("*")) if p.suffix in KINDS]
     share = PREFIX / "share" / package
     known = [str(p) for p in (PREFIX / "share").iterdir() if p != share and any(p.glob("*/*.idl"))]
-    # Headers are <package/...>: the folders above are where the compiler looks.
+    # Headers are included as <package/...>, so the folders above are include directories.
     code, dynamic = work / "c" / package, work / "introspection" / package
     dispatch, python = work / "dispatch", work / "python"
     with quiet():
@@ -132,27 +128,27 @@ def build(package: str, work: Path) -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Without the generators' words on every file, and on being named twice by the wheels; a failure shows them all."""
-    said = io.StringIO()
+    """Suppress the output of the generators unless they fail."""
+    output = io.StringIO()
     log = logging.getLogger("rosidl_cli.entry_points")
     log.addFilter(is_no_duplicate)
     try:
-        with contextlib.redirect_stdout(said):
+        with contextlib.redirect_stdout(output):
             yield
     except BaseException:
-        sys.stderr.write(said.getvalue())
+        sys.stderr.write(output.getvalue())
         raise
     finally:
         log.removeFilter(is_no_duplicate)
 
 
 def is_no_duplicate(record: logging.LogRecord) -> bool:
-    """Whether a line of the log is worth reading."""
+    """Whether a log record is not a warning about duplicate entry points of the wheels."""
     return not record.getMessage().startswith("Found duplicate entry point")
 
 
 def compile_all(sources: list[Path], work: Path) -> None:
-    """Every source to an object file beside it."""
+    """Compile every source to an object file next to it."""
     headers = [
         work / "c",
         work / "introspection",
@@ -170,7 +166,7 @@ def compile_all(sources: list[Path], work: Path) -> None:
 
 
 def install(package: str, libraries: tuple[Library, ...], entry: Path, used: list[str]) -> None:
-    """Link the libraries and the extension into this Python's environment, beside those of the wheels."""
+    """Link the libraries and the extension into this Python's environment."""
     lib = PREFIX / "lib"
     suffixes = [library.suffix for library in libraries]
     others = [f"-l{name}__{suffix}" for name in used for suffix in suffixes]
@@ -189,7 +185,7 @@ def install(package: str, libraries: tuple[Library, ...], entry: Path, used: lis
 
 
 def run(*command: object) -> None:
-    """Run a compiler; its own words say what failed."""
+    """Run a compiler; it prints its errors itself."""
     subprocess.run([str(part) for part in command], check=True)
 
 

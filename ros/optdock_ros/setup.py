@@ -21,12 +21,11 @@ setup(
     zip_safe=False,
     maintainer="The optdock developers",
     maintainer_email="optdock@example.org",
-    description="Nav2's smoother, planner and docking servers with optdock inside",
+    description="Nav2's smoother and docking servers with optdock inside",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "smoother_server = optdock_ros.smoother_server:main",
-            "planner_server = optdock_ros.planner_server:main",
             "docking_server = optdock_ros.docking_server:main",
             "simulated_robot = optdock_ros.simulated_robot:main",
         ]

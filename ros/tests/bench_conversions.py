@@ -21,7 +21,7 @@ CELLS, POSES = 5.0, 15.0  # [ms], the bars
 
 
 class Figure(NamedTuple):
-    """A measurement: milliseconds, the fastest and the middle of its rounds, and the bar for them."""
+    """A measurement: the fastest round, the median [ms], and their limit."""
 
     name: str
     fastest: float
@@ -30,7 +30,7 @@ class Figure(NamedTuple):
 
 
 def measured(name: str, bar: float, call: Callable[[], T]) -> tuple[Figure, T]:
-    """The figure of a call, and what it returns."""
+    """Return the measurement of a call, and its result."""
     spent, result = list[float](), call()
     for _ in range(ROUNDS):
         began = time.perf_counter()
@@ -40,7 +40,7 @@ def measured(name: str, bar: float, call: Callable[[], T]) -> tuple[Figure, T]:
 
 
 def main() -> int:
-    """Print the table; exit status 1 where a bar is missed."""
+    """Print the table; exit with status 1 if a limit is exceeded."""
     types: ros.MessageTypes = bag_types if "rosbags" in sys.argv[1:] else ros.imported
     way = np.linspace(0.0, 3.0, 1000)
     poses = np.column_stack((way, np.sin(way), np.cos(way)))

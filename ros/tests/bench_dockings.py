@@ -55,7 +55,7 @@ SETTLED = 0.5  # [s] after the end, until the report is believed
 
 
 class Docking(NamedTuple):
-    """What became of one."""
+    """The result of a docking."""
 
     number: int
     spread: str
@@ -74,12 +74,12 @@ class Docking(NamedTuple):
 
     @property
     def is_exact(self) -> bool:
-        """Whether the robot truly stands where it should."""
+        """Whether the true error is within the limits."""
         return abs(self.along) <= ALONG and abs(self.cross) <= CROSS and abs(self.yaw) <= YAW
 
     @property
     def collided(self) -> bool:
-        """Whether it touched anything that it must not."""
+        """Whether the robot has collided."""
         return self.clearance < 0.0 or self.station_clearance < OVERLAP
 
 
@@ -94,7 +94,7 @@ class Processor:
         self._thread.start()
 
     def end(self) -> None:
-        """Joins the thread."""
+        """Join the thread."""
         self._ended.set()
         self._thread.join()
 
@@ -106,24 +106,24 @@ class Processor:
 
 
 def children(pid: int) -> list[int]:
-    """Of a process."""
+    """Return the child processes."""
     tasks = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(word) for task in tasks for word in task.read_text().split()]
 
 
 def spent(pid: int) -> float:
-    """Processor time [s]."""
+    """Return the processor time of a process [s]."""
     words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def text_of(vertices: Any) -> str:
-    """An outline in Nav2's syntax."""
+    """Return an outline in Nav2's syntax."""
     return "[" + ", ".join(f"[{x:.6g}, {y:.6g}]" for x, y in vertices.tolist()) + "]"
 
 
 def server_parameters(speed: float) -> dict[str, object]:
-    """Of the docking server: two types of docks, for either gear; the docks come with the goals."""
+    """Return the parameters of the docking server, with a dock type for each gear; goals contain the docks."""
     dock, pose = DETECTED.dock, DETECTED.pose
     assert dock is not None
     kind = {
@@ -151,7 +151,7 @@ def server_parameters(speed: float) -> dict[str, object]:
 
 
 def robot_parameters(speed: float) -> dict[str, object]:
-    """Of the simulated robot: the study's world `detected`, and one picture in twenty that shows nothing."""
+    """Return the parameters of the simulated robot: the world `detected` of the study, with 5 % drop-outs."""
     dock, pose, drive = DETECTED.dock, DETECTED.pose, DETECTED.actuation
     assert dock is not None
     return {
@@ -190,7 +190,7 @@ class Bench:
         self.commands.append((time.time(), stamp, message.twist.linear.x, message.twist.angular.z))
 
     def place(self, case: Case) -> None:
-        """Put the robot before the dock of a case."""
+        """Put the robot in front of the dock of a case."""
         file = self.folder / f"{case.seed}.yaml"
         save_scenario(file, Scenario(case.problem))
         offset = case.true_dock.in_frame_of(case.problem.goal)
@@ -205,7 +205,7 @@ class Bench:
         time.sleep(SETTLED)
 
     def dock(self, case: Case, spread: str) -> Docking:
-        """One docking."""
+        """Run one docking."""
         self.place(case)
         backward = case.direction is DockDirection.BACKWARD
         into = case.problem.goal @ Pose2(0.0, 0.0, math.pi if backward else 0.0)
@@ -229,7 +229,7 @@ class Bench:
 
 
 def table(found: Sequence[Docking]) -> str:
-    """What became of them, in a few lines."""
+    """Return a summary."""
     good = [one for one in found if one.success and one.is_exact and not one.collided]
     lines = [
         f"{len(good)} of {len(found)} docked within 10 mm, 10 mm, 1.5 degrees; "
@@ -252,7 +252,7 @@ def table(found: Sequence[Docking]) -> str:
 
 
 def rates(commands: Sequence[tuple[float, ...]], processor: Processor, speed: float) -> str:
-    """How evenly the commands came, while planning ran and else."""
+    """Return statistics of the periods of commands, during planning and otherwise."""
     times = np.array([row[0 if speed else 1] for row in commands])
     samples = np.array(processor.samples)
     period = 1.0 / (FREQUENCY * (speed or 1.0))
@@ -276,7 +276,7 @@ def rates(commands: Sequence[tuple[float, ...]], processor: Processor, speed: fl
 
 
 def docked(options: argparse.Namespace, folder: Path) -> tuple[list[Docking], str]:
-    """All dockings with one server, and the table of its rates."""
+    """Run all dockings with one server; return them and the table of its rates."""
     found: list[Docking] = []
     processes, client = Processes(folder), Client()
     try:
@@ -302,7 +302,7 @@ def docked(options: argparse.Namespace, folder: Path) -> tuple[list[Docking], st
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Dock, print; 1 where fewer than 98 in 100 succeed, or one collides."""
+    """Run and print; return 1 if fewer than 98 % succeed or one collides."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100, help="dockings (default: %(default)s)")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")

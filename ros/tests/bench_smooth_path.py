@@ -28,24 +28,24 @@ BARS = {"round trip p50": 25.0, "round trip p99": 60.0, "cancel": 20.0, "growth"
 
 
 def memory(pid: int) -> float:
-    """Resident memory of a process [MB]."""
+    """Return the resident memory of a process [MB]."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024.0
 
 
 def threads(pid: int) -> int:
-    """Threads of a process."""
+    """Return the number of threads of a process."""
     return len(list(Path(f"/proc/{pid}/task").iterdir()))
 
 
 def cpu(pid: int) -> float:
-    """CPU time of a process [s]."""
+    """Return the CPU time of a process [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:
-    """Start a server, ask it, print."""
+    """Start a server, measure, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--goals", type=int, default=1000)
     parser.add_argument("--round-trips", type=int, default=300)
@@ -72,7 +72,7 @@ def main() -> None:
 
 
 def measure(client: Client, pid: int, asked: argparse.Namespace) -> None:
-    """All figures."""
+    """Print all measurements."""
     goal = SmoothPath.Goal(path=message(raw_path()), check_for_collisions=True)
     goal.max_smoothing_duration.sec = 3
 
@@ -109,7 +109,7 @@ def measure(client: Client, pid: int, asked: argparse.Namespace) -> None:
 
 
 def leaks(round_trip: Callable[[], float], pid: int, goals: int) -> None:
-    """Memory and threads over many goals."""
+    """Measure memory and threads over many goals."""
     # Results are kept for 10 s: only then does what comes equal what goes.
     end = time.monotonic() + (13.0 if goals > 1 else 0.0)
     while time.monotonic() < end:
@@ -126,7 +126,7 @@ def leaks(round_trip: Callable[[], float], pid: int, goals: int) -> None:
 
 
 def tell(name: str, value: float, unit: str) -> None:
-    """One figure beside its bar."""
+    """Print a measurement and its limit."""
     print(f"  {name:24s} {value:8.1f} {unit}, bar {BARS[name]:g}: {'kept' if value <= BARS[name] else 'NOT KEPT'}")
 
 

@@ -1,4 +1,4 @@
-"""Fixtures for the tests of the ROS package; what they hand out is described in `harness.py`."""
+"""Fixtures of the tests of the ROS package; `harness.py` describes their values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LINES = 150  # of each process' log that a failure shows
 
 @pytest.fixture(scope="session", autouse=True)
 def domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """Domain id of this run (of this worker where there are several); processes started from here on have it."""
+    """Domain id of this run or worker; its processes inherit it."""
     number, keeper = free_domain()
     logs = str(tmp_path_factory.mktemp("ros"))
     ours = {"ROS_DOMAIN_ID": str(number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": logs}
@@ -39,7 +39,7 @@ def context(domain: int) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def client_node(context: None) -> Iterator[Client]:  # noqa: ARG001 - a node needs it
-    """A node to ask others with, spinning in a thread of its own."""
+    """A client node that spins in its own thread."""
     client = Client(f"test_client_{os.getpid()}")
     yield client
     client.end()
@@ -47,7 +47,7 @@ def client_node(context: None) -> Iterator[Client]:  # noqa: ARG001 - a node nee
 
 @pytest.fixture
 def process(tmp_path: object) -> Iterator[Processes]:
-    """Call it with a console script's name, `params` and `args` to start one; all end with the test."""
+    """Starts a console script when called with its name, `params` and `args`; all processes end with the test."""
     processes = Processes(tmp_path)  # type: ignore[arg-type]
     yield processes
     processes.end()
@@ -55,27 +55,21 @@ def process(tmp_path: object) -> Iterator[Processes]:
 
 @pytest.fixture(scope="module")
 def module_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
-    """As `process`, for processes that all tests of a module use."""
+    """As `process`, for the processes of a module."""
     processes = Processes(tmp_path_factory.mktemp("processes"))
     yield processes
     processes.end()
 
 
-@pytest.fixture
-def lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
-    """Call it with a node's name, then `.configure()`, `.activate()`, ..., `.state`."""
-    return functools.partial(Lifecycle, client_node)
-
-
 @pytest.fixture(scope="module")
-def module_lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
-    """As `lifecycle`, for fixtures that all tests of a module use."""
+def lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
+    """Makes a `Lifecycle` when called with a node's name."""
     return functools.partial(Lifecycle, client_node)
 
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport() -> Iterator[None]:
-    """A failure shows what the processes said."""
+    """Add the logs of the processes to the report of a failure."""
     outcome = yield
     report = outcome.get_result()  # type: ignore[attr-defined]
     if report.failed:

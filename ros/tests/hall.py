@@ -1,4 +1,4 @@
-"""A hall of 20 m x 20 m with 20 boxes in it, a robot, and a raw path between the boxes; and who publishes them."""
+"""A hall of 20 m x 20 m with 20 boxes, a robot, a raw path between the boxes, and their publishers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COSTMAP, FOOTPRINT = "global_costmap/costmap_raw", "global_costmap/published_foo
 
 
 def hall() -> Grid:
-    """The boxes stand in two rows, and leave a lane of 2.4 m that winds by half a metre."""
+    """Return a hall with two rows of boxes, which form a winding lane 2.4 m wide."""
     data = np.zeros((CELLS, CELLS), dtype=np.uint8)
     grid = Grid(data, RESOLUTION, ORIGIN)
     for n in range(10):
@@ -42,7 +42,7 @@ def hall() -> Grid:
 
 
 def raw_path(count: int = 200, length: float = 10.0) -> FloatArray:
-    """Poses along the lane, with the small zigzag of a grid, Shape (count, 3)."""
+    """Return poses along the lane with the zigzag of a grid, shape (count, 3)."""
     x = np.linspace(-5.0, -5.0 + length, count)
     y = 0.5 * np.sin(0.6 * x) + 0.02 * np.where(np.arange(count) % 8 < 4, 1.0, -1.0)
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
@@ -52,7 +52,7 @@ def raw_path(count: int = 200, length: float = 10.0) -> FloatArray:
 
 
 def message(poses: FloatArray, frame: str = "map", stamp: float = 1.0) -> Any:
-    """A nav_msgs/Path."""
+    """Return a nav_msgs/Path."""
     return ros.path_message(ros.imported, poses, frame, stamp)
 
 
@@ -73,7 +73,7 @@ class Surroundings:
         self._static = node.create_publisher(TFMessage, "/tf_static", latched)
 
     def now(self) -> float:
-        """Seconds on the node's clock."""
+        """Return the time of the node's clock [s]."""
         return self._node.get_clock().now().nanoseconds * 1e-9
 
     def costmap(self, grid: Grid | None = None, frame: str = "map", age: float = 0.0) -> None:
@@ -82,14 +82,14 @@ class Surroundings:
         self._costmap.publish(ros.costmap_message(ros.imported, known, frame, self.now() - age))
 
     def update(self, x: int, y: int, costs: FloatArray, frame: str = "map") -> None:
-        """Publish a part of it."""
+        """Publish an update of the costmap."""
         part = CostmapUpdate(x=x, y=y, size_x=costs.shape[1], size_y=costs.shape[0])
         part.header.frame_id, part.header.stamp = frame, ros.stamp(ros.imported, self.now())
         part.data = costs.astype(np.uint8).reshape(-1).tolist()
         self._updates.publish(part)
 
     def footprint(self, at: Pose2 | None = None, frame: str = "base_link", outline: Footprint = OUTLINE) -> None:
-        """Publish the outline, where the robot stands."""
+        """Publish the outline at the robot's pose."""
         corners = outline.vertices if at is None else transform_points(at.as_array()[None], outline.vertices)[0]
         polygon = PolygonStamped()
         polygon.header.frame_id, polygon.header.stamp = frame, ros.stamp(ros.imported, self.now())

@@ -1,7 +1,7 @@
-"""What the tests of the ROS package stand on: a domain of their own, processes that always end, and a client.
+"""The basis of the ROS tests: a separate domain, processes that always end, and a client.
 
-Nothing here is left over, however a run ends: every process is a group of its own that is killed at the end of its
-fixture, also on ctrl-C, and the kernel kills it where pytest itself is killed.
+Every process has its own process group, which is killed at the end of its fixture, also on ctrl-C; the kernel kills the
+process if pytest itself is killed.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -30,20 +31,20 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 PROGRAMS = Path(sys.prefix) / "bin"
-DOMAINS = range(80, 102)  # ids above take ports that Linux hands out to others; people who choose one choose low
+DOMAINS = range(80, 102)  # higher ids use ephemeral ports of Linux; users choose low ids
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
-PATIENCE = 20.0  # [s] for anything that a process should do at once: two cores may be busy with other tests
+PATIENCE = 20.0  # [s] for any reaction of a process on a busy machine
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def free_domain() -> tuple[int, socket.socket]:
-    """A domain id that no other run on this machine has, and what keeps it: freed by the kernel when the run is gone.
+    """Return a domain id that no other run on this machine uses, and the socket that reserves it.
 
-    `ROS_DOMAIN_ID` of the environment is not looked at: it may be that of a robot, which these tests would drive.
+    `ROS_DOMAIN_ID` of the environment is not used: it may be that of a robot, which these tests would drive.
     """
     for offset in range(len(DOMAINS)):
         domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
@@ -58,14 +59,14 @@ def free_domain() -> tuple[int, socket.socket]:
 
 
 class Process:
-    """A console script of this environment, running.
+    """A running console script of this environment.
 
     Args:
-        name: Of the script, or a path.
-        params: Parameters: a file, taken as it is, or a mapping, given to every node of the process.
+        name: Name of the script, or a path.
+        params: Parameter file, or a mapping of parameters for every node of the process.
         args: Further ROS arguments, for example ("-r", "cmd_vel:=/base/cmd_vel").
-        folder: For its parameters and its log.
-        env: Environment variables beside those of this process.
+        folder: Folder for parameters and log.
+        env: Additional environment variables.
     """
 
     def __init__(
@@ -100,49 +101,49 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Also the id of its process group."""
+        """Id of the process and of its process group."""
         return self.popen.pid
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended."""
+        """Whether the process is running."""
         return self.popen.poll() is None
 
     def log(self) -> str:
-        """All that it has said."""
+        """Return the log."""
         return self.log_file.read_text(errors="replace")
 
     def wait_for(self, text: str, timeout: float = PATIENCE) -> None:
-        """Until it says `text`; ends the test where it does not, or ends before."""
+        """Wait until the log contains `text`; fail if the process ends before."""
         end = time.monotonic() + timeout
         while text not in self.log():
-            assert self.is_running, f"{self.name} ended ({self.popen.returncode}) without saying {text!r}"
-            assert time.monotonic() < end, f"{self.name} did not say {text!r} within {timeout} s"
+            assert self.is_running, f"{self.name} ended ({self.popen.returncode}) without logging {text!r}"
+            assert time.monotonic() < end, f"{self.name} did not log {text!r} within {timeout} s"
             time.sleep(0.01)
 
     def stop(self, by: signal.Signals = signal.SIGINT, timeout: float = PATIENCE) -> int:
-        """Send a signal, and the exit code; ends the test where the process goes on."""
+        """Send a signal and return the exit code; fail if the process does not end."""
         if self.is_running:
             self.popen.send_signal(by)
         try:
             return self.popen.wait(timeout)
         except subprocess.TimeoutExpired:
-            self.popen.send_signal(signal.SIGABRT)  # the log then shows where every thread of it stands
+            self.popen.send_signal(signal.SIGABRT)  # the log then contains the stacks of its threads
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.popen.wait(2.0)
             raise AssertionError(f"{self.name} still ran {timeout} s after {by.name}") from None
 
     def kill(self) -> None:
-        """Kill -9 it and all that it started; harmless where nothing runs."""
+        """Kill the process group with SIGKILL, if it is running."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
         self.popen.wait()
 
 
 class Processes:
-    """All processes of a test or a module; called, it starts one. Arguments as `Process`."""
+    """The processes of a test or a module; a call starts one, with the arguments of `Process`."""
 
-    everywhere: ClassVar[list[Processes]] = []  # of the whole run, for the report of a failure
+    everywhere: ClassVar[list[Processes]] = []  # of the whole run, for reports of failures
     grace: ClassVar[float] = 5.0  # [s] between an interrupt and a kill, at the end
 
     def __init__(self, folder: Path) -> None:
@@ -163,7 +164,7 @@ class Processes:
         return process
 
     def end(self) -> None:
-        """Interrupt all, kill what goes on, and whatever else they left in their groups."""
+        """Interrupt all processes, then kill their process groups."""
         for process in self.started:
             if process.is_running:
                 process.popen.send_signal(signal.SIGINT)
@@ -177,18 +178,12 @@ class Processes:
 
 
 def _die_with_parent() -> None:
-    """In the child: killed by the kernel when the thread that started it is gone."""
+    """Have the kernel kill this child when its parent thread ends."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 class Reply(NamedTuple):
-    """What became of an action's goal.
-
-    Attributes:
-        status: Of action_msgs/msg/GoalStatus; None where the goal was not accepted.
-        result: The action's result message.
-        feedback: All feedback messages, in order.
-    """
+    """Status of a goal (None if it was rejected), result message, and feedback messages."""
 
     status: int | None
     result: Any
@@ -196,7 +191,7 @@ class Reply(NamedTuple):
 
 
 class Goal:
-    """A goal of an action under way."""
+    """A goal of an action."""
 
     def __init__(self, client: Client, action: ActionClient[Any, Any, Any], goal: Any) -> None:
         self.client = client
@@ -209,15 +204,15 @@ class Goal:
 
     @property
     def is_done(self) -> bool:
-        """Whether the result is there."""
+        """Whether the result has arrived."""
         return self._result is None or self._result.done()
 
     def cancel(self, timeout: float = PATIENCE) -> Any:
-        """Ask for the end, and the answer to that."""
+        """Cancel the goal, and return the answer."""
         return self.client.wait(self.handle.cancel_goal_async(), timeout)
 
     def reply(self, timeout: float = PATIENCE) -> Reply:
-        """Wait for the end."""
+        """Return the result."""
         if self._result is None:
             return Reply(None, None, self.feedback)
         found = self.client.wait(self._result, timeout)
@@ -225,12 +220,9 @@ class Goal:
 
 
 class Client(Node):
-    """A node that spins in a thread of its own, and waits for things.
+    """A node that spins in its own thread.
 
-    Args:
-        name: Of the node.
-        context: Initialised; None: the default one. A context of its own knows nothing of processes that were killed
-            before; others hold them for alive for 20 s, and a service for there.
+    A new context has no killed processes among its peers; other contexts regard them as alive for 20 s.
     """
 
     def __init__(self, name: str = "test_client", context: rclpy.Context | None = None) -> None:
@@ -243,21 +235,21 @@ class Client(Node):
         self._own_thread.start()
 
     def end(self) -> None:
-        """Join the thread, then the node goes: the other way round aborts the interpreter."""
+        """Join the thread, then destroy the node; the reverse order aborts the interpreter."""
         self._own_executor.create_task(leave)
         self._own_thread.join()
         self._own_executor.shutdown()
         self.destroy_node()
 
     def wait(self, future: Any, timeout: float = PATIENCE) -> Any:
-        """Result of a future that the executor completes; ends the test where it does not come."""
+        """Return the result of a future; fail after the timeout."""
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
         assert done.wait(timeout), f"no answer within {timeout} s"
         return future.result()
 
     def until(self, condition: Callable[[], object], timeout: float = PATIENCE, what: str = "it") -> Any:
-        """Wait until a condition is true, and its value; ends the test where it does not become so."""
+        """Wait until a condition is true and return its value; fail after the timeout."""
         end = time.monotonic() + timeout
         while not (value := condition()):
             assert time.monotonic() < end, f"{what} did not happen within {timeout} s"
@@ -273,7 +265,7 @@ class Client(Node):
         return self.wait(service.call_async(kind.Request() if request is None else request), timeout)
 
     def send(self, kind: Any, name: str, goal: Any, timeout: float = PATIENCE) -> Goal:
-        """Send a goal to an action, and wait until it is accepted or not."""
+        """Send a goal to an action, and wait for its acceptance or rejection."""
         if name not in self._action_clients_by_name:
             self._action_clients_by_name[name] = ActionClient(self, kind, name)
         action = self._action_clients_by_name[name]
@@ -281,36 +273,36 @@ class Client(Node):
         return Goal(self, action, goal)
 
     def heard(self, kind: Any, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
-        """A list that every message of a topic is appended to from now on."""
+        """Subscribe to a topic, and return the list of its messages."""
         found: list[Any] = []
         self.create_subscription(kind, topic, found.append, qos)
         return found
 
 
 class Lifecycle:
-    """Walks a managed node through its life by the services of lifecycle_msgs; each says whether it succeeded."""
+    """Transitions of a lifecycle node by services; each returns whether it succeeded."""
 
     def __init__(self, client: Client, node: str) -> None:
         self.client, self.node = client, node.strip("/")
 
     def configure(self) -> bool:
-        """To inactive."""
+        """Change to inactive."""
         return self.change(Transition.TRANSITION_CONFIGURE)
 
     def activate(self) -> bool:
-        """To active."""
+        """Change to active."""
         return self.change(Transition.TRANSITION_ACTIVATE)
 
     def deactivate(self) -> bool:
-        """To inactive."""
+        """Change to inactive."""
         return self.change(Transition.TRANSITION_DEACTIVATE)
 
     def cleanup(self) -> bool:
-        """To unconfigured."""
+        """Change to unconfigured."""
         return self.change(Transition.TRANSITION_CLEANUP)
 
     def shutdown(self) -> bool:
-        """To finalized, from whatever state."""
+        """Change to finalized, from any state."""
         return self.change(
             {
                 State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
@@ -320,17 +312,17 @@ class Lifecycle:
         )
 
     def up(self) -> None:
-        """To active, or the test ends."""
+        """Configure and activate; fail otherwise."""
         assert self.configure(), f"{self.node}: configure failed"
         assert self.activate(), f"{self.node}: activate failed"
 
     @property
     def state(self) -> str:
-        """Its label: unconfigured, inactive, active, finalized."""
+        """Label of the state: unconfigured, inactive, active or finalized."""
         return str(self._state().label)
 
     def change(self, transition: int) -> bool:
-        """Any transition."""
+        """Make a transition."""
         request = ChangeState.Request(transition=Transition(id=transition))
         return bool(self.client.call(ChangeState, f"/{self.node}/change_state", request).success)
 
@@ -338,9 +330,17 @@ class Lifecycle:
         return self.client.call(GetState, f"/{self.node}/get_state").current_state
 
 
+def flattened(block: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Return the dotted names of nested parameters."""
+    flat: dict[str, object] = {}
+    for name, value in block.items():
+        flat |= flattened(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return flat
+
+
 @contextlib.contextmanager
 def ros(domain: int) -> Iterator[None]:
-    """`rclpy` initialised for nodes of this process; ctrl-C stays pytest's."""
+    """Initialize `rclpy` for nodes of this process, without its signal handlers."""
     rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield
@@ -350,7 +350,7 @@ def ros(domain: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stranger(domain: int) -> Iterator[Client]:
-    """A client that has met nobody yet: what to ask a server with that takes the place of a killed one."""
+    """Return a client without known peers, for a server that replaces a killed one."""
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     client = Client("stranger", context)
@@ -363,7 +363,7 @@ def stranger(domain: int) -> Iterator[Client]:
 
 @contextlib.contextmanager
 def spinning(*nodes: Node, executor: Any = None) -> Iterator[None]:
-    """Nodes of this process at work in a thread, which is joined; they are destroyed at the end."""
+    """Spin nodes of this process in a thread; join it and destroy them at the end."""
     executor = executor or SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)

@@ -1,7 +1,7 @@
-"""As much of `launch` and `launch_ros` as the package's launch files use, to run them where neither can be installed.
+"""The part of `launch` and `launch_ros` that the package's launch files use; neither can be installed from PyPI.
 
-It takes the arguments that those take and refuses others, resolves substitutions as they do, and says which processes
-would be started with which arguments. What `ros2 launch` adds (signals, respawning, events) is not here.
+It rejects unknown arguments, resolves substitutions, and returns the processes with their arguments. Signals,
+respawning and events of `ros2 launch` are missing.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import types
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,122 +23,115 @@ PACKAGE = Path(__file__).parents[1] / "optdock_ros"
 
 
 class Started(NamedTuple):
-    """A process that would be started: its executable, and everything behind it on the command line."""
+    """A process: its executable and the rest of its command line."""
 
     executable: str
     arguments: tuple[str, ...]
 
 
-class Substitution:
-    """Text that is known when the launch file runs."""
+@dataclass
+class LaunchConfiguration:
+    """The value of a declared launch argument."""
+
+    variable_name: str
 
     def text(self, values: Mapping[str, str]) -> str:
-        """With the values of the launch arguments."""
-        raise NotImplementedError
+        """Return the value."""
+        return values[self.variable_name]
 
 
-class LaunchConfiguration(Substitution):
-    """The value of a launch argument."""
+@dataclass
+class FindPackageShare:
+    """The folder of this package; here that of the sources."""
 
-    def __init__(self, variable_name: str) -> None:
-        self.name = variable_name
-
-    def text(self, values: Mapping[str, str]) -> str:
-        """Of the argument, which must have been declared."""
-        return values[self.name]
-
-
-class FindPackageShare(Substitution):
-    """Where a package's files are; here in the sources."""
-
-    def __init__(self, package: str) -> None:
-        assert package == "optdock_ros"
+    package: str
 
     def text(self, values: Mapping[str, str]) -> str:  # noqa: ARG002 - as the others
-        """Of the only package there is."""
+        """Return the folder."""
+        assert self.package == "optdock_ros"
         return str(PACKAGE)
 
 
-class PathJoinSubstitution(Substitution):
+@dataclass
+class PathJoinSubstitution:
     """A path of parts."""
 
-    def __init__(self, substitutions: Iterable[Any]) -> None:
-        self.parts = tuple(substitutions)
+    substitutions: Sequence[Any]
 
     def text(self, values: Mapping[str, str]) -> str:
-        """Joined."""
-        return str(Path(*(text(part, values) for part in self.parts)))
+        """Return the joined path."""
+        return str(Path(*(text(part, values) for part in self.substitutions)))
 
 
 class ParameterValue:
-    """A parameter of a certain type."""
+    """A parameter of a given type."""
 
     def __init__(self, value: Any, *, value_type: type) -> None:
         self.value, self.type = value, value_type
 
     def resolved(self, values: Mapping[str, str]) -> Any:
-        """Of its type, or it is an error."""
+        """Return the value, which must be of the type."""
         found = yaml.safe_load(text(self.value, values))
         assert isinstance(found, self.type), f"{found!r} is no {self.type.__name__}"
         return found
 
 
+@dataclass
 class IfCondition:
-    """Whether an action is carried out."""
+    """A condition of an action."""
 
-    def __init__(self, predicate_expression: Any) -> None:
-        self.expression = predicate_expression
+    predicate_expression: Any
 
     def holds(self, values: Mapping[str, str]) -> bool:
-        """True or false, in words."""
-        return {"true": True, "1": True, "false": False, "0": False}[text(self.expression, values).lower()]
+        """Whether the action is carried out."""
+        return {"true": True, "1": True, "false": False, "0": False}[text(self.predicate_expression, values).lower()]
 
 
+@dataclass
 class DeclareLaunchArgument:
     """An argument of a launch file."""
 
-    def __init__(self, name: str, *, default_value: Any = None, description: str = "", choices: Any = None) -> None:
-        self.name, self.default, self.description, self.choices = name, default_value, description, choices
+    name: str
+    default_value: Any = None
+    description: str = ""
+    choices: Any = None
 
 
+@dataclass
 class PythonLaunchDescriptionSource:
-    """Another launch file."""
+    """A launch file."""
 
-    def __init__(self, launch_file_path: Any) -> None:
-        self.path = launch_file_path
+    launch_file_path: Any
 
 
+@dataclass
 class IncludeLaunchDescription:
-    """All of another launch file."""
+    """The inclusion of another launch file."""
 
-    def __init__(self, launch_description_source: Any, *, launch_arguments: Iterable[tuple[str, Any]] = ()) -> None:
-        self.source, self.arguments = launch_description_source, tuple(launch_arguments)
+    launch_description_source: Any
+    launch_arguments: Iterable[tuple[str, Any]] = ()
 
 
+@dataclass(kw_only=True)
 class Node:
     """A process with a ROS node."""
 
-    def __init__(
-        self,
-        *,
-        package: str,
-        executable: str,
-        name: str | None = None,
-        namespace: Any = "",
-        parameters: Sequence[Any] = (),
-        remappings: Sequence[tuple[str, Any]] = (),
-        arguments: Sequence[Any] = (),
-        output: str = "log",
-        condition: IfCondition | None = None,
-    ) -> None:
-        assert package == "optdock_ros"
-        assert output in {"log", "screen", "both", "own_log", "full"}
-        self.executable, self.name, self.namespace = executable, name, namespace
-        self.parameters, self.remappings, self.arguments = parameters, remappings, arguments
-        self.condition = condition
+    package: str
+    executable: str
+    name: str | None = None
+    namespace: Any = ""
+    parameters: Sequence[Any] = ()
+    remappings: Sequence[tuple[str, Any]] = ()
+    arguments: Sequence[Any] = ()
+    output: str = "log"
+    condition: IfCondition | None = None
+
+    def __post_init__(self) -> None:
+        assert self.package == "optdock_ros"
+        assert self.output in {"log", "screen", "both", "own_log", "full"}
 
     def started(self, values: Mapping[str, str], folder: Path) -> Started:
-        """In the order of launch_ros: own arguments, then name, namespace, parameters and remappings."""
+        """Return the process, with its arguments in the order of launch_ros."""
         found = [text(argument, values) for argument in self.arguments]
         found += ["--ros-args"]
         found += ["-r", f"__node:={self.name}"] if self.name else []
@@ -159,16 +153,16 @@ class Node:
         return Started(self.executable, tuple(found))
 
 
+@dataclass
 class LaunchDescription:
-    """What a launch file does."""
+    """The content of a launch file."""
 
-    def __init__(self, initial_entities: Iterable[Any]) -> None:
-        self.entities = tuple(initial_entities)
+    initial_entities: Sequence[Any]
 
 
 def text(value: Any, values: Mapping[str, str]) -> str:
-    """Of a substitution or a text."""
-    if isinstance(value, Substitution):
+    """Return a text, or the text of a substitution."""
+    if isinstance(value, LaunchConfiguration | FindPackageShare | PathJoinSubstitution):
         return value.text(values)
     assert isinstance(value, str), f"{value!r}: must be text or a substitution"
     return value
@@ -188,13 +182,7 @@ MODULES = {
 
 
 def launched(file: str | Path, folder: Path, **arguments: str) -> list[Started]:
-    """What `ros2 launch optdock_ros FILE NAME:=VALUE ...` would start.
-
-    Args:
-        file: Name of a launch file of the package, or a path.
-        folder: For files of parameters that it writes.
-        **arguments: Launch arguments.
-    """
+    """Return the processes of `ros2 launch optdock_ros FILE NAME:=VALUE ...`; `folder` is for parameter files."""
     with pytest.MonkeyPatch.context() as patch:
         for name, members in MODULES.items():
             module = types.ModuleType(name)
@@ -209,16 +197,16 @@ def _launched(file: Path, folder: Path, arguments: Mapping[str, str]) -> Iterato
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    entities = module.generate_launch_description().entities
+    entities = module.generate_launch_description().initial_entities
     declared = [entity for entity in entities if isinstance(entity, DeclareLaunchArgument)]
     assert set(arguments) <= {argument.name for argument in declared}, "no such launch argument"
     values: dict[str, str] = {}
     for argument in declared:
         assert argument.description, f"{argument.name}: has no description"
-        values[argument.name] = arguments.get(argument.name) or text(argument.default, values)
+        values[argument.name] = arguments.get(argument.name) or text(argument.default_value, values)
     for entity in entities:
         if isinstance(entity, Node) and (entity.condition is None or entity.condition.holds(values)):
             yield entity.started(values, folder)
         elif isinstance(entity, IncludeLaunchDescription):
-            inner = {name: text(value, values) for name, value in entity.arguments}
-            yield from _launched(Path(text(entity.source.path, values)), folder, inner)
+            inner = {name: text(value, values) for name, value in entity.launch_arguments}
+            yield from _launched(Path(text(entity.launch_description_source.launch_file_path, values)), folder, inner)

@@ -1,4 +1,4 @@
-"""Parameter files start the servers: ours, complete and right, and Nav2's own, unchanged."""
+"""The servers start with the package's complete parameter file, and with Nav2's unchanged files."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ SHARED = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
-    """Dotted names of a parameter file."""
+    """Return the dotted names of a parameter file."""
     found: set[str] = set()
     for name, value in block.items():
         found |= names_in(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}"}
     return found
 
 
-@pytest.mark.parametrize("server", ["smoother_server", "planner_server", "docking_server"])
-def test_our_file_starts_the_servers_and_names_every_parameter(
+@pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
+def test_package_file_starts_the_servers_and_names_every_parameter(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
 ) -> None:
     started = process(server, params=OURS)
@@ -50,7 +50,7 @@ def test_our_file_starts_the_servers_and_names_every_parameter(
 
 
 def stock(name: str) -> Path:
-    """One of Nav2's own files, which are no part of the project."""
+    """Return one of Nav2's files, which are not part of the project."""
     file = STOCK / name
     if not file.is_file():
         pytest.skip(f"Nav2's own {name} is not at {file} (set OPTDOCK_DATA)")
@@ -76,13 +76,3 @@ def test_stock_files_of_nav2_start_the_servers(
     assert life.deactivate()
     assert life.cleanup()
     assert started.stop() == 0
-
-
-def test_a_stock_file_with_a_plugin_of_nav2_that_is_not_here_is_refused_by_name(
-    process: Processes, lifecycle: Callable[[str], Lifecycle]
-) -> None:
-    started = process("planner_server", params=stock("nav2_params.yaml"))
-    assert not lifecycle("planner_server").configure()
-    assert "nav2_navfn_planner::NavfnPlanner" in started.log()
-    assert started.is_running
-    assert lifecycle("planner_server").state == "unconfigured"

@@ -1,4 +1,4 @@
-"""The control loop stops the robot, whatever happens; the last command is zero."""
+"""The control loop always stops the robot; the last command is zero."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ MOVING = Twist2(0.3, 0.2)
 
 
 class Driver:
-    """Stands for an executor that drives on and on, and stops at once when it is cancelled."""
+    """A stand-in of the executor that drives until it is cancelled."""
 
     def __init__(self, cycle: Callable[[int], None] = lambda _: None) -> None:
         self.cycles, self.cancelled, self._cycle = 0, False, cycle
 
     def cancel(self) -> None:
-        """As an executor."""
+        """As `DockingExecutor`."""
         self.cancelled = True
 
     def step(self, measurements: Measurements) -> Step:
-        """As an executor."""
+        """As `DockingExecutor`."""
         self.cycles += 1
         self._cycle(self.cycles)
         ending = Ending(EndingKind.CANCELLED, "", 0, measurements.stamp) if self.cancelled else None
@@ -49,7 +49,7 @@ class Driver:
 
 
 class World:
-    """A loop, what it sends, and what it is told of time."""
+    """A control loop, its commands, and its clock."""
 
     def __init__(self, driver: Any, now: Callable[[], float] = time.monotonic) -> None:
         self.sent: list[Twist2] = []
@@ -58,14 +58,14 @@ class World:
         self.run = TaskRun(driver, lambda stamp: Measurements(stamp, None), lambda _, step: self.seen.append(step))
 
     def end(self, timeout: float = 5.0) -> Ending:
-        """Wait for it."""
+        """Return the ending."""
         assert self.run.done.wait(timeout)
         assert self.run.ending is not None
         assert self.sent[-1] == Twist2(), "the last command is zero"
         return self.run.ending
 
     def assert_ramp(self) -> None:
-        """From moving to rest within the limits, the rounding of periods apart."""
+        """The commands ramp down to rest within the limits."""
         speeds = np.array([command.linear for command in self.sent])
         last = int(np.flatnonzero(speeds == MOVING.linear)[-1])
         ramp = np.diff(speeds[last:]) / PERIOD
@@ -75,12 +75,12 @@ class World:
 
 
 def broken(cycle: int) -> None:
-    """In the twentieth cycle."""
+    """Raise in the twentieth cycle."""
     if cycle == 20:
         raise ZeroDivisionError("by a plugin")
 
 
-def test_what_is_raised_in_a_cycle_ends_in_a_ramp() -> None:
+def test_exception_in_a_cycle_ends_in_a_ramp() -> None:
     world = World(Driver(broken))
     world.loop.start(world.run)
     ending = world.end()
@@ -88,7 +88,7 @@ def test_what_is_raised_in_a_cycle_ends_in_a_ramp() -> None:
     world.assert_ramp()
 
 
-def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
+def test_exception_while_measuring_ends_in_a_ramp() -> None:
     world = World(Driver())
 
     def measure(stamp: float) -> Measurements:
@@ -102,7 +102,7 @@ def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
     world.assert_ramp()
 
 
-def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> None:
+def test_task_is_done_even_if_no_command_can_be_sent() -> None:
     world = World(Driver())
 
     def send(_: Twist2) -> None:
@@ -115,8 +115,8 @@ def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> Non
     assert world.run.ending.reason == "RuntimeError: the publisher is gone"
 
 
-def test_what_was_decided_before_a_pause_is_not_sent_after_it() -> None:
-    """The process was stopped in the middle of a cycle; bases stop by themselves meanwhile."""
+def test_command_from_before_a_pause_is_not_sent() -> None:
+    """The process was suspended within a cycle; bases stop by themselves in that time."""
     world = World(Driver(lambda cycle: time.sleep(0.7) if cycle == 10 else None))
     world.loop.start(world.run)
     time.sleep(0.5)
@@ -140,7 +140,7 @@ def test_no_ramp_begins_after_a_pause() -> None:
     assert [command for command in world.sent if command != MOVING] == [Twist2()]
 
 
-def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
+def test_stopped_clock_ends_in_a_ramp() -> None:
     began = time.monotonic()
     world = World(Driver(), now=lambda: min(time.monotonic(), began + 0.2))
     world.loop.start(world.run)
@@ -148,7 +148,7 @@ def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
     world.assert_ramp()
 
 
-def test_a_slow_clock_repeats_commands_and_steps_nothing_twice() -> None:
+def test_slow_clock_repeats_commands() -> None:
     driver = Driver()
     world = World(driver, now=lambda: round(time.monotonic(), 1))
     world.loop.start(world.run)
@@ -179,7 +179,7 @@ def test_an_executor_that_does_not_stop_is_stopped() -> None:
     world.assert_ramp()
 
 
-def test_a_cycle_that_hangs_leaves_zero_and_a_name() -> None:
+def test_hanging_cycle_ends_with_a_zero_command() -> None:
     free = threading.Event()
     driver = Driver(lambda cycle: None if cycle < 10 else bool(free.wait(5.0)) and None)
     driver.cancel = lambda: None  # type: ignore[method-assign] # it would drive on
@@ -194,7 +194,7 @@ def test_a_cycle_that_hangs_leaves_zero_and_a_name() -> None:
     assert world.sent[count:] == [], "whoever hung commands nothing any more"
 
 
-def test_times_tell_of_missed_deadlines() -> None:
+def test_times_contain_missed_deadlines() -> None:
     world = World(Driver(lambda cycle: time.sleep(0.1) if cycle == 10 else None))
     world.loop.start(world.run)
     time.sleep(0.5)
@@ -205,7 +205,7 @@ def test_times_tell_of_missed_deadlines() -> None:
     assert times.cycles == len(world.seen)
 
 
-def test_realtime_is_given_back() -> None:
+def test_realtime_scheduling_ends_with_the_task() -> None:
     if not may_be_preferred():
         pytest.skip("not permitted here")
     policies: list[int] = []

@@ -1,4 +1,4 @@
-"""The conversions of `optdock.ros` with the real message classes: what is sent over the wire comes back the same."""
+"""Round trips of `optdock.ros` with the message classes of rclpy."""
 
 import math
 import os
@@ -19,11 +19,11 @@ PLACE = od.Pose2(1.0, -2.0, 3.0)
 
 
 def sent(message: ros.Message) -> ros.Message:
-    """The message as it reaches another node."""
+    """Return the message after serialization."""
     return deserialize_message(serialize_message(message), type(message))
 
 
-def test_motion_survives_the_wire() -> None:
+def test_motion_messages_round_trip() -> None:
     poses = np.column_stack((np.linspace(0.0, 5.0, 50), np.linspace(1.0, -1.0, 50), np.linspace(-3.0, 3.0, 50)))
     path = ros.path_poses(sent(ros.path_message(TYPES, poses, "map", 12.5)))
     assert (path.frame, path.stamp) == ("map", 12.5)
@@ -44,7 +44,7 @@ def test_motion_survives_the_wire() -> None:
     assert transforms.transforms[0].transform.rotation.z == pytest.approx(math.sin(1.5))
 
 
-def test_surroundings_survive_the_wire() -> None:
+def test_costmap_messages_round_trip() -> None:
     costs = np.arange(256, dtype=np.uint8).reshape(8, 32)
     grid = od.Costmap(costs, 0.05, (-1.5, 2.25))
     found = ros.costmap(sent(ros.costmap_message(TYPES, grid, "odom", 3.0)))
@@ -67,7 +67,7 @@ def test_surroundings_survive_the_wire() -> None:
     assert np.allclose(taken_back.footprint.vertices, outline.vertices, atol=1e-6)
 
 
-def test_what_is_shown_survives_the_wire() -> None:
+def test_marker_and_diagnostics_messages_round_trip() -> None:
     path = od.Path.from_poses([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.5, 0.0, 0.0)])
     markers = sent(ros.path_markers(TYPES, path, "map", 1.0, footprint=od.Footprint.rectangle(0.3, 0.3, 0.4)))
     marker = type(markers.markers[0])
@@ -80,15 +80,15 @@ def test_what_is_shown_survives_the_wire() -> None:
 
 
 def test_every_field_has_the_type_of_its_class() -> None:
-    """The classes check what they are given only where they are asked to; they are asked to here."""
-    tests = ("motion_survives", "surroundings_survive", "what_is_shown_survives")
-    script = "import test_conversions as t; " + "; ".join(f"t.test_{name}_the_wire()" for name in tests)
+    """The classes check the types of fields only with this environment variable."""
+    tests = ("motion_messages", "costmap_messages", "marker_and_diagnostics_messages")
+    script = "import test_conversions as t; " + "; ".join(f"t.test_{name}_round_trip()" for name in tests)
     checked = {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"}
     subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parent, env=checked, check=True)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_wrong_is_named(value: float) -> None:
+def test_invalid_messages_are_rejected(value: float) -> None:
     message = ros.path_message(TYPES, np.zeros((3, 3)), "map", 1.0)
     message.poses[1].pose.position.x = value
     with pytest.raises(ros.InvalidMessage, match=r"nav_msgs/msg/Path: poses\[1\]\.pose\.position\.x: must be finite"):

@@ -1,4 +1,4 @@
-"""Nav2's simple docks: parameters, what detections mean, contact and charge, docks by name."""
+"""Nav2's simple docks: parameters, detections, contact and charge, docks by name."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
-from optdock_ros.dock_database import Docks, docks_of_parameters
-from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
+from optdock_ros.dock_plugins import DockPlugin, Received, SimpleChargingDock, plugin_class
+from optdock_ros.docking_parameters import Docks, docks_of_parameters
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool
 
@@ -28,7 +28,7 @@ EXACT = {"external_detection_rotation_roll": -0.5 * math.pi, "external_detection
 
 
 def seen(x: float, y: float, z: float, turn: tuple[float, float, float, float]) -> PoseStamped:
-    """A detection in the camera's frame."""
+    """Return a detection in the camera's frame."""
     message = PoseStamped()
     message.header.stamp.sec, message.header.frame_id = 5, "camera"
     message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
@@ -41,7 +41,7 @@ FACING = (1.0, 0.0, 0.0, 0.0)
 
 
 def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
-    dock = SimpleNonChargingDock("dock", EXACT)
+    dock = DockPlugin("dock", EXACT)
     found = dock.detection(seen(0.1, -0.1, 1.3, FACING), CAMERA)
     # 0.2 m before the camera's 1.3 m, and Nav2's 0.2 m before the marker; right of the axis is negative y.
     assert found.pose.as_array() == pytest.approx([1.3, -0.1, 0.0], abs=1e-9)
@@ -49,13 +49,13 @@ def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
     assert (found.position_sigma, found.yaw_sigma) == (0.005, 0.01)
 
 
-def test_nav2s_own_defaults_are_a_quarter_turn_but_for_their_rounding() -> None:
-    found = SimpleNonChargingDock("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
+def test_nav2_default_rotations_are_rounded_quarter_turns() -> None:
+    found = DockPlugin("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array() == pytest.approx([1.3, 0.0, 0.0], abs=2e-3)
 
 
-def test_a_robot_that_backs_in_stands_turned_round() -> None:
-    dock = SimpleNonChargingDock("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
+def test_backward_docking_turns_the_docked_pose() -> None:
+    dock = DockPlugin("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
     found = dock.detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
     assert found.pose.as_array()[:2] == pytest.approx([1.3, 0.0], abs=1e-9)
     assert abs(found.pose.yaw) == pytest.approx(math.pi)
@@ -75,9 +75,9 @@ def test_a_robot_that_backs_in_stands_turned_round() -> None:
         (seen(0.0, 0.0, 1.0, (QUARTER, 0.0, 0.0, QUARTER)), "steep; look at dock.external_detection_rotation_"),
     ],
 )
-def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: str) -> None:
+def test_invalid_detections_are_rejected(message: PoseStamped, words: str) -> None:
     with pytest.raises(InvalidMessage, match=words):
-        SimpleNonChargingDock("dock", EXACT).detection(message, CAMERA)
+        DockPlugin("dock", EXACT).detection(message, CAMERA)
 
 
 @pytest.mark.parametrize(
@@ -93,10 +93,10 @@ def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: st
 )
 def test_wrong_parameters_are_refused_by_name(parameters: Mapping[str, object], words: str) -> None:
     with pytest.raises(InvalidValue, match=words):
-        SimpleNonChargingDock("dock", parameters)
+        DockPlugin("dock", parameters)
 
 
-def test_other_classes_are_refused_by_name() -> None:
+def test_unknown_classes_are_rejected_by_name() -> None:
     assert plugin_class("dock", "opennav_docking/SimpleChargingDock") is SimpleChargingDock
     with pytest.raises(DockNotValid, match="no dock of the class mine::Dock"):
         plugin_class("dock", "mine::Dock")
@@ -104,12 +104,12 @@ def test_other_classes_are_refused_by_name() -> None:
         plugin_class("dock", None)
 
 
-def told(message: Any, at: float = 10.0) -> Told:
-    """A message that came at a time."""
-    return Told(message, at)
+def told(message: Any, at: float = 10.0) -> Received:
+    """Return a message that arrived at 10 s."""
+    return Received(message, at)
 
 
-def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
+def test_recent_current_above_the_threshold_is_charging() -> None:
     dock = SimpleChargingDock("dock", {})
     assert dock.waits_for_charge
     assert dock.is_charging(None, 10.0) is False
@@ -118,7 +118,7 @@ def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
     assert dock.is_charging(told(BatteryState(current=math.nan)), 10.5) is False
     assert dock.is_charging(told(BatteryState(current=0.6)), 30.0) is False
     assert SimpleChargingDock("dock", {"use_battery_status": False}).is_charging(None, 10.0) is False
-    assert SimpleNonChargingDock("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is False
+    assert DockPlugin("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is False
 
 
 @pytest.mark.parametrize("use_battery_status", [True, False])
@@ -133,7 +133,7 @@ def test_nav2s_parameters_are_those_of_a_simple_dock(use_battery_status: bool, s
     assert made.parameters.charging_current == (0.7 if use_battery_status else None)
     assert made.waits_for_charge is dock.waits_for_charge is dock.uses_battery is use_battery_status
     assert made.back_out_distance == 0.3
-    chosen = SimpleNonChargingDock("dock", {**felt, "contact": "distance"}).dock_type({})
+    chosen = DockPlugin("dock", {**felt, "contact": "distance"}).dock_type({})
     assert not chosen.is_pressed_on
 
 
@@ -153,19 +153,19 @@ def test_a_dock_type_is_named_by_its_entry_point_and_takes_its_own_parameters() 
     assert dock.staging_pose(Pose2(1.0, 0.0, 0.0)).gap_to(Pose2(0.1, 0.1, 0.2)) < 1e-9
 
 
-def test_a_switch_tells_as_long_as_it_is_fresh() -> None:
+def test_switch_messages_expire() -> None:
     dock = plugin_class("bay", "SimpleDock")("bay", {"contact_topic": "photocell", "contact_timeout": 0.3})
     assert dock.contact_topic == "photocell"
     assert dock.is_switched(None, 10.0) is None
     assert dock.is_switched(told(Bool(data=True)), 10.2) is True
     assert dock.is_switched(told(Bool(data=False)), 10.2) is False
     assert dock.is_switched(told(Bool(data=True)), 10.4) is None
-    other = SimpleNonChargingDock("dock", {})
+    other = DockPlugin("dock", {})
     assert (other.contact_topic, other.is_switched(told(Bool(data=True)), 10.0)) == ("", None)
 
 
 def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:
-    """Nav2's pose of a dock points into it either way; a robot that docks backward stands with its back to it."""
+    """Nav2's pose of a dock points into it in either gear."""
     kind, dock = plugin_class("bay", "SimpleDock"), Pose2(2.0, 1.0, 0.5)
     for direction, turned in (("forward", 0.0), ("backward", math.pi)):
         found = kind("bay", {"dock_direction": direction, "staging_x_offset": -0.9}).staging_pose(dock)
@@ -183,15 +183,15 @@ def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:
         ("SimpleDok", {}, "unknown plugin 'SimpleDok'; did you mean SimpleDock"),
     ],
 )
-def test_a_dock_type_that_is_wrong_is_refused_by_name(name: str, parameters: Mapping[str, object], words: str) -> None:
+def test_invalid_dock_type_is_rejected_by_name(name: str, parameters: Mapping[str, object], words: str) -> None:
     with pytest.raises((InvalidValue, DockNotValid), match=words):
         plugin_class("bay", name)("bay", parameters)
 
 
-def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
-    dock = SimpleNonChargingDock("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
+def test_joints_that_push_without_turning_are_a_stall() -> None:
+    dock = DockPlugin("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
 
-    def joints(velocity: float, effort: float) -> Told:
+    def joints(velocity: float, effort: float) -> Received:
         return told(
             JointState(name=["arm", "left", "right"], velocity=[9.0, -velocity, velocity], effort=[0.0, effort, effort])
         )
@@ -207,8 +207,8 @@ def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
 
 
 def docks(**entries: Mapping[str, object]) -> Docks:
-    """Of one type `bay`, and those of parameters."""
-    plugins: dict[str, DockPlugin] = {"bay": SimpleNonChargingDock("bay", {})}
+    """Return docks of the type `bay`."""
+    plugins: dict[str, DockPlugin] = {"bay": DockPlugin("bay", {})}
     return Docks(plugins, docks_of_parameters({"docks": list(entries), **entries}))
 
 

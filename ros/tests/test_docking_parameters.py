@@ -1,4 +1,4 @@
-"""What the parameters of the docking server mean, and what is said of wrong ones."""
+"""The parameters of the docking server, and the faults of invalid ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHARGER = {"plugin": "opennav_docking::SimpleChargingDock"}
 
 
 def settings(**block: object) -> DockingSettings:
-    """Of a block with one type, `bay`."""
+    """Return the settings of a block with one dock type, `bay`."""
     whole = {"dock_plugins": ["bay"], "bay": CHARGER, **block}
     own = {name: value for name, value in whole.items() if name in DockingParameters.model_fields}
     return docking_settings(whole, DockingParameters.model_validate(own))
@@ -51,12 +51,12 @@ def test_nav2s_names_reach_the_executor() -> None:
 
 
 def dock_type(found: DockingSettings) -> DockType:
-    """What the executor asks about docks of the type `bay`."""
+    """Return the dock type `bay` of the executor."""
     return found.dock_type(found.plugins["bay"])
 
 
-def test_what_the_dock_type_does_is_not_a_setting_of_the_executor() -> None:
-    """Where the type is one of Nav2's, the block `executor` still says how a stall is told."""
+def test_settings_of_the_dock_type_are_not_settings_of_the_executor() -> None:
+    """For Nav2's dock types the block `executor` has the parameters of stalls."""
     said = {"stall_speed": 0.01, "stall_time": 0.6, "back_out_distance": 0.25}
     found = settings(executor=said)
     assert dock_type(found).back_out_distance == 0.25
@@ -76,7 +76,7 @@ def test_what_the_dock_type_does_is_not_a_setting_of_the_executor() -> None:
         settings(bay={"plugin": "MyDock"})
 
 
-def test_limits_are_the_controllers_where_the_robot_block_is_silent() -> None:
+def test_controller_block_has_the_default_limits() -> None:
     found = settings(
         controller={"v_linear_max": 0.15, "v_angular_max": 0.5, "k_phi": 3.0, "simulation_step": 0.1},
         robot={"limits": {"max_reverse_speed": 0.1, "max_curvature": math.inf}, "tracking": {"cross": 0.01}},
@@ -99,7 +99,7 @@ def test_a_type_of_docks_overrides_what_all_docks_have() -> None:
     assert (dock.tolerances.along, dock.tolerances.cross, dock.tolerances.yaw) == (0.01, 0.005, 0.01)
 
 
-def test_everything_that_is_wrong_is_said_at_once() -> None:
+def test_all_faults_are_raised_together() -> None:
     with pytest.raises(InvalidValue) as told:
         settings(
             bay={**CHARGER, "docking_treshold": 0.05, "staging_x_offset": "far"},

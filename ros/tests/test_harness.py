@@ -1,4 +1,4 @@
-"""The harness keeps its promises: no process is left, whatever ends the run."""
+"""The harness leaves no process behind, however a run ends."""
 
 from __future__ import annotations
 
@@ -33,29 +33,24 @@ child.wait()
 """
 
 
-def inner_run(folder: Path, then: str) -> subprocess.Popen[str]:
-    """A run of pytest with a process that has a child and ignores ctrl-C."""
-    sleeper = folder / "sleeper"
+def inner_run(folder: Path, then: str) -> tuple[subprocess.Popen[str], list[int]]:
+    """Start a pytest run with a process that ignores ctrl-C and has a child; return also both process ids."""
+    sleeper, pids, ours = folder / "sleeper", folder / "pids", Path(__file__).parent
     sleeper.write_text(SLEEPER.format(python=sys.executable))
     sleeper.chmod(0o755)
     (folder / "test_inner.py").write_text(textwrap.dedent(TEST.format(folder=str(folder), then=then)))
     (folder / "conftest.py").write_text("from conftest_of_ours import *\n\nProcesses.grace = 0.5\n")
-    ours = Path(__file__).parent
     (folder / "conftest_of_ours.py").write_text((ours / "conftest.py").read_text())
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--rootdir={folder}", str(folder)]
     env = {**os.environ, "PYTHONPATH": f"{folder}:{ours}"}
-    return subprocess.Popen(
+    run = subprocess.Popen(
         command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
     )
-
-
-def pids(folder: Path) -> list[int]:
-    """Of the process and its child, once they run."""
     end = time.monotonic() + 20.0
-    while not (folder / "pids").exists() or len((folder / "pids").read_text().split()) < 2:
+    while not pids.exists() or len(pids.read_text().split()) < 2:
         assert time.monotonic() < end
         time.sleep(0.02)
-    return [int(word) for word in (folder / "pids").read_text().split()]
+    return run, [int(word) for word in pids.read_text().split()]
 
 
 def gone(pid: int) -> bool:
@@ -67,57 +62,35 @@ def gone(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("end", ["failure", "ctrl-C"])
-def test_nothing_is_left_over_and_the_log_is_shown(tmp_path: Path, end: str) -> None:
-    run = inner_run(tmp_path, "assert False" if end == "failure" else "time.sleep(60)")
-    both = pids(tmp_path)
+def test_no_process_is_left_and_the_log_is_shown(tmp_path: Path, end: str) -> None:
+    run, both = inner_run(tmp_path, "assert False" if end == "failure" else "time.sleep(60)")
     if end == "ctrl-C":
         run.send_signal(signal.SIGINT)
-    said, _ = run.communicate(timeout=30)
+    output, _ = run.communicate(timeout=30)
     assert run.returncode != 0
-    assert all(gone(pid) for pid in both), said
+    assert all(gone(pid) for pid in both), output
     if end == "failure":
-        assert f"ready {both[0]}" in said
+        assert f"ready {both[0]}" in output
 
 
-def test_a_killed_run_takes_its_processes_with_it(tmp_path: Path) -> None:
-    run = inner_run(tmp_path, "time.sleep(60)")
-    child, process = pids(tmp_path)
+def test_a_killed_run_ends_its_processes(tmp_path: Path) -> None:
+    run, (child, process) = inner_run(tmp_path, "time.sleep(60)")
     run.kill()
     run.communicate()
     end = time.monotonic() + 5.0
     while not gone(process):
         assert time.monotonic() < end
         time.sleep(0.02)
-    os.kill(child, signal.SIGKILL)  # of a program that leaves its own children alone
+    os.kill(child, signal.SIGKILL)  # of a program that does not end its own children
 
 
-def test_a_process_that_does_not_end_shows_where_it_stands(tmp_path: Path) -> None:
-    stubborn = tmp_path / "stubborn"
-    stubborn.write_text(
-        SLEEPER.format(python=sys.executable).replace("child.wait()", "def here():\n    child.wait()\nhere()")
-    )
-    stubborn.chmod(0o755)
-    processes = Processes(tmp_path)
-    try:
-        process = processes(str(stubborn))
-        process.wait_for("ready")
-        with pytest.raises(AssertionError, match="still ran"):
-            process.stop(timeout=0.2)
-        assert "in here" in process.log()
-    finally:
-        processes.end()
-
-
-def test_two_runs_at_once_have_different_domains(domain: int) -> None:
+def test_two_runs_have_different_domains_and_parameters_are_passed_in_a_file(domain: int, tmp_path: Path) -> None:
     found = [free_domain() for _ in range(3)]
-    numbers = [number for number, _ in found]
     for _, keeper in found:
         keeper.close()
+    numbers = [number for number, _ in found]
     assert len({domain, *numbers}) == 4
     assert all(number in DOMAINS for number in numbers)
-
-
-def test_parameters_reach_a_process_in_a_file(tmp_path: Path) -> None:
     processes = Processes(tmp_path)
     try:
         cat = processes("/bin/echo", params={"a": 1.0, "block": {"b": True}})

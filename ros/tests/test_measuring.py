@@ -1,4 +1,4 @@
-"""What is believed of the newest messages, and what is not."""
+"""The measurements of the newest messages, and the rejected ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from optdock_ros.measuring import DatedCostmap, MeasurementRules, Measuring
+from optdock_ros.measuring import MeasurementRules, Measuring
 
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.costmap import Costmap
@@ -22,13 +22,13 @@ RULES = MeasurementRules("odom", "base_link", 0.1, 0.3, 1.0, 1.0)
 
 
 class Frames:
-    """The robot on the x axis, at 0.2 m/s since 100 s, told at 50 Hz until `newest`; a camera of its own."""
+    """A robot that moves along the x axis at 0.2 m/s from 100 s, with transforms until `newest`, and a camera."""
 
     newest = 100.0
     tilted = False
 
     def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
-        """As a buffer does."""
+        """As `TransformBuffer.lookup`."""
         assert tolerance == 0.0
         if source == "camera":
             return Transform(target, source, stamp or 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -41,12 +41,12 @@ class Frames:
 
 
 def stamp(seconds: float) -> Time:
-    """A time."""
+    """Return a time message."""
     return Time(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
 
 
 def odometry(at: float, speed: float = 0.2) -> Odometry:
-    """The robot's velocity."""
+    """Return a message with the robot's velocity."""
     message = Odometry(child_frame_id="base_link")
     message.header.frame_id, message.header.stamp = "odom", stamp(at)
     message.pose.pose.position.x = 0.2 * (at - 100.0)
@@ -56,14 +56,14 @@ def odometry(at: float, speed: float = 0.2) -> Odometry:
 
 
 def detected(at: float, frame: str = "camera") -> PoseStamped:
-    """The dock."""
+    """Return a detection of the dock."""
     message = PoseStamped()
     message.header.frame_id, message.header.stamp = frame, stamp(at)
     return message
 
 
 def measuring(frames: Frames, rules: MeasurementRules = RULES) -> Measuring:
-    """Detections are where their frame is."""
+    """Return measurements whose detections are at the origin of their frame."""
 
     def detect(message: Any, base: Transform) -> Detection:
         seconds = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
@@ -72,7 +72,7 @@ def measuring(frames: Frames, rules: MeasurementRules = RULES) -> Measuring:
     return Measuring(rules, frames, detect, lambda _: None)
 
 
-def test_pose_and_odometry_come_with_the_stamps_at_which_they_were_measured() -> None:
+def test_pose_and_odometry_have_their_stamps() -> None:
     frames = Frames()
     told = measuring(frames)
     for k in range(6):
@@ -93,14 +93,14 @@ def test_pose_and_odometry_come_with_the_stamps_at_which_they_were_measured() ->
     assert found.pose_stamp == 100.12
 
 
-def test_contact_and_current_are_asked_for_at_the_time_of_the_measurements() -> None:
+def test_contact_and_current_are_those_of_the_time() -> None:
     told = Measuring(RULES, Frames(), None, contact=lambda now: now > 100.0, current=lambda now: 0.01 * now)
     assert [told.measurements(now).contact for now in (99.0, 101.0)] == [False, True]
     assert told.measurements(102.0).current == pytest.approx(1.02)
     assert measuring(Frames()).measurements(100.0).current is None
 
 
-def test_the_odometry_of_another_frame_of_the_robot_is_that_of_its_base() -> None:
+def test_odometry_of_another_frame_is_transformed_to_the_base() -> None:
     told = measuring(Frames())
     message = odometry(100.0)
     message.child_frame_id = "camera"
@@ -111,7 +111,7 @@ def test_the_odometry_of_another_frame_of_the_robot_is_that_of_its_base() -> Non
     assert found.pose == Pose2(3.0, 0.0, 0.0)
 
 
-def test_a_pose_that_is_old_tilted_or_from_the_future_is_none() -> None:
+def test_old_tilted_and_future_poses_are_rejected() -> None:
     frames = Frames()
     told = measuring(frames)
     told.take_odometry(odometry(100.05))
@@ -130,7 +130,7 @@ def test_a_robot_that_stands_begins_at_rest() -> None:
     assert told.measurements(100.02).twist == Twist2(0.004)
 
 
-def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_old_velocity_and_its_pose_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = Frames()
     told = measuring(frames)
     assert told.measurements(100.0).pose is None, "none has come"
@@ -149,7 +149,7 @@ def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose(monkeypatch: pyt
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf])
-def test_a_velocity_that_is_no_number_is_not_taken(speed: float) -> None:
+def test_velocity_that_is_not_finite_is_rejected(speed: float) -> None:
     told = measuring(Frames())
     told.take_odometry(odometry(100.0))
     told.take_odometry(odometry(100.02, speed))
@@ -157,7 +157,7 @@ def test_a_velocity_that_is_no_number_is_not_taken(speed: float) -> None:
     assert "twist.twist" in told.faults["odometry"]
 
 
-def test_velocities_stamped_ahead_or_twice_are_not_taken() -> None:
+def test_future_and_duplicate_velocities_are_rejected() -> None:
     told = measuring(Frames())
     for at, speed in ((100.0, 0.2), (100.0, 0.9), (99.9, 0.9), (200.0, 0.9)):
         told.take_odometry(odometry(at, speed))
@@ -165,7 +165,7 @@ def test_velocities_stamped_ahead_or_twice_are_not_taken() -> None:
     assert "ahead of this clock" in told.faults["odometry"]
 
 
-def test_a_clock_that_goes_back_lets_nothing_of_before_be_believed() -> None:
+def test_clock_that_jumps_back_invalidates_measurements() -> None:
     frames = Frames()
     frames.newest = 105.0
     told = measuring(frames)
@@ -179,7 +179,7 @@ def test_a_clock_that_goes_back_lets_nothing_of_before_be_believed() -> None:
     assert told.measurements(100.02).pose is not None
 
 
-def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
+def test_detection_waits_for_its_transform_and_expires() -> None:
     frames = Frames()
     told = measuring(frames)
     told.measurements(100.0)
@@ -204,7 +204,7 @@ def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
     assert [one.stamp for one in told.measurements(100.56).detections] == [100.5, 100.54], "the oldest first"
 
 
-def test_what_was_seen_before_the_robot_was_followed_is_left_out() -> None:
+def test_detections_from_before_the_first_cycle_are_ignored() -> None:
     told = measuring(Frames())
     told.take_detection(detected(99.95))
     assert told.measurements(100.0).detections == ()
@@ -214,15 +214,15 @@ def test_what_was_seen_before_the_robot_was_followed_is_left_out() -> None:
     assert "detection" not in told.faults
 
 
-def test_a_costmap_is_told_as_long_as_it_is_new() -> None:
+def test_costmap_is_returned_until_it_is_old() -> None:
     told = measuring(Frames())
     grid = Costmap(np.zeros((2, 2), dtype=np.uint8), 0.1)
-    told.take_surroundings(DatedCostmap(grid, 100.0))
+    told.take_surroundings(grid, 100.0)
     assert told.measurements(100.5).costmap is grid
     assert told.measurements(100.9).costmap is grid
     assert told.measurements(101.1).costmap is None
     assert "1.10 s old" in told.faults["costmap"]
     without = measuring(Frames(), RULES._replace(costmap_timeout=None))
-    without.take_surroundings(DatedCostmap(grid, 100.0))
+    without.take_surroundings(grid, 100.0)
     assert without.measurements(100.5).costmap is None
     assert "costmap" not in without.faults

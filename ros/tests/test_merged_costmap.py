@@ -1,4 +1,4 @@
-"""Costmaps of several frames and topics as one: nothing that any of them shows is lost, but at the dock."""
+"""Merged costmaps keep every obstacle of their sources."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from optdock.model.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 
 
 def scattered(seed: int, side: float = 0.05, origin: tuple[float, float] = (0.3, -0.7)) -> Costmap:
-    """A grid of 40 x 30 cells, some of them occupied or unknown."""
+    """Return a grid of 40 x 30 cells, some of them occupied or unknown."""
     random = np.random.default_rng(seed)
     data = random.choice([FREE_SPACE, 100, LETHAL, NO_INFORMATION], p=[0.9, 0.05, 0.03, 0.02], size=(30, 40))
     return Costmap(data.astype(np.uint8), side, origin)
 
 
 def points_within(costmap: Costmap, count: int = 20000) -> np.ndarray:
-    """Random points on a grid."""
+    """Return random points on a grid."""
     return np.random.default_rng(1).uniform(costmap.lower, costmap.upper, size=(count, 2))
 
 
 @pytest.mark.parametrize(
     "frame", [Pose2(0.0, 0.0, 0.0), Pose2(0.35, -0.2, 0.0), Pose2(0.013, 0.02, 0.0), Pose2(1.0, 2.0, 0.7)]
 )
-def test_a_moved_costmap_is_nowhere_cheaper(frame: Pose2) -> None:
+def test_moved_costmap_has_no_lower_cost(frame: Pose2) -> None:
     before = scattered(0)
     after = moved(before, frame)
     points = points_within(before)
@@ -47,7 +47,7 @@ def test_a_moved_costmap_is_nowhere_cheaper(frame: Pose2) -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5])
-def test_only_what_is_wanted_is_moved(yaw: float) -> None:
+def test_moved_costmap_is_cropped_to_the_box(yaw: float) -> None:
     frame, box = Pose2(0.1, 0.2, yaw), (0.9, 0.3, 1.4, 0.7)
     after, whole = moved(scattered(0), frame, box), moved(scattered(0), frame)
     assert after.columns * after.rows <= 13 * 11
@@ -60,13 +60,13 @@ def test_only_what_is_wanted_is_moved(yaw: float) -> None:
 
 
 def at_origin(frame: Pose2, points: np.ndarray) -> np.ndarray:
-    """Points in the frame's own coordinates."""
+    """Return points in the frame's coordinates."""
     return transform_points(frame.inverse().as_array()[None], points)[0]
 
 
 @pytest.mark.parametrize("side", [0.05, 0.1, 0.02])
 @pytest.mark.parametrize("origin", [(0.3, -0.7), (0.31, -0.72), (-0.5, -1.0)])
-def test_both_costmaps_count_where_they_are_joined(side: float, origin: tuple[float, float]) -> None:
+def test_joined_costmap_has_the_obstacles_of_both(side: float, origin: tuple[float, float]) -> None:
     wide, local = scattered(2, side, origin), scattered(3, 0.05, (0.5, -0.5))
     both = joined(wide, local)
     for one in (wide, local):

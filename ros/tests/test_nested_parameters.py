@@ -1,4 +1,4 @@
-"""ROS parameters as blocks, what is wrong with them, and the life of a server in this process."""
+"""Nested ROS parameters and their faults, and the lifecycle of a server in this process."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from harness import Client, Lifecycle, spinning
 from optdock_ros.nested_parameters import (
-    Faults,
+    BlockReader,
     ServerParameters,
     clearance_parameters,
-    flattened,
-    merged,
     nested,
     parameters_of,
     plain,
@@ -38,12 +36,11 @@ if TYPE_CHECKING:
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-def test_blocks_and_dotted_names_are_the_same() -> None:
+def test_names_with_dots_are_nested() -> None:
     flat = {"a": 1, "b.c": [1.0], "b.d.e": "x"}
     assert nested(flat) == {"a": 1, "b": {"c": [1.0], "d": {"e": "x"}}}
-    assert flattened(nested(flat)) == flat
     for clash in ({"a": 1, "a.b": 2}, {"a.b": 2, "a": 1}):
-        with pytest.raises(InvalidValue, match=r"a value,? and a block"):
+        with pytest.raises(InvalidValue, match="both a value and a block"):
             nested(clash)
 
 
@@ -53,13 +50,7 @@ def test_values_are_plain() -> None:
     assert plain("x") == "x"
 
 
-def test_a_change_is_merged_and_an_unset_one_is_gone() -> None:
-    block = {"a": {"b": 1, "c": 2}}
-    changes = [Parameter("a.b", value=3), Parameter("a.c"), Parameter("d", value=[1, 2])]
-    assert merged(block, changes) == {"a": {"b": 3}, "d": [1, 2]}
-
-
-def test_names_that_nobody_reads() -> None:
+def test_unknown_names() -> None:
     block = {"costmap_topik": 1, "FollowPath": {}, "use_sim_time": True, "introspection_mode": "", "odd": 1, "ours": 2}
     faults, ignored = unknown_names(block, ("costmap_topic", "ours"), ("odd",))
     assert faults == ["costmap_topik: unknown parameter; did you mean costmap_topic?"]
@@ -68,18 +59,24 @@ def test_names_that_nobody_reads() -> None:
         assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout")) == ([], [theirs])
 
 
-def test_faults_are_told_at_once() -> None:
-    faults = Faults(["first"])
-    assert faults.attempt(lambda: clearance_parameters(0.1)) is not None
-    assert faults.attempt(lambda: clearance_parameters({"required": -1.0, "tapr": 1.0})) is None
+def test_all_faults_are_reported_together() -> None:
+    reader = BlockReader({"controller": 1.0})
+    assert reader.attempt(lambda: clearance_parameters(0.1), None) is not None
+    assert reader.attempt(lambda: clearance_parameters({"required": -1.0, "tapr": 1.0}), None) is None
+    assert (reader.inner("controller"), reader.inner("robot")) == ({}, {})
+    assert reader.known({"costmap_topic": 1, "costmap_topik": 2, "other": 3}, ["costmap_topic"], owner="x") == {
+        "costmap_topic": 1
+    }
+    assert reader.ignored == ["x.other"]
     with pytest.raises(InvalidValue) as caught:
-        faults.look()
-    assert str(caught.value).splitlines()[0] == "first"
+        reader.check()
     assert "clearance.required" in str(caught.value)
     assert "clearance.tapr: unknown key; did you mean taper?" in str(caught.value)
+    assert "x.costmap_topik: unknown parameter; did you mean costmap_topic?" in str(caught.value)
+    assert "controller: must be a block of parameters, got 1.0" in str(caught.value)
 
 
-def test_the_robot_in_the_words_of_the_scenario_format() -> None:
+def test_robot_block_in_the_scenario_format() -> None:
     said = robot_parameters({"drive": "ackermann", "limits": {"max_speed": 1, "wheelbase": 0.6, "max_curvature": 2}})
     assert said.footprint is None
     robot = said.robot(Footprint.from_radius(0.3))
@@ -104,14 +101,14 @@ def test_the_robot_in_the_words_of_the_scenario_format() -> None:
         (3.0, "robot: must be a block of parameters, got 3.0"),
     ],
 )
-def test_a_wrong_robot(block: object, words: str) -> None:
+def test_invalid_robot_block(block: object, words: str) -> None:
     with pytest.raises(InvalidValue) as caught:
         robot_parameters(block)
     assert words in str(caught.value)
 
 
-class Told(ServerParameters):
-    """Of the server below."""
+class TriedParameters(ServerParameters):
+    """Parameters of the server below."""
 
     speed: float = Field(1.0, gt=0, description="how fast [m/s]")
     topic: str = Field("somewhere", description="of something")
@@ -120,16 +117,16 @@ class Told(ServerParameters):
 
 @dataclass(frozen=True)
 class Settings:
-    """What the parameters of the server below mean."""
+    """Settings of the server below."""
 
     own: Any
     seen: int
 
 
 class Tried(Server[Settings]):
-    """A server that keeps a diary."""
+    """A server that records its method calls."""
 
-    Parameters = Told
+    Parameters = TriedParameters
     fixed = frozenset({"topic"})
 
     def __init__(self, name: str, **kwargs: Any) -> None:
@@ -163,20 +160,20 @@ class Tried(Server[Settings]):
         """As `Server.tear_down`."""
         self._note("tear_down")
 
-    def changed(self, before: Settings) -> None:
+    def changed(self) -> None:
         """As `Server.changed`."""
-        self._note(f"changed from {before.own.speed} to {self.settings.own.speed}")
+        self._note(f"changed to {self.settings.own.speed}")
 
 
 @pytest.fixture
 def server(context: None) -> Iterator[Tried]:  # noqa: ARG001 - a node needs it
-    """A server that nobody spins."""
+    """A server that is not spun."""
     made = Tried("tried", parameter_overrides=[Parameter("speed", value=2), Parameter("Other.x", value=1)])
     yield made
     made.destroy_node()
 
 
-def test_an_integer_stands_for_a_number_and_defaults_are_declared(server: Tried) -> None:
+def test_integers_are_numbers_and_defaults_are_declared(server: Tried) -> None:
     assert parameters_of(server)["speed"] == 2
     assert parameters_of(server)["names"] == ["a", "b"]
     assert server.trigger_configure() == SUCCESS
@@ -185,7 +182,7 @@ def test_an_integer_stands_for_a_number_and_defaults_are_declared(server: Tried)
 
 
 @pytest.mark.parametrize("word", ["set_up", "start", "stop", "tear_down"])
-def test_what_fails_ends_in_a_state_that_it_can_be_tried_from_again(server: Tried, word: str) -> None:
+def test_failed_transition_can_be_repeated(server: Tried, word: str) -> None:
     server.fails = word
     wanted = FAILURE if word == "set_up" else SUCCESS
     assert server.trigger_configure() == wanted
@@ -215,8 +212,12 @@ def test_shutdown_while_active_stops_first(server: Tried) -> None:
     assert server.diary.count("stop") == 1
 
 
-def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
+def test_changes_are_applied_together_or_not_at_all(server: Tried) -> None:
     server.trigger_configure()
+    changes = [Parameter("speed"), Parameter("names", value=["c"]), Parameter("Other.y", value=[1, 2])]
+    block = parameters_of(server, changes)
+    assert "speed" not in block, "an unset parameter is left out"
+    assert (block["names"], block["Other"]) == (["c"], {"x": 1, "y": [1, 2]})
     before = server.settings
     for refused in (
         [Parameter("speed", value=3.0), Parameter("topic", value="elsewhere")],
@@ -231,7 +232,7 @@ def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
     assert server.set_parameters_atomically([Parameter("topic", value="somewhere")]).successful
     assert server.set_parameters_atomically([Parameter("speed", value=3)]).successful
     assert server.settings.own.speed == 3.0
-    assert server.diary[-1] == "changed from 2.0 to 3.0"
+    assert server.diary[-1] == "changed to 3.0"
     server.trigger_cleanup()
     assert server.set_parameters_atomically([Parameter("speed", value=-1.0)]).successful
     assert server.trigger_configure() == FAILURE
@@ -272,7 +273,7 @@ def test_a_parameter_that_is_unset_has_its_default(server: Tried) -> None:
     for name in ("bond_heartbeat_period", "speed", "names"):
         assert server.set_parameters_atomically([Parameter(name)]).successful
     assert server.trigger_configure() == SUCCESS
-    assert server.settings.own == Told()
+    assert server.settings.own == TriedParameters()
 
 
 def test_transitions_by_services(client_node: Client, context: None) -> None:  # noqa: ARG001

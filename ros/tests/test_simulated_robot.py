@@ -1,4 +1,4 @@
-"""The simulated robot behaves as a real base, localization, detector and costmap would."""
+"""The simulated robot behaves like a real base, localization, detector and costmap."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def set_parameters(client: Client, values: Mapping[str, object]) -> list[Any]:
 
 
 def reset(client: Client, **values: object) -> None:
-    """The world anew."""
+    """Restart the world."""
     results = set_parameters(client, {name.replace("__", "."): value for name, value in values.items()})
     assert all(result.successful for result in results), results
     answer = client.call(Trigger, "/simulated_robot/reset")
@@ -54,7 +54,7 @@ def reset(client: Client, **values: object) -> None:
 
 
 def report(client: Client) -> dict[str, float]:
-    """The next report, made after now."""
+    """Return the next report."""
     heard = client.heard(DiagnosticArray, "/simulated_robot/report")
     client.until(lambda: len(heard) >= 2, what="a report")
     return {
@@ -63,7 +63,7 @@ def report(client: Client) -> dict[str, float]:
 
 
 def drive(client: Client, linear: float, angular: float, seconds: float) -> None:
-    """Command for a while, at 50 Hz."""
+    """Send commands at 50 Hz."""
     publisher = client.create_publisher(TwistStamped, "cmd_vel", 1)
     client.until(publisher.get_subscription_count)
     message = TwistStamped()
@@ -76,7 +76,7 @@ def drive(client: Client, linear: float, angular: float, seconds: float) -> None
 
 @pytest.fixture(scope="module")
 def robot(module_process: Processes, client_node: Client) -> Client:
-    """Exact sensors."""
+    """A robot with exact sensors."""
     module_process("simulated_robot", params=EXACT)
     heard = client_node.heard(Odometry, "odom")
     client_node.until(lambda: heard)
@@ -92,8 +92,8 @@ def test_the_watchdog_stops_it_when_commands_end(robot: Client) -> None:
     assert report(robot)["watchdog_stops"] == 1.0
 
 
-def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
-    """Chained as a server does it, with the rotation that Nav2's simple docks take by default."""
+def test_transforms_and_detections_locate_the_dock(robot: Client) -> None:
+    """The chain of transforms as in a server, with the default rotation of Nav2's simple docks."""
     static = robot.heard(TFMessage, "/tf_static", LATCHED)
     reset(robot, start=[1.8, 1.2, -0.2], dock_offset=[0.03, 0.02, 0.05])
     kept = robot.heard(TFMessage, "/tf", 100)
@@ -116,7 +116,7 @@ def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
 
 
 def homogeneous(position: Any, rotation: Any) -> np.ndarray[Any, Any]:
-    """A 4 x 4 matrix of a transform's parts."""
+    """Return a 4 x 4 matrix of a transform's parts."""
     x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
     found = np.eye(4)
     found[:3, :3] = [
@@ -129,7 +129,7 @@ def homogeneous(position: Any, rotation: Any) -> np.ndarray[Any, Any]:
 
 
 def about(axis: int, angle: float) -> np.ndarray[Any, Any]:
-    """A turn about a coordinate axis."""
+    """Return a rotation about a coordinate axis."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     found = np.eye(3)
@@ -137,7 +137,7 @@ def about(axis: int, angle: float) -> np.ndarray[Any, Any]:
     return found
 
 
-def test_the_costmap_shows_the_dock_and_goes_on_by_updates(robot: Client) -> None:
+def test_costmap_contains_the_dock_and_is_updated(robot: Client) -> None:
     whole = robot.heard(Costmap, "local_costmap/costmap_raw", LATCHED)
     updates = robot.heard(CostmapUpdate, "local_costmap/costmap_raw_updates")
     transforms = robot.heard(TFMessage, "/tf", 100)
@@ -176,13 +176,13 @@ def test_contact_at_the_stop_charges_and_stalls(robot: Client) -> None:
     assert said["contact"] == 1.0
 
 
-def test_a_collision_is_told(robot: Client) -> None:
+def test_collision_is_reported(robot: Client) -> None:
     reset(robot, start=[0.9, 0.25, math.pi])
     drive(robot, 0.2, 0.0, 1.0)
     assert report(robot)["clearance"] < 0.0
 
 
-def test_faults_stop_what_they_name_and_nothing_else(robot: Client) -> None:
+def test_faults_stop_only_their_topics(robot: Client) -> None:
     reset(robot, start=[1.8, 1.15, -0.2])
     topics = {
         "transforms": robot.heard(TFMessage, "/tf", 100),
@@ -213,8 +213,8 @@ def test_wrong_parameters_are_refused_by_name(robot: Client) -> None:
         assert words in result.reason
 
 
-def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processes, client_node: Client) -> None:
-    """A process that was stopped, or swapped out, must not tell of now as if it were then."""
+def test_stamps_are_current_after_a_suspension(process: Processes, client_node: Client) -> None:
+    """After a suspension the stamps are not in the past."""
     started = process("simulated_robot", args=("-r", "__ns:=/stalled", "-r", "/tf:=tf"))
     ages: list[float] = []
 
@@ -233,7 +233,7 @@ def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processe
 
 
 @pytest.mark.parametrize(("params", "words"), [({"ratee": 1.0}, "ratee: no such parameter; did you mean rate?")])
-def test_it_does_not_start_with_a_parameter_that_means_nothing(
+def test_unknown_parameter_is_rejected_at_the_start(
     process: Processes, params: Mapping[str, object], words: str
 ) -> None:
     started = process("simulated_robot", params=params)
@@ -241,7 +241,7 @@ def test_it_does_not_start_with_a_parameter_that_means_nothing(
     assert words in started.log()
 
 
-def test_its_own_clock_goes_faster_and_twist_without_a_stamp(process: Processes, client_node: Client) -> None:
+def test_simulated_clock_is_faster_and_twist_is_accepted(process: Processes, client_node: Client) -> None:
     started = process(
         "simulated_robot", params={"speed": 4.0, "enable_stamped_cmd_vel": False}, args=("-r", "__ns:=/fast")
     )

@@ -1,4 +1,4 @@
-"""`smoother_server` as a process: every answer that a client of Nav2's server knows."""
+"""`smoother_server` as a process: all results and error codes of Nav2's action."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import TransformStamped
 from hall import CELLS, ORIGIN, OUTLINE, RESOLUTION, Surroundings, hall, message, raw_path
-from harness import Lifecycle, spinning
+from harness import Lifecycle, flattened
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
-from optdock_ros import smoother_server
-from optdock_ros.nested_parameters import flattened
-from optdock_ros.smoother_server import SmootherServer
+from optdock_ros.smoother_server import SmootherServer, SmoothingTask
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -31,7 +29,6 @@ from optdock.model.costmap import Costmap as Grid
 from optdock.model.costs import LETHAL
 from optdock.model.path import Path
 from optdock.plugins.outcomes import SmoothingResult
-from smoothers import SimpleSmoother
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,10 +65,10 @@ def world(client_node: Client) -> Surroundings:
 
 @pytest.fixture(scope="module")
 def server(
-    module_process: Processes, module_lifecycle: Callable[[str], Lifecycle], client_node: Client, world: Surroundings
+    module_process: Processes, lifecycle: Callable[[str], Lifecycle], client_node: Client, world: Surroundings
 ) -> Process:
     started = module_process("smoother_server", PLUGINS)
-    module_lifecycle("smoother_server").up()
+    lifecycle("smoother_server").up()
     publisher = world._costmap
     client_node.until(lambda: publisher.get_subscription_count() and world._footprint.get_subscription_count())
     return started
@@ -79,7 +76,7 @@ def server(
 
 @pytest.fixture
 def fresh(server: Process, world: Surroundings) -> Surroundings:  # noqa: ARG001 - who hears it
-    """A costmap and an outline that have just come."""
+    """Publish a new costmap and outline."""
     world.costmap()
     world.footprint()
     time.sleep(0.1)
@@ -100,7 +97,7 @@ def send(client: Client, *args: Any, **kwargs: Any) -> Goal:
 
 
 def roughness(poses: np.ndarray) -> float:
-    """Mean change of direction between steps [rad]."""
+    """Return the mean change of direction between steps [rad]."""
     travel = np.arctan2(*np.diff(poses[:, :2], axis=0).T[::-1])
     return float(np.abs(np.angle(np.exp(1j * np.diff(travel)))).mean())
 
@@ -124,7 +121,7 @@ def test_smooths_a_path(client_node: Client, smoother: str) -> None:
     assert len(heard[-1].poses) == len(reply.result.path.poses)
 
 
-def test_a_path_in_another_frame_is_transformed_and_comes_back_in_it(fresh: Surroundings, client_node: Client) -> None:
+def test_path_in_another_frame_is_returned_in_it(fresh: Surroundings, client_node: Client) -> None:
     seen = Pose2(1.0, -2.0, 0.7)
     fresh.transform("map", "odom", seen)
     time.sleep(0.05)
@@ -141,8 +138,8 @@ def test_a_path_in_another_frame_is_transformed_and_comes_back_in_it(fresh: Surr
     assert np.abs(again[:, :2] - poses[:, :2]).max() < 1e-3
 
 
-def test_a_frame_that_leans_is_there_and_back_the_same(fresh: Surroundings, client_node: Client) -> None:
-    """The plane in it is not the plane in its inverse: a metre up and 0.05 rad are 50 mm."""
+def test_tilted_frame_there_and_back(fresh: Surroundings, client_node: Client) -> None:
+    """Its plane differs from that of its inverse by 50 mm at a height of 1 m and an angle of 0.05 rad."""
     seen = TransformStamped(child_frame_id="leaning")
     seen.header.frame_id, seen.transform.translation.z = "map", 1.0
     seen.transform.rotation.x, seen.transform.rotation.w = math.sin(0.025), math.cos(0.025)
@@ -182,12 +179,12 @@ def test_wrong_smoother(client_node: Client, asked: str) -> None:
 
 @pytest.mark.parametrize("smoother", ["simple", "casadi"])
 @pytest.mark.usefixtures("fresh")
-def test_no_time(client_node: Client, smoother: str) -> None:
+def test_duration_of_zero(client_node: Client, smoother: str) -> None:
     refused(client_node, SmoothPath.Result.TIMEOUT, "", smoother=smoother, seconds=0.0)
 
 
 @pytest.mark.usefixtures("fresh")
-def test_part_of_the_work_in_little_time(client_node: Client) -> None:
+def test_intermediate_result_after_a_short_duration(client_node: Client) -> None:
     reply = send(client_node, smoother="slow", seconds=0.1).reply()
     assert reply.status == GoalStatus.STATUS_SUCCEEDED
     assert reply.result.error_code == 0
@@ -195,23 +192,22 @@ def test_part_of_the_work_in_little_time(client_node: Client) -> None:
     assert len(reply.result.path.poses) == 200
 
 
-def boxed() -> Grid:
-    """The hall with a box on the path."""
-    data = np.array(hall().data)
-    data[MIDDLE - 3 : MIDDLE + 3, MIDDLE - 3 : MIDDLE + 3] = LETHAL
-    return Grid(data, RESOLUTION, ORIGIN)
-
-
-def test_collision(fresh: Surroundings, client_node: Client) -> None:
-    """A box in the way: asked to look, the server refuses; unasked it does not, as Nav2's."""
-    fresh.costmap(boxed())
+def test_collision_with_an_update_of_the_costmap(fresh: Surroundings, client_node: Client) -> None:
+    fresh.update(MIDDLE - 3, MIDDLE - 3, np.full((6, 6), LETHAL))
     time.sleep(0.1)
     refused(client_node, SmoothPath.Result.SMOOTHED_PATH_IN_COLLISION, "Smoothed Path collided at X", check=True)
     assert send(client_node, check=False).reply().result.error_code == 0
 
 
+def boxed() -> Grid:
+    """Return the hall with a box on the path."""
+    data = np.array(hall().data)
+    data[MIDDLE - 3 : MIDDLE + 3, MIDDLE - 3 : MIDDLE + 3] = LETHAL
+    return Grid(data, RESOLUTION, ORIGIN)
+
+
 def test_a_certified_path_within_a_cell_of_something(fresh: Surroundings, client_node: Client) -> None:
-    """Nav2's check looks at cells: a path that is proven to touch nothing may still graze one; the message helps."""
+    """Nav2's check uses whole cells, and may reject a certified path; the message says how to avoid that."""
     fresh.costmap(boxed())
     time.sleep(0.1)
     words = "its certified clearance is"
@@ -222,14 +218,8 @@ def test_a_certified_path_within_a_cell_of_something(fresh: Surroundings, client
     assert found.error_code == 0, found.error_msg
 
 
-def test_collision_of_a_part_that_came_later(fresh: Surroundings, client_node: Client) -> None:
-    fresh.update(MIDDLE - 3, MIDDLE - 3, np.full((6, 6), LETHAL))
-    time.sleep(0.1)
-    refused(client_node, SmoothPath.Result.SMOOTHED_PATH_IN_COLLISION, "Smoothed Path collided", check=True)
-
-
 def test_no_path_keeps_the_bounds(fresh: Surroundings, client_node: Client) -> None:
-    """A wall across the lane: the smoother that proves its results has none."""
+    """The certifying smoother has no result with a wall across the lane."""
     data = np.array(hall().data)
     data[:, MIDDLE : MIDDLE + 4] = LETHAL
     fresh.costmap(Grid(data, RESOLUTION, ORIGIN))
@@ -263,8 +253,8 @@ def test_invalid_path(client_node: Client, path: PathMessage, words: str) -> Non
 
 
 @pytest.mark.usefixtures("fresh")
-def test_a_path_without_headings_is_one_all_the_same(client_node: Client) -> None:
-    """Nav2's grid planners leave the identity in all poses but the last."""
+def test_path_without_headings(client_node: Client) -> None:
+    """Nav2's grid planners leave the identity in all poses but the last one."""
     poses = raw_path()[::-1].copy()
     poses[:-1, 2], poses[-1, 2] = 0.0, math.pi + poses[-1, 2]
     reply = send(client_node, message(poses), "casadi", check=True).reply()
@@ -274,25 +264,18 @@ def test_a_path_without_headings_is_one_all_the_same(client_node: Client) -> Non
 
 
 @pytest.mark.usefixtures("fresh")
-def test_cancel(client_node: Client) -> None:
+def test_preempt_and_cancel(client_node: Client) -> None:
+    preempted = send(client_node, smoother="slow", seconds=30.0)
     running = send(client_node, smoother="slow", seconds=30.0)
+    reply = preempted.reply(timeout=5.0)
+    assert (reply.status, reply.result.error_code) == (GoalStatus.STATUS_ABORTED, 0)
+    assert "newer goal" in reply.result.error_msg
     time.sleep(0.05)
     answer = running.cancel()
     assert len(answer.goals_canceling) == 1
     reply = running.reply(timeout=5.0)
     assert reply.status == GoalStatus.STATUS_CANCELED
     assert "cancelled" in reply.result.error_msg
-
-
-@pytest.mark.usefixtures("fresh")
-def test_a_newer_goal_takes_the_place(client_node: Client) -> None:
-    goals = [send(client_node, smoother="slow", seconds=30.0) for _ in range(3)]
-    last = send(client_node, smoother="simple").reply()
-    assert last.status == GoalStatus.STATUS_SUCCEEDED
-    for goal in goals:
-        reply = goal.reply()
-        assert reply.status == GoalStatus.STATUS_ABORTED
-        assert "newer goal" in reply.result.error_msg
 
 
 def set_atomically(client: Client, **values: object) -> Any:
@@ -307,7 +290,7 @@ def value_of(client: Client, name: str) -> float:
 
 
 @pytest.mark.usefixtures("fresh")
-def test_parameters_change_wholly_or_not_at_all_also_during_a_goal(client_node: Client) -> None:
+def test_parameters_change_together_or_not_at_all_during_a_goal(client_node: Client) -> None:
     running = send(client_node, smoother="slow", seconds=30.0)
     refusals = {
         "must be < 2": {"simple__w_data": 0.5, "simple__w_smooth": 0.9},
@@ -337,7 +320,7 @@ def test_parameters_are_listed_with_their_defaults(client_node: Client) -> None:
     assert wanted <= set(names)
 
 
-def test_inactive_takes_no_goal_and_deactivation_ends_one(
+def test_inactive_server_rejects_goals_and_deactivation_ends_them(
     fresh: Surroundings, client_node: Client, lifecycle: Callable[[str], Lifecycle]
 ) -> None:
     running, node = send(client_node, smoother="slow", seconds=30.0), lifecycle("smoother_server")
@@ -357,7 +340,7 @@ def test_inactive_takes_no_goal_and_deactivation_ends_one(
 
 
 def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Client, world: Surroundings) -> None:
-    """With `robot` and `clearance` what is returned keeps them, and one smoother needs no name."""
+    """Results keep the limits of `robot` and `clearance`; the only smoother needs no name."""
     outline = str(OUTLINE.vertices.tolist())
     parameters = {
         "autostart": True,
@@ -388,7 +371,7 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
     del running
 
 
-def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node: Client) -> None:
+def test_interrupt_answers_the_active_goal(process: Processes, client_node: Client) -> None:
     parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart": True, "costmap_topic": ""}
     started = process("smoother_server", parameters, args=["-r", "__node:=third", "-r", "smooth_path:=third_path"])
     started.wait_for("[third]: active")
@@ -398,27 +381,6 @@ def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node:
     reply = running.reply()
     assert reply.status == GoalStatus.STATUS_ABORTED
     assert "Traceback" not in started.log()
-
-
-def test_a_plugin_that_raises_anything(client_node: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nav2's server answers UNKNOWN to whatever it does not know; so does this one, and lives."""
-
-    def _raises(*_: Any, **__: Any) -> Any:
-        raise ZeroDivisionError("in a plugin")
-
-    monkeypatch.setattr(SimpleSmoother, "smooth", _raises)
-    given = {"costmap_topic": "", "footprint_topic": ""}
-    overrides = [Parameter(name, value=value) for name, value in given.items()]
-    node = SmootherServer("raising", namespace="apart", parameter_overrides=overrides)
-    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-    assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
-    with spinning(node):
-        for _ in range(2):
-            reply = client_node.send(SmoothPath, "/apart/smooth_path", goal_of(smoother="")).reply()
-            assert reply.status == GoalStatus.STATUS_ABORTED
-            assert reply.result.error_code == SmoothPath.Result.UNKNOWN
-            assert reply.result.error_msg == "ZeroDivisionError: in a plugin"
-        assert Lifecycle(client_node, "apart/raising").shutdown()
 
 
 @pytest.mark.parametrize(
@@ -449,7 +411,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
     overrides = [Parameter(name, value=value or None) for name, value in flattened(parameters).items()]
     node = SmootherServer("faulty", parameter_overrides=overrides)
     said: list[str] = []
-    node.say = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
+    node.log_error = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
     try:
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
         for word in ["configure failed", *words]:
@@ -458,8 +420,8 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
         node.destroy_node()
 
 
-def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
-    """Two smoothers of Nav2's class, with parameters of Nav2's; names of every Nav2 node are no fault."""
+def test_nav2_stock_parameters(context: None) -> None:  # noqa: ARG001
+    """Two smoothers of Nav2's class with Nav2's parameters, and the parameters of every Nav2 node."""
     block = {"plugin": SIMPLE, "tolerance": 1.0e-10, "max_its": 1000, "do_refinement": True}
     parameters = {
         "smoother_plugins": ["simple_smoother", "route_smoother"],
@@ -483,8 +445,8 @@ def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
         node.destroy_node()
 
 
-def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # noqa: ARG001
-    """After a cleanup; what was declared of the one before is no unknown parameter of it."""
+def test_class_of_a_plugin_can_change_after_cleanup(context: None) -> None:  # noqa: ARG001
+    """Parameters of the previous class are not unknown parameters of the new one."""
     parameters = {"smoother_plugins": ["one"], "one.plugin": SIMPLE, "one.tolerance": 1e-6}
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     node = SmootherServer("swapped", namespace="swapped", parameter_overrides=overrides)
@@ -511,10 +473,10 @@ def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # no
         (lambda path: SmoothingResult(Path.from_poses(path.poses[:-5], "map")), r"ends 0\.\d+ m off"),
     ],
 )
-def test_what_no_smoother_may_return(answer: Callable[[Any], Any], words: str) -> None:
+def test_invalid_results_of_smoothers(answer: Callable[[Any], Any], words: str) -> None:
     path = Path.from_poses(raw_path(), "map")
     poses = SimpleNamespace(segments=path.segments, poses=raw_path())
-    task = smoother_server._Task(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
+    task = SmoothingTask(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
     with pytest.raises(SmootherException, match=words):
         task.check_answer(answer(poses), "odd")
     task.check_answer(SmoothingResult(path), "even")

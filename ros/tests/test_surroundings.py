@@ -39,13 +39,13 @@ def node(context: None) -> Iterator[Node]:  # noqa: ARG001 - a node needs it
 
 @pytest.fixture(scope="module")
 def world(client_node: Client) -> Surroundings:
-    """Who publishes."""
+    """The publishers."""
     return Surroundings(client_node)
 
 
 @pytest.fixture
 def topic(node: Node, world: Surroundings, client_node: Client) -> Iterator[CostmapTopic]:
-    """A costmap topic that has heard a small grid."""
+    """A costmap topic with a small grid."""
     made = CostmapTopic(node, COSTMAP)
     world.costmap(small())
     client_node.until(lambda: heard(made), what="a costmap")
@@ -58,19 +58,19 @@ def topic(node: Node, world: Surroundings, client_node: Client) -> Iterator[Cost
 
 
 def small(value: int = 0) -> Grid:
-    """A grid of 4 x 3 cells."""
+    """Return a grid of 4 x 3 cells."""
     return Grid(np.full((3, 4), value, dtype=np.uint8), 0.5, (1.0, 2.0))
 
 
 def heard(topic: CostmapTopic) -> StampedCostmap | None:
-    """What a topic holds, if anything."""
+    """Return the costmap of a topic, or None."""
     try:
         return topic.newest()
     except SurroundingsError:
         return None
 
 
-def test_nothing_yet(node: Node) -> None:
+def test_no_costmap_yet(node: Node) -> None:
     silent = CostmapTopic(node, "silent/costmap_raw")
     with pytest.raises(SurroundingsError, match=r"silent/costmap_raw: no costmap yet"):
         silent.newest()
@@ -91,7 +91,7 @@ def test_a_costmap_and_its_updates(topic: CostmapTopic, world: Surroundings, cli
     client_node.until(lambda: np.all(topic.newest().costmap.data == 7), what="a whole costmap")
 
 
-def test_many_updates_that_nobody_asked_for(topic: CostmapTopic, world: Surroundings, client_node: Client) -> None:
+def test_many_updates_are_applied(topic: CostmapTopic, world: Surroundings, client_node: Client) -> None:
     for n in range(100):
         world.update(n % 4, n % 3, np.full((1, 1), n))
         time.sleep(0.002)
@@ -99,7 +99,7 @@ def test_many_updates_that_nobody_asked_for(topic: CostmapTopic, world: Surround
     assert len(topic._updates) < 32
 
 
-def test_an_update_that_does_not_fit_leaves_nothing_to_believe(
+def test_update_that_does_not_fit_invalidates_the_costmap(
     topic: CostmapTopic, world: Surroundings, client_node: Client
 ) -> None:
     world.update(3, 2, np.full((2, 2), 1))
@@ -111,7 +111,7 @@ def test_an_update_that_does_not_fit_leaves_nothing_to_believe(
     client_node.until(lambda: heard(topic))
 
 
-def test_what_is_no_costmap(topic: CostmapTopic, world: Surroundings, client_node: Client) -> None:
+def test_invalid_costmap(topic: CostmapTopic, world: Surroundings, client_node: Client) -> None:
     bad = ros.costmap_message(ros.imported, small(), "map", 1.0)
     bad.metadata.size_x = 5
     world._costmap.publish(bad)
@@ -139,7 +139,7 @@ def outline(node: Node) -> Iterator[tuple[FootprintTopic, TransformBuffer]]:
     buffer.close()
 
 
-def test_an_outline_is_taken_back_to_the_robot(
+def test_outline_is_transformed_to_the_robot(
     outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
 ) -> None:
     topic, buffer = outline
@@ -166,7 +166,7 @@ def test_an_outline_is_taken_back_to_the_robot(
     assert topic.newest()[0].length == pytest.approx(2.0)
 
 
-def test_an_outline_in_a_frame_that_nobody_knows(
+def test_outline_in_an_unknown_frame(
     outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
 ) -> None:
     topic, _ = outline
@@ -186,7 +186,7 @@ def test_the_outline_of_nav2s_parameters() -> None:
 
 
 def test_nav2s_collision_check() -> None:
-    """Its own unit test's numbers, an obstacle that only the inside covers, unknown cells, and the edge of the map."""
+    """Nav2's unit test, an obstacle inside the outline, unknown cells, and the border of the map."""
     square, free = Footprint.rectangle(1.0, 1.0, 2.0), np.zeros((100, 100), dtype=np.uint8)
     ring = np.full((100, 100), LETHAL, dtype=np.uint8)
     ring[40:61, 40:61] = 0

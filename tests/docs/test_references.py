@@ -251,7 +251,7 @@ def test_every_parameter_of_the_ros_servers_is_on_their_page():
 
 def test_the_stops_of_a_robot_are_told_with_the_defaults():
     page = (DOCS / "howto" / "ros2.md").read_text(encoding="utf-8")
-    stops = page[page.index("## What stops the robot") : page.index("## What it says")]
+    stops = page[page.index("## What stops the robot") : page.index("## Diagnostics")]
     models = generated.ros_models("docking_parameters")
     own, controller, executor = models["DockingParameters"](), models["ControllerParameters"](), ExecutorSettings()
     cycles = max(0.1, 5.0 / own.controller_frequency)
@@ -259,10 +259,10 @@ def test_the_stops_of_a_robot_are_told_with_the_defaults():
         "no new transform": f"{controller.transform_tolerance} + {executor.pose_patience} s",
         "no new odometry": f"{own.odom_duration} + {executor.pose_patience} s",
         "no new local costmap": f"{controller.costmap_timeout} + {cycles} s",
-        "something new": f"{executor.obstacle_patience:g} s",
-        "the dock is not seen": "know at the dock whether",
-        "the drive does not follow": f"{executor.progress_time:g} s",
-        "cycles that come": f"{executor.longest_tick} s",
+        "a new obstacle": f"{executor.obstacle_patience:g} s",
+        "no detections": "uncertainty at the dock",
+        "no motion despite": f"{executor.progress_time:g} s",
+        "a cycle more than": f"{executor.longest_tick} s",
     }
     rows = {what: next(row for row in stops.splitlines() if row.startswith(f"| {what}")) for what in told}
     assert {what: row for what, row in rows.items() if told[what] not in row} == {}

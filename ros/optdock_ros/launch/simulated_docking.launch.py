@@ -1,4 +1,4 @@
-"""The docking server and a simulated robot before its dock: nothing else is needed to see a docking.
+"""The docking server and a simulated robot in front of its dock.
 
     ros2 launch optdock_ros simulated_docking.launch.py
     ros2 action send_goal /dock_robot nav2_msgs/action/DockRobot "{dock_id: bay, navigate_to_staging_pose: false}"
@@ -16,7 +16,7 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Both nodes with one file of parameters."""
+    """Return both nodes, with one parameter file."""
     share = FindPackageShare("optdock_ros")
     default_file = PathJoinSubstitution([share, "config", "simulated_docking.yaml"])
     params_file = LaunchConfiguration("params_file")

@@ -1,7 +1,7 @@
-"""ROS 2 nodes that take the place of Nav2's smoother, planner and docking servers."""
+"""ROS 2 nodes that replace Nav2's smoother and docking servers."""
 
 import os
 
-# Before NumPy is loaded: on a busy machine the threads of its linear algebra wait for each other, and calls take up to
-# eight times as long. The planning process inherits it; a value that is set already is kept.
+# Set before NumPy is loaded, also for the planning process: on a busy machine the threads of its linear algebra wait
+# for each other, and calls take up to eight times as long.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

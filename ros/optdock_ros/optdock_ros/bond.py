@@ -1,66 +1,86 @@
-"""The heartbeat by which Nav2's lifecycle manager knows that a server lives.
+"""The heartbeat by which Nav2's lifecycle manager recognizes that a server is alive.
 
-The protocol is that of `bondcpp`: both sides of a bond publish `bond/msg/Status` under one id, each with an instance id
-of its own, and say with `active: false` that they end it. Nothing is asked of the other side here: a manager that is
-gone leaves a server as it is, as Nav2's own.
+The protocol is that of `bondcpp`: both sides of a bond publish `bond/msg/Status` with one id and an instance id per
+side, and end the bond with `active: false`. As in Nav2's servers, the manager's side is not monitored.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 import uuid
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.exceptions import InvalidHandle
 
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNode
-    from rclpy.timer import Timer
 
 __all__ = ["Bond"]
 
-TOPIC = "bond"  # in the namespace of the node, where the manager's is too
-PERIOD = 0.1  # [s]: Nav2's bond_heartbeat_period
-TIMEOUT = 4.0  # [s] without a heartbeat until the manager takes a server for dead: Nav2's
+TOPIC = "bond"  # relative to the namespace of the node, as the manager's
+TIMEOUT = 4.0  # [s] without a heartbeat after which the manager regards the server as dead: Nav2's default
 
 
 class Bond:
-    """The server's side of a bond; it beats in the executor of the node, so a node that hangs loses it.
+    """The server's side of a bond.
+
+    The heartbeat has its own thread, so that a busy executor does not delay it. It pauses if the executor of the node
+    has not run for `TIMEOUT`, so that a node that hangs loses its bond.
 
     Args:
         node: The server; its name is the id of the bond.
-        period: Between two heartbeats [s].
+        period: Period of the heartbeat [s].
 
     Raises:
-        ImportError: The messages of the package `bond` are not installed.
+        ImportError: If the messages of the package `bond` are not installed.
     """
 
-    def __init__(self, node: LifecycleNode, period: float = PERIOD) -> None:
+    def __init__(self, node: LifecycleNode, period: float) -> None:
         from bond.msg import Status
 
         self._node, self._period = node, period
         self._status = Status(id=node.get_name(), heartbeat_timeout=TIMEOUT, heartbeat_period=period)
         self._publisher = node.create_publisher(Status, TOPIC, 10)
-        self._timer: Timer | None = None
-        self._group = MutuallyExclusiveCallbackGroup()  # no other callback delays the heartbeat
+        self._ended: threading.Event | None = None
+        self._executor_ran_at = 0.0
+        self._group = MutuallyExclusiveCallbackGroup()
 
     def start(self) -> None:
-        """Form a new bond; a second call does nothing."""
-        if self._timer is not None:
+        """Form a new bond; a second call has no effect."""
+        if self._ended is not None:
             return
         self._status.instance_id = str(uuid.uuid4())
         self._status.active = True
-        self._timer = self._node.create_timer(self._period, self._beat, callback_group=self._group)
-        self._beat()
+        self._ended = threading.Event()
+        self._note_executor()
+        self._timer = self._node.create_timer(self._period, self._note_executor, callback_group=self._group)
+        self._thread = threading.Thread(target=self._beat, args=(self._ended,), name="bond", daemon=True)
+        self._thread.start()
 
     def end(self) -> None:
-        """Break the bond; where there is none nothing happens."""
-        if self._timer is None:
+        """Break the bond, if there is one."""
+        if self._ended is None:
             return
+        self._ended.set()
+        self._thread.join()
         self._node.destroy_timer(self._timer)
-        self._timer = None
+        self._ended = None
         self._status.active = False
-        self._beat()
+        self._publish()
 
-    def _beat(self) -> None:
+    def _note_executor(self) -> None:
+        self._executor_ran_at = time.monotonic()
+
+    def _beat(self, ended: threading.Event) -> None:
+        with suppress(InvalidHandle):  # the node has been destroyed
+            while not ended.is_set():
+                if time.monotonic() - self._executor_ran_at < TIMEOUT:
+                    self._publish()
+                ended.wait(self._period)
+
+    def _publish(self) -> None:
         self._status.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(self._status)

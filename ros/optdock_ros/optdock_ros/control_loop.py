@@ -1,7 +1,7 @@
-"""The control loop: a thread that steps one task after another at absolute deadlines, without ROS.
+"""The control loop: a thread that steps tasks at absolute deadlines, without ROS.
 
-Whatever happens, the last command is zero: a task ends at rest; what is raised in a cycle, and a clock that stands
-still, end in a ramp within the robot's limits. Only where even that fails does the command fall to zero at once.
+The last command is always zero. A task ends at rest; an exception in a cycle or a clock that stops ends in a ramp
+within the robot's limits. Only if the ramp fails too, the command drops to zero at once.
 """
 
 from __future__ import annotations
@@ -36,30 +36,23 @@ __all__ = ["ControlLoop", "CycleTimes", "TaskRun", "may_be_preferred"]
 
 logger = logging.getLogger(__name__)
 
-# Of a period, after which a command goes out: nearly every cycle is done by then, so what it took does not show in the
-# times between commands.
+# Fraction of the period after which a command is sent: nearly every cycle is done by then, so that its duration does
+# not vary the times between commands.
 _PHASE = 0.25
-_STANDSTILL = 0.5  # [s] of wall clock in which the clock of the measurements stands still: nothing can be timed by it
-_PAUSE = 0.5  # [s] without a command, after which bases have stopped by themselves; the executor's `longest_tick`
-_LONGEST_RAMP = 10.0  # [s]: no robot brakes for longer; then the command falls to zero
-_SLACK = 0.5  # [s] for cycles that are late while a robot brakes
-_KEPT = 3000  # cycles whose times are kept: a minute at 50 Hz
-_PRIORITY = 1  # the least of them: beyond everything that is not realtime, below whatever else is
+_STANDSTILL = 0.5  # [s] of wall clock without progress of the measurements' clock, after which it counts as stopped
+_PAUSE = 0.5  # [s] without a command after which bases stop by themselves; the executor's `longest_tick`
+_LONGEST_RAMP = 10.0  # [s]: longer than any robot brakes; then the command drops to zero
+_SLACK = 0.5  # [s] for late cycles of a braking robot
+_KEPT = 3000  # cycles whose times are kept: one minute at 50 Hz
+_PRIORITY = 1  # lowest real-time priority
 _REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-_NEVER = 1e-9  # [m/s], [rad/s]: slower is at rest, left by rounding
+_AT_REST = 1e-9  # [m/s], [rad/s]: rounding errors of a command at rest
 
 
 class CycleTimes(NamedTuple):
-    """How well the loop kept its rate, over the last minute or so.
+    """Cycles and missed deadlines of a task, and statistics over the last `_KEPT` cycles [s].
 
-    Attributes:
-        cycles: Since the task began.
-        missed: Deadlines that passed before the cycle began.
-        period: Wanted [s].
-        late_p99: 99th percentile of how late a command was sent [s].
-        late_max: The latest [s].
-        busy_p99: 99th percentile of what measuring and deciding took [s].
-        busy_max: The longest [s].
+    `late` is the delay of commands, `busy` the duration of measuring and deciding.
     """
 
     cycles: int
@@ -73,17 +66,16 @@ class CycleTimes(NamedTuple):
 
 @dataclass(eq=False)
 class TaskRun:
-    """One task, to be stepped until it has ended.
+    """The run of a task.
 
     Args:
-        executor: Of the task.
-        measure: What is known at a time [s]: called once in every cycle, in the thread of the loop.
-        observe: Takes what came of every cycle, in the thread of the loop; must return at once.
+        executor: Executor of the task.
+        measure: Returns the measurements at a time [s]; called once per cycle in the loop's thread.
+        observe: Callback with measurements and step of every cycle, in the loop's thread; must return at once.
 
     Attributes:
-        done: Set once the robot stands and the last command, zero, is out.
-        ending: How it ended; None before.
-        stopping: Why it is being stopped from outside; empty: it is not.
+        done: Set when the robot stands and the last command, zero, has been sent.
+        stopping: Reason of a stop from outside; empty otherwise.
     """
 
     executor: DockingExecutor
@@ -94,20 +86,20 @@ class TaskRun:
     stopping: str = ""
 
     def stop(self, reason: str) -> None:
-        """Stop the robot within its limits, and end the task as cancelled for this reason; from any thread."""
+        """Stop the robot within its limits and end the task as cancelled. Callable from any thread."""
         self.stopping = self.stopping or reason
         self.executor.cancel()
 
 
 class ControlLoop:
-    """Steps a `TaskRun` at a time.
+    """Steps one `TaskRun` at a time.
 
     Args:
-        robot: Whose limits the ramps keep.
-        period: Of the cycles [s].
-        now: The clock of the measurements [s].
-        send: Sends a command; called in the thread of the loop alone.
-        realtime: Whether the kernel prefers the threads of this process to those of others while a task is at work.
+        robot: Robot whose limits the ramps keep.
+        period: Period of the cycles [s].
+        now: Returns the time of the measurements [s].
+        send: Sends a command; called in the loop's thread.
+        realtime: Whether the threads of this process have real-time scheduling while a task runs.
     """
 
     def __init__(
@@ -130,24 +122,19 @@ class ControlLoop:
         self._aborted = self._silent = False
 
     @property
-    def run(self) -> TaskRun | None:
-        """The one at work, or the last one."""
-        return self._run
-
-    @property
     def is_running(self) -> bool:
-        """Whether a task is at work."""
+        """Whether a task is running."""
         return self._run is not None and not self._run.done.is_set()
 
     @property
     def times(self) -> CycleTimes:
-        """How well the rate was kept."""
+        """Statistics of the cycles."""
         late, busy = (np.array(list(kept) or [0.0]) for kept in (self._late, self._busy))
         worst = (float(value) for kept in (late, busy) for value in (np.percentile(kept, 99), kept.max()))
         return CycleTimes(self._count, self._missed, self.period, *worst)
 
     def start(self, run: TaskRun) -> None:
-        """Begin; one that is at work must have been waited for."""
+        """Start a task; the previous one must be done."""
         assert not self.is_running, "one task at a time"
         self._run, self._aborted = run, False
         self._count = self._missed = 0
@@ -157,10 +144,10 @@ class ControlLoop:
         self._thread.start()
 
     def close(self, reason: str, patience: float) -> bool:
-        """Stop what is at work, within the limits, or at once where that takes longer than `patience` [s].
+        """Stop the task within the limits of the robot, and abort it if that takes longer than `patience` [s].
 
         Returns:
-            Whether the robot was stopped within its limits.
+            Whether the executor stopped the robot in time.
         """
         run, thread = self._run, self._thread
         if run is None or thread is None:
@@ -173,8 +160,8 @@ class ControlLoop:
         self._aborted = True
         limits = self._robot.limits
         thread.join(braking_time(limits.max_speed, limits.max_deceleration, limits.max_jerk) + _SLACK)
-        if not run.done.is_set():  # it hangs in a cycle; whatever that gives when it comes back is not sent
-            is_free = self._sending.acquire(timeout=_SLACK)  # or it hangs in a middleware that takes nothing
+        if not run.done.is_set():  # a cycle hangs; a command that results from it later is not sent
+            is_free = self._sending.acquire(timeout=_SLACK)  # the middleware may hang as well
             self._silent = True
             try:
                 self._send(Twist2())
@@ -191,14 +178,13 @@ class ControlLoop:
         return Ending(EndingKind.UNKNOWN, reason, 0, self._stamp)
 
     def _work(self, run: TaskRun) -> None:
-        # Nothing that exists now will be garbage within this task: a collection in mid-motion need not walk over it.
         gc.collect()
-        gc.freeze()
+        gc.freeze()  # a garbage collection during the motion skips all existing objects
         try:
             if self._realtime:
                 prefer(_REALTIME, _PRIORITY)
             run.ending = self._drive(run)
-        except Exception as error:  # whatever it is, the robot must come to rest
+        except Exception as error:
             logger.exception("the control loop stops the robot")
             if run.ending is None:
                 run.ending = self._failed(f"{type(error).__name__}: {error}")
@@ -207,7 +193,7 @@ class ControlLoop:
             self._end(run)
 
     def _end(self, run: TaskRun) -> None:
-        """The last command is zero; the end is signalled whatever fails here."""
+        """Send zero as the last command and set `done`, also after exceptions."""
         try:
             if not self._silent:
                 self._put(Twist2())
@@ -232,7 +218,7 @@ class ControlLoop:
                 self._busy.append(time.monotonic() - began)
                 due = deadline + _PHASE * self.period
                 time.sleep(max(0.0, due - time.monotonic()))
-                if time.monotonic() - began < _PAUSE:  # else the next cycle begins anew, and decides for then
+                if time.monotonic() - began < _PAUSE:  # otherwise the command is outdated, and the next cycle decides
                     self._put(step.command)
                 self._count += 1
                 self._late.append(time.monotonic() - due)
@@ -250,7 +236,7 @@ class ControlLoop:
             deadline = self._sleep_until(deadline + self.period)
 
     def _sleep_until(self, deadline: float) -> float:
-        """Sleep until a deadline; one that has passed by more than a period is given up for the next one."""
+        """Sleep until a deadline, and return it; missed deadlines are skipped."""
         left = deadline - time.monotonic()
         if left > 0.0:
             time.sleep(left)
@@ -261,10 +247,10 @@ class ControlLoop:
         return deadline
 
     def _ramp_down(self) -> None:
-        """From the last command to rest within the robot's limits.
+        """Send commands from the last one to rest within the robot's limits.
 
-        It falls to zero at once where that fails, and where nothing has been sent for so long that the base has stopped
-        by itself: a ramp would throw a robot forward that stands.
+        No ramp is sent if no command has been sent for so long that the base has stopped by itself: the ramp would
+        accelerate it.
         """
         if time.monotonic() - self._sent_at > _PAUSE:
             return
@@ -275,7 +261,7 @@ class ControlLoop:
             until = deadline + _LONGEST_RAMP
             while time.monotonic() < until:
                 command = limiter.follow(Twist2(), direction, self.period, robot.limits, robot.drive, in_place=False)
-                if abs(command.linear) < _NEVER and abs(command.angular) < _NEVER:
+                if abs(command.linear) < _AT_REST and abs(command.angular) < _AT_REST:
                     break
                 self._put(command)
                 deadline = self._sleep_until(deadline + self.period)
@@ -291,21 +277,21 @@ class ControlLoop:
 
 
 def prefer(policy: int, priority: int) -> None:
-    """Have the kernel schedule all threads of this process so.
+    """Set the scheduling of all threads of this process.
 
-    All of them, because a thread that holds the interpreter and is not preferred lets the one that waits for it wait
-    for everybody. Threads and processes that are started meanwhile are as any other.
+    All threads, because a thread without priority that holds the interpreter lock delays the others. Threads and
+    processes that are started later have the default scheduling.
 
     Raises:
-        PermissionError: The user may not.
+        PermissionError: If the user has no permission.
     """
     for thread in Path("/proc/self/task").iterdir():
-        with suppress(ProcessLookupError):  # it has just ended
+        with suppress(ProcessLookupError):  # the thread has ended
             os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
 
 
 def may_be_preferred() -> bool:
-    """Whether this user's processes may be realtime ones."""
+    """Whether the user has the permission for real-time scheduling."""
     try:
         os.sched_setscheduler(0, _REALTIME, os.sched_param(_PRIORITY))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

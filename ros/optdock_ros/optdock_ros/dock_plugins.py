@@ -1,7 +1,7 @@
-"""Types of docks in a server: where to stage, how a detection becomes a docked pose, what the executor asks.
+"""Dock types of the docking server: staging poses, docked poses from detections, contact and charge.
 
-The parameters are those of opennav_docking's two classes, under their names and with their defaults; a dock type of
-third parties take their own beside them. The server talks to ROS; the plugins receive messages and answer questions.
+The parameters are those of opennav_docking's two dock plugins, with their names and defaults; dock types of third
+parties have their own parameters in addition. The server receives the messages, the plugins interpret them.
 """
 
 from __future__ import annotations
@@ -31,63 +31,52 @@ __all__ = [
     "DockPlugin",
     "OwnDock",
     "OwnDockParameters",
+    "Received",
     "SimpleChargingDock",
     "SimpleChargingDockParameters",
-    "SimpleNonChargingDock",
     "SimpleNonChargingDockParameters",
-    "Told",
     "plugin_class",
 ]
 
-_UNIT = 1e-3  # of a quaternion's length: rounded by hand, still meant as a rotation
-_STEEP = 0.5  # [rad] of the docked robot's x axis against the floor: beyond, its yaw is made of noise
-_STALL_AGE = 0.5  # [s]: joint states come at 10 Hz at least; older ones say nothing of now
-_CHARGE_AGE = 10.0  # [s]: battery states may come once in some seconds
+_UNIT = 1e-3  # tolerance of a quaternion's length
+_STEEP = 0.5  # [rad]: largest angle between the docked robot's x axis and the floor; its yaw is noise beyond
+_STALL_AGE = 0.5  # [s]: largest age of joint states, which are published at 10 Hz or more
+_CHARGE_AGE = 10.0  # [s]: largest age of battery states, which are published every few seconds
+_LEVEL = (0.0, 0.0, 0.0, 1.0)  # quaternion of the identity
 
 
 class SimpleNonChargingDockParameters(PluginParameters):
     """Parameters of a dock without a charger."""
 
     dock_direction: Literal["forward", "backward"] = Field(
-        default="forward", description="gear of the last motion; the dock's pose points into it either way"
+        "forward", description="gear into the dock; its pose points inward either way"
     )
-    rotate_to_dock: bool = Field(
-        default=False, description="see the dock ahead, turn round, and back in without seeing it"
-    )
-    staging_x_offset: float = Field(default=-0.7, description="of the staging pose along the dock's x [m]")
-    staging_yaw_offset: float = Field(default=0.0, description="added to the dock's yaw there [rad]")
-    docking_threshold: float = Field(default=0.05, gt=0.0, description="nearer than this, contact is believed [m]")
+    rotate_to_dock: bool = Field(default=False, description="detect the dock ahead, turn round, back in")
+    staging_x_offset: float = Field(-0.7, description="of the staging pose along the dock's x [m]")
+    staging_yaw_offset: float = Field(0.0, description="added to the dock's yaw there [rad]")
+    docking_threshold: float = Field(0.05, gt=0, description="contact is only accepted nearer than this [m]")
 
-    use_external_detection_pose: bool = Field(default=False, description="the dock is where detected_dock_pose says")
-    external_detection_timeout: float = Field(default=1.0, gt=0.0, description="older detections are not used [s]")
-    external_detection_translation_x: float = Field(
-        default=-0.2, description="docked robot, from what is detected, along the docked robot's x [m]"
-    )
-    external_detection_translation_y: float = Field(default=0.0, description="as above, along its y [m]")
-    external_detection_rotation_roll: float = Field(
-        default=-1.57, description="turns what is detected into the dock's frame: z up, x into the dock [rad]"
-    )
-    external_detection_rotation_pitch: float = Field(default=1.57, description="as above; after the roll [rad]")
-    external_detection_rotation_yaw: float = Field(default=0.0, description="as above; after the pitch [rad]")
-    filter_coef: float = Field(
-        default=0.1, description="Nav2's filter of detections; not read, the estimate weighs them by their sigmas"
-    )
-    detection_position_sigma: float = Field(
-        default=0.005, gt=0.0, description="standard deviation of a detection's x and y, each; ours [m]"
-    )
-    detection_yaw_sigma: float = Field(default=0.01, gt=0.0, description="as above, of its yaw; ours [rad]")
+    use_external_detection_pose: bool = Field(default=False, description="the dock's pose is detected, not stored")
+    external_detection_timeout: float = Field(1.0, gt=0, description="older detections are not used [s]")
+    external_detection_translation_x: float = Field(-0.2, description="detection to docked robot, along its x [m]")
+    external_detection_translation_y: float = Field(0.0, description="as above, along its y [m]")
+    external_detection_rotation_roll: float = Field(-1.57, description="detection to dock: z up, x inward [rad]")
+    external_detection_rotation_pitch: float = Field(1.57, description="as above; after the roll [rad]")
+    external_detection_rotation_yaw: float = Field(0.0, description="as above; after the pitch [rad]")
+    filter_coef: float = Field(0.1, description="not read: the estimate weights detections by their sigmas")
+    detection_position_sigma: float = Field(0.005, gt=0, description="of a detection's x and y, each; ours [m]")
+    detection_yaw_sigma: float = Field(0.01, gt=0, description="as above, of its yaw; ours [rad]")
 
     contact: Literal["", "distance", "touch"] = Field(
-        default="",
-        description="docked by the estimate, or pressing on until it is felt; empty: felt with stall detection; ours",
+        "", description="by distance or touch; empty: touch with stall detection; ours"
     )
-    use_stall_detection: bool = Field(default=False, description="contact is felt: joints that push and do not turn")
-    stall_joint_names: list[str] = Field(default=[], description="which joints; the mean of them counts")
-    stall_velocity_threshold: float = Field(default=1.0, ge=0.0, description="slower is a stall [rad/s]")
-    stall_effort_threshold: float = Field(default=1.0, ge=0.0, description="and a larger effort [Nm]")
+    use_stall_detection: bool = Field(default=False, description="contact by joints that push without turning")
+    stall_joint_names: list[str] = Field([], description="these joints; their mean counts")
+    stall_velocity_threshold: float = Field(1.0, ge=0, description="slower is a stall [rad/s]")
+    stall_effort_threshold: float = Field(1.0, ge=0, description="and a larger effort [Nm]")
 
-    detector_service_name: str = Field(default="", description="std_srvs/Trigger that switches the detector")
-    detector_service_timeout: float = Field(default=5.0, gt=0.0, description="for its answer [s]")
+    detector_service_name: str = Field("", description="std_srvs/Trigger that switches the detector")
+    detector_service_timeout: float = Field(5.0, gt=0, description="for its answer [s]")
     subscribe_toggle: bool = Field(default=False, description="subscribe to detections while docking only")
 
     @model_validator(mode="after")
@@ -102,89 +91,87 @@ class SimpleNonChargingDockParameters(PluginParameters):
 class SimpleChargingDockParameters(SimpleNonChargingDockParameters):
     """Parameters of a dock that charges."""
 
-    use_battery_status: bool = Field(default=True, description="battery_state tells whether it charges; else contact")
-    charging_threshold: float = Field(default=0.5, description="a larger current charges [A]")
+    use_battery_status: bool = Field(default=True, description="charging is read from battery_state; else from contact")
+    charging_threshold: float = Field(0.5, description="a larger current charges [A]")
 
 
-class Told(NamedTuple):
-    """A message, and when it came [s]."""
+class Received(NamedTuple):
+    """A message and the time of its arrival [s]."""
 
     message: Any
     at: float
 
 
 class DockPlugin:
-    """A type of docks.
+    """A dock type, and Nav2's dock without a charger.
 
     Args:
-        name: Of the instance; a dock's `type` refers to it.
-        parameters: Names and values, as a file has them.
+        name: Name of the instance, to which the `type` of a dock refers.
+        parameters: Names and values, as in a parameter file.
 
     Raises:
-        InvalidValue: A parameter is unknown, of the wrong type or out of range; every fault on a line.
+        InvalidValue: If a parameter is unknown or invalid; one line per fault.
+
+    Attributes:
+        uses_battery: Whether the state of the battery is used.
+        contact_topic: Topic of a contact switch; empty if there is none.
+        is_charger: Whether a docked robot may be charged.
     """
 
     Parameters: type[SimpleNonChargingDockParameters] = SimpleNonChargingDockParameters
+    is_charger = False
 
     def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
         self.name = name
         self.parameters = p = parse_parameters(self.Parameters, parameters, name)
+        self.uses_battery = bool(getattr(p, "use_battery_status", False))
+        self.contact_topic = str(getattr(p, "contact_topic", ""))
         self._rotation = _quaternion(
             p.external_detection_rotation_roll, p.external_detection_rotation_pitch, p.external_detection_rotation_yaw
         )
 
-    def docked_pose(self, dock: Pose2) -> Pose2:
-        """Where the robot stands when docked."""
-        return docked_pose(dock, self.direction)
-
-    def stored_pose(self, docked: Pose2) -> Pose2:
-        """The dock's pose as Nav2 writes it, of a robot that stands docked."""
-        return self.docked_pose(docked)  # half a turn is its own inverse
-
-    def staging_pose(self, dock: Pose2) -> Pose2:
-        """Where the approach to a dock begins."""
-        p = self.parameters
-        return dock @ Pose2(p.staging_x_offset, 0.0, p.staging_yaw_offset)
-
-    @property
-    def is_charger(self) -> bool:
-        """Whether a robot that is docked may be charged."""
-        return False
-
-    @property
-    def uses_battery(self) -> bool:
-        """Whether the state of the battery counts."""
-        return False
-
     @classmethod
     def known_names(cls) -> frozenset[str]:
-        """The names of all parameters."""
+        """Return the names of all parameters."""
         return frozenset(cls.Parameters.model_fields)
-
-    def dock_type(self, settings: Mapping[str, object]) -> DockType:
-        """What the executor asks: a new one for every task.
-
-        Args:
-            settings: Parameters of `SimpleDock` that the executor's settings give.
-        """
-        p = self.parameters
-        contact = p.contact or ("touch" if p.use_stall_detection else "distance")
-        return SimpleDock(contact=contact, **settings)
 
     @property
     def direction(self) -> DockDirection:
         """Gear of the last motion."""
         return DockDirection(self.parameters.dock_direction)
 
-    def detection(self, message: Any, base: Transform) -> Detection:
-        """What a detection says of the docked pose.
+    def docked_pose(self, dock: Pose2) -> Pose2:
+        """Return the pose of the docked robot."""
+        return docked_pose(dock, self.direction)
+
+    def stored_pose(self, docked: Pose2) -> Pose2:
+        """Return Nav2's pose of the dock of a docked robot."""
+        return self.docked_pose(docked)  # half a turn is its own inverse
+
+    def staging_pose(self, dock: Pose2) -> Pose2:
+        """Return the pose at which the approach to a dock begins."""
+        p = self.parameters
+        return dock @ Pose2(p.staging_x_offset, 0.0, p.staging_yaw_offset)
+
+    def dock_type(self, settings: Mapping[str, object]) -> DockType:
+        """Return a new dock type for the executor.
 
         Args:
-            message: What is seen, in the frame of its header.
-            base: That frame seen from the robot, at the time of the message.
+            settings: Parameters of `SimpleDock` from the executor's settings.
+        """
+        p = self.parameters
+        contact = p.contact or ("touch" if p.use_stall_detection else "distance")
+        return SimpleDock(contact=contact, **settings)
+
+    def detection(self, message: Any, base: Transform) -> Detection:
+        """Return the docked pose of a detection.
+
+        Args:
+            message: Detected pose, in the frame of its header.
+            base: Pose of that frame in the robot's frame, at the time of the message.
 
         Raises:
-            InvalidMessage: A number is not finite, the rotation is none, or what the parameters make of it points up or
+            InvalidMessage: If a number is not finite, the orientation is invalid, or the dock's x axis points up or
                 down instead of along the floor.
         """
         place, turn = message.pose.position, message.pose.orientation
@@ -198,7 +185,7 @@ class DockPlugin:
         unit = tuple(part / length for part in rotation)
         seen = base @ Transform(base.source, "dock", base.stamp, translation, unit)  # type: ignore[arg-type]  # four
         turned = seen @ Transform("dock", "docked", base.stamp, (0.0, 0.0, 0.0), self._rotation)
-        ahead = (turned @ Transform("docked", "ahead", base.stamp, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))).translation
+        ahead = (turned @ Transform("docked", "ahead", base.stamp, (1.0, 0.0, 0.0), _LEVEL)).translation
         x, y, z = (tip - foot for tip, foot in zip(ahead, turned.translation, strict=True))
         if abs(z) > math.sin(_STEEP):
             raise InvalidMessage(
@@ -211,20 +198,16 @@ class DockPlugin:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         return Detection(stamp, self.docked_pose(dock), p.detection_position_sigma, p.detection_yaw_sigma)
 
-    def is_stalled(self, told: Told | None, now: float) -> bool:
-        """Whether joints push and do not turn.
-
-        Args:
-            told: The newest sensor_msgs/JointState.
-            now: [s].
+    def is_stalled(self, received: Received | None, now: float) -> bool:
+        """Whether the joints push without turning, by the newest sensor_msgs/JointState.
 
         Raises:
-            InvalidMessage: A joint of the list tells no velocity or no effort.
+            InvalidMessage: If velocity or effort of a joint is missing.
         """
         p = self.parameters
-        if told is None or not p.use_stall_detection or now - told.at > _STALL_AGE:
+        if received is None or not p.use_stall_detection or now - received.at > _STALL_AGE:
             return False
-        message = told.message
+        message = received.message
         rows = [i for i, name in enumerate(message.name) if name in p.stall_joint_names]
         if not rows:
             return False
@@ -235,61 +218,44 @@ class DockPlugin:
         # NaN is not a stall: comparisons with it are false.
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
-    @property
-    def contact_topic(self) -> str:
-        """The topic of a switch; empty where there is none."""
-        return ""
-
-    def is_switched(self, told: Told | None, now: float) -> bool | None:  # noqa: ARG002 - of those that have a switch
-        """What a switch tells; None where nothing does.
-
-        Args:
-            told: The newest std_msgs/Bool of `contact_topic`.
-            now: [s].
-        """
-        return None
-
-    def current(self, told: Told | None, now: float) -> float | None:
-        """Into the battery [A]; None without a recent message, or where the current is not a number.
-
-        Args:
-            told: The newest sensor_msgs/BatteryState.
-            now: [s].
-        """
-        if not self.uses_battery or told is None or now - told.at > _CHARGE_AGE:
+    def is_switched(self, received: Received | None, now: float) -> bool | None:
+        """Return the state of the contact switch; None without a recent std_msgs/Bool of `contact_topic`."""
+        if (
+            received is None
+            or not self.contact_topic
+            or now - received.at > getattr(self.parameters, "contact_timeout", 0.0)
+        ):
             return None
-        current = float(told.message.current)
+        return bool(received.message.data)
+
+    def current(self, received: Received | None, now: float) -> float | None:
+        """Return the current of the newest sensor_msgs/BatteryState [A]; None without a recent, finite value."""
+        if not self.uses_battery or received is None or now - received.at > _CHARGE_AGE:
+            return None
+        current = float(received.message.current)
         return current if math.isfinite(current) else None
 
-    def is_charging(self, told: Told | None, now: float) -> bool:
-        """Whether the battery is being charged, as far as its state tells.
-
-        Args:
-            told: The newest sensor_msgs/BatteryState.
-            now: [s].
+    def is_charging(self, received: Received | None, now: float) -> bool:
+        """Whether the battery is being charged, by the newest sensor_msgs/BatteryState.
 
         Raises:
-            PluginError: A dock type gives an answer that is none.
+            PluginError: If the dock type returns an invalid value.
         """
-        return self._asked.is_charging(Measurements(now, None, current=self.current(told, now)))
+        return self._checked_type.is_charging(Measurements(now, None, current=self.current(received, now)))
 
     @property
     def waits_for_charge(self) -> bool:
-        """Whether contact is not enough.
+        """Whether docking ends with the charge instead of the contact.
 
         Raises:
-            PluginError: A dock type gives an answer that is none.
+            PluginError: If the dock type returns an invalid value.
         """
-        return self._asked.waits_for_charge
+        return self._checked_type.waits_for_charge
 
     @property
-    def _asked(self) -> CheckedDockType:
-        """A dock type for what is asked beside a task."""
+    def _checked_type(self) -> CheckedDockType:
+        """A new dock type, for queries outside a task."""
         return CheckedDockType(self.dock_type({}))
-
-
-class SimpleNonChargingDock(DockPlugin):
-    """Nav2's dock without a charger, such as a conveyor or a shelf."""
 
 
 class SimpleChargingDock(DockPlugin):
@@ -297,19 +263,10 @@ class SimpleChargingDock(DockPlugin):
 
     Parameters = SimpleChargingDockParameters
     parameters: SimpleChargingDockParameters
-
-    @property
-    def is_charger(self) -> bool:
-        """True, also where the battery is not asked."""
-        return True
-
-    @property
-    def uses_battery(self) -> bool:
-        """As the parameter says."""
-        return self.parameters.use_battery_status
+    is_charger = True
 
     def dock_type(self, settings: Mapping[str, object]) -> DockType:
-        """With a current above the threshold as contact and charge, and waiting for it."""
+        """As `DockPlugin`; if the battery is used, docking waits for a current above the threshold."""
         if not self.uses_battery:
             return super().dock_type(settings)
         threshold = self.parameters.charging_threshold
@@ -317,114 +274,88 @@ class SimpleChargingDock(DockPlugin):
 
 
 class OwnDockParameters(SimpleNonChargingDockParameters):
-    """Parameters of a server's dock whose `DockType` is a plugin's, beside the plugin's own."""
+    """Parameters of a dock with a third party's `DockType`, in addition to those of the dock type."""
 
-    use_battery_status: bool = Field(default=False, description="battery_state tells the dock type the current")
+    use_battery_status: bool = Field(default=False, description="pass the current of battery_state to the dock type")
 
-    contact_topic: str = Field(default="", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
-    contact_timeout: float = Field(default=0.5, gt=0.0, description="what it said before says nothing of now [s]")
+    contact_topic: str = Field("", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
+    contact_timeout: float = Field(0.5, gt=0, description="older messages of it are not used [s]")
 
     @model_validator(mode="after")
-    def _says_nothing_twice(self) -> OwnDockParameters:
+    def _has_no_contact(self) -> OwnDockParameters:
         if self.contact:
             raise ValueError("contact is for the dock type to say")
         return self
 
 
 class OwnDock(DockPlugin):
-    """A dock type of a third party, found by its entry point.
+    """A third party's dock type, found by its entry point.
 
-    Parameters that the dock type declares are its own; the others are of `OwnDockParameters`.
-
-    Args:
-        name: As of `DockPlugin`.
-        parameters: Of both.
+    Parameters that the dock type declares are passed to it; the others are those of `OwnDockParameters`.
 
     Raises:
         InvalidValue: As `DockPlugin`.
-        PluginError: The dock type cannot be built.
+        PluginError: If the dock type cannot be built.
 
     Attributes:
-        entry_point: Name of the dock type; of a subclass that `plugin_class` makes.
+        entry_point: Name of the dock type; set by the subclass that `plugin_class` returns.
     """
 
     Parameters = OwnDockParameters
-    parameters: OwnDockParameters
     entry_point = ""
 
     def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
         kind = load_plugin(DockType, self.entry_point)
         names = _own_names(kind)
         self._own = {key: value for key, value in parameters.items() if key in names}
-        parse_parameters(kind.Parameters, self._own, name)  # faults under the name of the block
+        parse_parameters(kind.Parameters, self._own, name)  # names the block in faults
         super().__init__(name, {key: value for key, value in parameters.items() if key not in names})
-        self.dock_type({})  # what cannot be built is said before a robot waits for it
+        self.is_charger = self.waits_for_charge
 
     @classmethod
     def known_names(cls) -> frozenset[str]:
-        """Those of the dock type, and those of the server."""
+        """Return the names of the parameters of the dock type and of the server."""
         return super().known_names() | _own_names(load_plugin(DockType, cls.entry_point))
 
     def staging_pose(self, dock: Pose2) -> Pose2:
-        """The first that the dock type prefers; where the dock is seen ahead before the robot turns, as of the others.
+        """Return the first staging pose of the dock type, or that of `DockPlugin` with `rotate_to_dock`.
 
         Raises:
-            PluginError: A dock type gives an answer that is none.
+            PluginError: If the dock type returns an invalid value.
         """
         p = self.parameters
         if p.rotate_to_dock:
             return super().staging_pose(dock)
         gear = 1.0 if self.direction is DockDirection.FORWARD else -1.0
-        return self.docked_pose(dock) @ self._asked.staging_poses(gear, abs(p.staging_x_offset))[0]
+        return self.docked_pose(dock) @ self._checked_type.staging_poses(gear, abs(p.staging_x_offset))[0]
 
-    def dock_type(self, settings: Mapping[str, object]) -> DockType:  # noqa: ARG002 - of SimpleDock alone
-        """The plugin's."""
+    def dock_type(self, settings: Mapping[str, object]) -> DockType:  # noqa: ARG002 - for SimpleDock only
+        """Return a new dock type of the third party."""
         return create_plugin(DockType, self.entry_point, self._own)
-
-    @property
-    def contact_topic(self) -> str:
-        """As the parameter says."""
-        return self.parameters.contact_topic
-
-    def is_switched(self, told: Told | None, now: float) -> bool | None:
-        """What the switch tells, as long as that is new enough."""
-        if told is None or now - told.at > self.parameters.contact_timeout:
-            return None
-        return bool(told.message.data)
-
-    @property
-    def uses_battery(self) -> bool:
-        """As the parameter says."""
-        return self.parameters.use_battery_status
-
-    @property
-    def is_charger(self) -> bool:
-        """Whether the dock type waits for charge."""
-        return self.waits_for_charge
 
 
 def _own_names(kind: type[DockType]) -> frozenset[str]:
-    """The names of a dock type's parameters, as a file has them."""
+    """Return the names of a dock type's parameters, as in a parameter file."""
     return frozenset(spec.alias or name for name, spec in kind.Parameters.model_fields.items())
 
 
 DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
     "opennav_docking::SimpleChargingDock": SimpleChargingDock,
-    "opennav_docking::SimpleNonChargingDock": SimpleNonChargingDock,
+    "opennav_docking::SimpleNonChargingDock": DockPlugin,
 }
-"""By Nav2's class names."""
+"""Dock plugins by Nav2's class names."""
 
 
 def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
-    """The plugin of one of Nav2's classes, or of a dock type.
+    """Return the dock plugin of a class of Nav2 or of a dock type.
 
     Args:
-        name: Of the instance, for messages.
-        nav2_class: Nav2's name, also in the form with a slash; or the name of a dock type's entry point.
+        name: Name of the instance, for messages.
+        nav2_class: Nav2's class name, also written with a slash, or the name of a dock type's entry point.
 
     Raises:
-        DockNotValid: There is none of this class or name.
-        InvalidValue: None is named.
+        DockNotValid: If the class or the dock type is unknown.
+        InvalidValue: If no class is given.
     """
     if not isinstance(nav2_class, str):
         raise InvalidValue(f"{name}.plugin: is required, the class of the dock plugin; got {nav2_class!r}")
@@ -445,7 +376,7 @@ def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """About the fixed axes x, y and z, in this order."""
+    """Return the rotation about the fixed axes x, y and z, in this order, as (x, y, z, w)."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,

@@ -1,4 +1,4 @@
-"""What the docking server publishes beside feedback: plan, pose of the dock, and how well certificate and rate hold."""
+"""The topics of the docking server in addition to feedback: plan, dock poses, and diagnostics."""
 
 from __future__ import annotations
 
@@ -21,21 +21,17 @@ if TYPE_CHECKING:
     from optdock.executor import Step
     from optdock.executor.planning import DrivenMotion
     from optdock.geometry.pose import Pose2
+    from optdock.planning.plan import DockPlan
     from optdock_ros.control_loop import CycleTimes
 
 __all__ = ["Reports"]
 
-_SPACING = 0.05  # [m] between the poses of docking_trajectory, as Nav2's planners have them
+_SPACING = 0.05  # [m] between the poses of docking_trajectory, as in paths of Nav2's planners
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Reports:
-    """Publishers and what they said last.
-
-    Args:
-        node: Whose they are.
-        frame: In which everything stands.
-    """
+    """Publishers of the reports of a node; all poses are in `frame`."""
 
     def __init__(self, node: Node, frame: str) -> None:
         self._node, self._frame = node, frame
@@ -46,41 +42,33 @@ class Reports:
             name: node.create_publisher(PoseStamped, name, _LATCHED)
             for name in ("staging_pose", "dock_pose", "filtered_dock_pose")
         }
-        self._told: DrivenMotion | None = None
+        self._published: DrivenMotion | None = None
 
     def close(self) -> None:
-        """End the publishers."""
+        """Destroy the publishers."""
         for publisher in (self._trajectory, self._markers, self._diagnostics, *self._poses.values()):
             self._node.destroy_publisher(publisher)
 
-    def pose(self, name: str, pose: Pose2, now: float, frame: str = "") -> None:
-        """`staging_pose`, `dock_pose` or `filtered_dock_pose`."""
-        self._poses[name].publish(ros.pose_message(ros.imported, pose, frame or self._frame, now))
+    def pose(self, name: str, pose: Pose2, now: float) -> None:
+        """Publish `staging_pose`, `dock_pose` or `filtered_dock_pose`."""
+        self._poses[name].publish(ros.pose_message(ros.imported, pose, self._frame, now))
 
     def motion(self, motion: DrivenMotion, exempt: str, now: float) -> None:
-        """What is driven; said once.
-
-        Args:
-            motion: New, or as before.
-            exempt: In words, what its certificate does not count, as it is unknown or to be touched.
-            now: [s].
-        """
-        if motion is self._told:
+        """Publish trajectory, markers and certificate of a new motion once; `exempt` is what it does not count."""
+        if motion is self._published:
             return
-        self._told = motion
+        self._published = motion
         path = motion.trajectory.path
         count = max(2, math.ceil(path.length / _SPACING) + 1)
         places = [path.length * i / (count - 1) for i in range(count)]
         self._trajectory.publish(ros.path_message(ros.imported, path.poses_at(places), self._frame, now))
         if motion.plan is not None:
             self._markers.publish(ros.plan_markers(ros.imported, motion.plan, self._frame, now))
-            self._certificate(motion, exempt, now)
+            self._certificate(motion.plan, exempt, now)
 
-    def _certificate(self, motion: DrivenMotion, exempt: str, now: float) -> None:
-        plan = motion.plan
-        assert plan is not None
-        found, proof = plan.certificate, plan.trajectory_certificate
-        certified = found.certified and proof.certified
+    def _certificate(self, plan: DockPlan, exempt: str, now: float) -> None:
+        found = plan.certificate
+        certified = found.certified and plan.trajectory_certificate.certified
         values: dict[str, object] = {
             "min_clearance [m]": found.min_clearance,
             "required_clearance [m]": found.required_clearance,
@@ -96,34 +84,21 @@ class Reports:
         }
         blind = certified and plan.problem.costmap is None
         text = f"{plan}{f'; does not count {exempt}' if blind else ''}" if certified else found.reason
-        self._say("certificate", "warn" if blind else "ok" if certified else "error", text, values, now)
+        self._publish("certificate", "warn" if blind else "ok" if certified else "error", text, values, now)
 
-    def state(
-        self,
-        level: str,
-        text: str,
-        step: Step | None,
-        faults: Mapping[str, str],
-        times: CycleTimes | None,
-        now: float,
-    ) -> None:
-        """What is being done, what is missing, and how well the rate is kept."""
-        values: dict[str, object] = {f"{name} missing": why for name, why in faults.items()}
-        if step is not None:
-            values |= {
-                "retries": step.feedback.num_retries,
-                "distance [m]": step.feedback.distance,
-                "time [s]": step.feedback.docking_time,
-                "speed [m/s]": step.command.linear,
-                "yaw rate [rad/s]": step.command.angular,
-            }
-            if step.deviation is not None:
-                values |= {"off the path [m]": step.deviation.y, "turned off it [rad]": step.deviation.yaw}
-        self._say("state", "warn" if level == "ok" and faults else level, text, values, now)
-        if times is not None:
-            self._deadlines(times, now)
-
-    def _deadlines(self, times: CycleTimes, now: float) -> None:
+    def state(self, step: Step, faults: Mapping[str, str], times: CycleTimes, now: float) -> None:
+        """Publish the state of the task, missing measurements, and the statistics of the control loop."""
+        values: dict[str, object] = {
+            **{f"{name} missing": why for name, why in faults.items()},
+            "retries": step.feedback.num_retries,
+            "distance [m]": step.feedback.distance,
+            "time [s]": step.feedback.docking_time,
+            "speed [m/s]": step.command.linear,
+            "yaw rate [rad/s]": step.command.angular,
+        }
+        if step.deviation is not None:
+            values |= {"off the path [m]": step.deviation.y, "turned off it [rad]": step.deviation.yaw}
+        self._publish("state", "warn" if faults else "ok", step.state.value, values, now)
         text = f"{times.cycles} cycles of {1e3 * times.period:.1f} ms, {times.missed} missed"
         values = {
             "missed": times.missed,
@@ -132,13 +107,13 @@ class Reports:
             "busy p99 [ms]": 1e3 * times.busy_p99,
             "busy max [ms]": 1e3 * times.busy_max,
         }
-        self._say("deadlines", "ok" if times.missed == 0 else "warn", text, values, now)
+        self._publish("deadlines", "ok" if times.missed == 0 else "warn", text, values, now)
 
     def idle(self, now: float, trouble: str = "") -> None:
-        """Nothing is being done, perhaps because of some trouble."""
-        self._told = None
-        self._say("state", "warn" if trouble else "ok", f"idle{trouble and '; '}{trouble}", {}, now)
+        """Publish that no task runs, with the failure of the last one."""
+        self._published = None
+        self._publish("state", "warn" if trouble else "ok", f"idle{trouble and '; '}{trouble}", {}, now)
 
-    def _say(self, name: str, level: Any, text: str, values: Mapping[str, object], now: float) -> None:
+    def _publish(self, name: str, level: Any, text: str, values: Mapping[str, object], now: float) -> None:
         full = f"{self._node.get_name()}: {name}"
         self._diagnostics.publish(ros.diagnostics_message(ros.imported, full, level, text, values, now))

@@ -1,4 +1,4 @@
-"""The way to the staging pose, by the server of navigate_to_pose: Nav2's navigator, as for its own docking server."""
+"""The way to the staging pose by the action `navigate_to_pose`, as in Nav2's docking server."""
 
 from __future__ import annotations
 
@@ -20,15 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["Navigator"]
 
 _ATTEMPTS = 2  # as Nav2's docking server
-_ANSWER = 2.0  # [s] for the action to be there and to accept, each, as there
+_ANSWER = 2.0  # [s] for the server to appear, and for it to accept a goal, as there
 
 
 class Navigator:
-    """A client of navigate_to_pose.
-
-    Args:
-        node: Whose client it is; its executor must go on while a thread waits here.
-    """
+    """A client of `navigate_to_pose`; the executor of its node must run in another thread than `go`."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -37,20 +33,17 @@ class Navigator:
         )
 
     def close(self) -> None:
-        """End the client."""
+        """Destroy the client."""
         self._client.destroy()
 
     def go(self, pose: PoseStamped, tree: str, limit: float, is_over: Callable[[], bool]) -> str:
-        """Have the robot navigated there; a goal that is given up is cancelled.
+        """Navigate the robot to a pose, and return the reason of a failure; empty after success.
 
         Args:
-            pose: Where to.
-            tree: Behaviour tree; empty: the navigator's own.
-            limit: For all attempts [s].
-            is_over: Called again and again, waits a moment, and says whether the goal is to end.
-
-        Returns:
-            Why the robot is not there; empty: it is.
+            pose: Pose to navigate to.
+            tree: Behaviour tree; empty for the navigator's default.
+            limit: Time limit of all attempts [s].
+            is_over: Waits for a moment and returns whether to give up; called repeatedly.
         """
         until, fault = time.monotonic() + limit, ""
         for _ in range(_ATTEMPTS):
@@ -61,19 +54,17 @@ class Navigator:
         return fault
 
     def _attempt(self, wanted: NavigateToPose.Goal, until: float, is_over: Callable[[], bool]) -> str:
-        answer = min(until, time.monotonic() + _ANSWER)
-        while not self._client.server_is_ready():
-            if is_over() or time.monotonic() > answer:
-                return "there is no such server"
+        if not _waited(self._client.server_is_ready, min(until, time.monotonic() + _ANSWER), is_over):
+            return "there is no such server"
         sent = self._client.send_goal_async(wanted)
-        if not _came(sent, min(until, time.monotonic() + _ANSWER), is_over):
+        if not _waited(sent.done, min(until, time.monotonic() + _ANSWER), is_over):
             sent.add_done_callback(_cancel_when_accepted)
             return "it does not answer"
         handle = sent.result()
         if handle is None or not handle.accepted:
             return "it does not accept the goal"
         ended = handle.get_result_async()
-        if not _came(ended, until, is_over):
+        if not _waited(ended.done, until, is_over):
             handle.cancel_goal_async()
             return "the robot is not there in time"
         found = ended.result()
@@ -84,16 +75,15 @@ class Navigator:
         return f"it ended with status {found.status}, code {code} {getattr(found.result, 'error_msg', '')}".rstrip()
 
 
-def _came(future: Future[Any], until: float, is_over: Callable[[], bool]) -> bool:
-    """Whether a result came in time, and before all was over."""
-    while not future.done():
+def _waited(condition: Callable[[], bool], until: float, is_over: Callable[[], bool]) -> bool:
+    """Wait for a condition; whether it has become true in time."""
+    while not condition():
         if is_over() or time.monotonic() > until:
             return False
     return True
 
 
 def _cancel_when_accepted(future: Future[Any]) -> None:
-    """Cancel a goal that was accepted too late."""
     handle = future.result()
     if handle is not None and handle.accepted:
         handle.cancel_goal_async()

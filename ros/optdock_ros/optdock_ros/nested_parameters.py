@@ -1,8 +1,7 @@
-"""ROS parameters as nested blocks, judged by the models of the plugins and of the scenario format.
+"""ROS parameters as nested blocks, validated by the models of the plugins and of the scenario format.
 
-ROS keeps parameters flat, by dotted names, and one type each. Here they are nested, as in the file they came from, and
-every value is judged by the model that will read it: YAML's `1` may stand for 1.0, and what is wrong is said for the
-whole block at once.
+ROS stores parameters under flat, dotted names with one type each. This module nests them as in the parameter file and
+collects the faults of all blocks, so that a server reports them together.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 
-from optdock.config.document import ClearanceDocument, RobotDocument, synonym
+from optdock.config.document import ClearanceDocument, RobotDocument, known_keys, synonym
 from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
 from optdock.model.robot import Robot
@@ -35,14 +34,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 __all__ = [
-    "Faults",
+    "BlockReader",
     "RobotParameters",
     "ServerParameters",
     "clearance_parameters",
     "declare",
     "declare_overrides",
-    "flattened",
-    "merged",
     "nested",
     "parameters_of",
     "plain",
@@ -53,13 +50,13 @@ __all__ = [
 
 
 class ServerParameters(PluginParameters):
-    """Parameters of every server; the names beside plugins and blocks at the top of a node's parameters."""
+    """Parameters of every server, at the top of a node's parameters."""
 
     autostart: bool = Field(default=False, description="configure and activate at once, without a lifecycle manager")
     bond_heartbeat_period: float = Field(0.1, ge=0, description="to the lifecycle manager; 0: no bond [s]")
 
 
-# Names that rclpy declares, or that Nav2's nodes have and that mean nothing in a process of Python.
+# Names that rclpy declares, or that every Nav2 node has and that have no effect in a Python process.
 OF_EVERY_NODE = frozenset(
     {
         *("use_sim_time", "start_type_description_service", "qos_overrides"),
@@ -68,54 +65,60 @@ OF_EVERY_NODE = frozenset(
     }
 )
 
-
-# Of difflib: one letter in ten. Below it are names of Nav2's own, which may stand in a block for all nodes: `map_topic`
-# is like `costmap_topic` by 0.82, `local_footprint_topic` like `footprint_topic` by 0.83.
+# difflib ratio: one letter in ten. Nav2's own names stay below it: `map_topic` and `costmap_topic` have 0.82,
+# `local_footprint_topic` and `footprint_topic` 0.83.
 _MISSPELT = 0.86
 
 
-class Faults:
-    """What is wrong with several things that are read one after the other, told at once.
+class BlockReader:
+    """Reads nested parameters; collects `faults`, one line each, and `ignored`, the dotted names that are not read."""
 
-    Args:
-        lines: What is wrong already, one line per fault.
-    """
+    def __init__(self, block: Mapping[str, object]) -> None:
+        self.block = block
+        self.faults: list[str] = []
+        self.ignored: list[str] = []
 
-    def __init__(self, lines: Iterable[str] = ()) -> None:
-        self.lines = list(lines)
+    def inner(self, name: str, block: Mapping[str, object] | None = None) -> Mapping[str, object]:
+        """Return the block `name` of the parameters or of `block`; empty if it is missing."""
+        found = (self.block if block is None else block).get(name, {})
+        if isinstance(found, Mapping):
+            return found
+        self.faults.append(f"{name}: must be a block of parameters, got {found!r}")
+        return {}
 
-    def attempt(self, read: Callable[[], T]) -> T | None:
-        """What `read` returns; None where it says what is wrong."""
+    def attempt(self, make: Callable[[], T], default: T) -> T:
+        """Return the result of `make`, or the default after an `OptdockError`, whose lines become faults."""
         try:
-            return read()
+            return make()
         except OptdockError as error:
-            self.lines += str(error).splitlines()
-            return None
+            self.faults.extend(str(error).splitlines())
+            return default
 
-    def look(self) -> None:
-        """Go on only where nothing is wrong.
+    def known(
+        self, given: Mapping[str, object], fields: Iterable[str], accepted: Iterable[str] = (), owner: str = ""
+    ) -> dict[str, object]:
+        """Return the entries of a block with known names; misspelt names become faults, the others are ignored."""
+        names, prefix = set(fields), owner and f"{owner}."
+        wrong, ignored = unknown_names(given, names, accepted)
+        self.faults.extend(f"{prefix}{line}" for line in wrong)
+        self.ignored.extend(f"{prefix}{key}" for key in ignored)
+        return {key: value for key, value in given.items() if key in names}
 
-        Raises:
-            InvalidValue: Something is; one line per fault.
-        """
-        if self.lines:
-            raise InvalidValue("\n".join(self.lines))
+    def check(self) -> None:
+        """Raise `InvalidValue` if there are faults, with one line per fault."""
+        if self.faults:
+            raise InvalidValue("\n".join(dict.fromkeys(self.faults)))
 
 
 def plain(value: object) -> object:
-    """A ROS parameter's value in plain Python; what YAML writes `[]` has no type in ROS and is an empty list."""
+    """Return a ROS parameter's value as plain Python; YAML's `[]` has no ROS type and becomes an empty list."""
     if value is None:
         return []
-    if isinstance(value, array.array | np.ndarray | tuple):
-        return list(value)
-    return value
+    return list(value) if isinstance(value, array.array | np.ndarray | tuple) else value
 
 
 def nested(flat: Mapping[str, object]) -> dict[str, object]:
-    """Blocks from dotted names.
-
-    Raises:
-        InvalidValue: A name is a value and a block at once.
+    """Return nested blocks from dotted names; raise `InvalidValue` if a name is both a value and a block.
 
     >>> nested({"a": 1, "b.c": 2, "b.d.e": 3})
     {'a': 1, 'b': {'c': 2, 'd': {'e': 3}}}
@@ -127,36 +130,18 @@ def nested(flat: Mapping[str, object]) -> dict[str, object]:
         for n, part in enumerate(path):
             inner = place.setdefault(part, {})
             if not isinstance(inner, dict):
-                raise InvalidValue(f"{'.'.join(path[: n + 1])}: is a value, and a block with {name}, at once")
+                raise InvalidValue(f"{'.'.join(path[: n + 1])}: is both a value and a block with {name}")
             place = inner
         if isinstance(place.get(last), dict):
-            raise InvalidValue(f"{name}: is a value and a block at once")
+            raise InvalidValue(f"{name}: is both a value and a block")
         place[last] = value
     return block
 
 
-def flattened(block: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Dotted names from blocks; an empty block has none.
-
-    >>> flattened({"a": 1, "b": {"c": 2}})
-    {'a': 1, 'b.c': 2}
-    """
-    flat: dict[str, object] = {}
-    for name, value in block.items():
-        if isinstance(value, Mapping):
-            flat |= flattened(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
-
-
-def merged(block: Mapping[str, object], changes: Iterable[Parameter[Any]]) -> dict[str, object]:
-    """The block after a set of parameters; one that is unset is gone.
-
-    Raises:
-        InvalidValue: As `nested`.
-    """
-    flat = flattened(block)
+def parameters_of(node: Node, changes: Iterable[Parameter[Any]] = ()) -> dict[str, object]:
+    """Return all parameters of a node after changes, as by `nested`; a parameter that is unset is left out."""
+    names = list(node.list_parameters([], 0).names)
+    flat = {parameter.name: plain(parameter.value) for parameter in node.get_parameters(names)}
     for parameter in changes:
         if parameter.type_ == Parameter.Type.NOT_SET:
             flat.pop(parameter.name, None)
@@ -166,12 +151,7 @@ def merged(block: Mapping[str, object], changes: Iterable[Parameter[Any]]) -> di
 
 
 def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
-    """Declare whatever a parameter file or a command line says about a node, of any type.
-
-    Args:
-        node: The node.
-        given: Overrides beside those, as its constructor got them.
-    """
+    """Declare all parameters of files and command line, and those given to the node's constructor, with any type."""
     names = {*node.handle.get_parameters(Parameter), *(parameter.name for parameter in given)}
     for name in sorted(names):
         if not node.has_parameter(name):
@@ -179,17 +159,9 @@ def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
 
 
 def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, object]:
-    """Declare the fields of a model, described, and with their defaults where they were not given.
+    """Declare the fields of a model with description and default, and return those that were not declared before.
 
-    A default that ROS has no type for, such as none at all, cannot be declared; it can be set all the same.
-
-    Args:
-        node: The node.
-        model: Whose fields.
-        prefix: Before every name, with its dot.
-
-    Returns:
-        Names and values of those that were not given.
+    A default without a ROS type, such as None, is not declared; the parameter can still be set.
     """
     added: dict[str, object] = {}
     for name, spec in model.model_fields.items():
@@ -198,50 +170,31 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, o
         descriptor = ParameterDescriptor(name=full, description=spec.description or "", dynamic_typing=True)
         if node.has_parameter(full):
             node.set_descriptor(full, descriptor)
-        elif _fits(value):
+        elif _has_ros_type(value):
             added[full] = node.declare_parameter(full, plain(value), descriptor).value
     return added
 
 
 def undeclare(node: Node, added: Mapping[str, object]) -> None:
-    """Take back what `declare` added, but for what has been changed meanwhile."""
+    """Undeclare the parameters that `declare` added and whose values have not changed."""
     for name, value in added.items():
         if node.has_parameter(name) and node.get_parameter(name).value == value:
             node.undeclare_parameter(name)
 
 
-def _fits(value: object) -> bool:
-    """Whether ROS has a type for it."""
+def _has_ros_type(value: object) -> bool:
     if isinstance(value, list | tuple):
         return bool(value) and any(all(type(v) is kind for v in value) for kind in (bool, int, float, str))
     return type(value) in {bool, int, float, str}
 
 
-def parameters_of(node: Node) -> dict[str, object]:
-    """All parameters of a node, nested.
-
-    Raises:
-        InvalidValue: As `nested`.
-    """
-    names = node.list_parameters([], 0).names
-    return nested({p.name: plain(p.value) for p in node.get_parameters(list(names))})
-
-
 def unknown_names(
     block: Mapping[str, object], known: Iterable[str], accepted: Iterable[str] = ()
 ) -> tuple[list[str], list[str]]:
-    """The names at the top of a node's parameters that nothing reads.
+    """Return fault lines for the misspelt names of a block, and the other names that are not read.
 
-    One that looks like a misspelt name of ours is a fault: a limit or a topic that is silently not read is a danger.
-    Others, such as whole blocks and parameters of other versions of Nav2, are only listed.
-
-    Args:
-        block: All parameters of the node.
-        known: What is read: parameters, plugins and blocks.
-        accepted: What Nav2 has and what means nothing here.
-
-    Returns:
-        The faults, one line each, and the names that are not read.
+    A misspelt name is a fault, because a limit or a topic that is silently ignored is dangerous. Other names, such as
+    parameters of other versions of Nav2 and the `accepted` ones, are only listed.
     """
     ours, others = set(known), {*accepted, *OF_EVERY_NODE}
     faults, ignored = [], []
@@ -257,72 +210,51 @@ def unknown_names(
 
 
 def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
-    """A part of the scenario format from a block of parameters.
-
-    Raises:
-        InvalidValue: What breaks its rules, one line per fault.
-    """
-
-    def _known(key: tuple[str | int, ...]) -> Iterable[str]:
-        place: type[BaseModel] | None = model
-        for part in key:
-            field = place.model_fields.get(str(part)) if place else None
-            inner: Any = field.annotation if field else None
-            place = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
-        return tuple(place.model_fields) if place else ()
-
+    """Return a section of the scenario format from a block of parameters, or raise `InvalidValue`."""
     try:
         return model.model_validate(block)
     except ValidationError as error:
-        faults = faults_of(error, _known, (owner,), lambda key, value: synonym((owner, *key), value))
+        faults = faults_of(
+            error,
+            lambda key: known_keys((owner, *key)),
+            (owner,),
+            lambda key, value: synonym((owner, *key), value),
+        )
         raise InvalidValue("\n".join(f"{'.'.join(map(str, key))}: {message}" for key, message in faults)) from error
 
 
 @dataclasses.dataclass(frozen=True)
 class RobotParameters:
-    """The block `robot`: the names of the scenario format, all of them optional.
-
-    Args:
-        document: What it says; its outline only counts where `footprint` is not None.
-        footprint: The outline that it gives, or None.
-    """
+    """The block `robot`; the outline of the document is a placeholder if `footprint` is None."""
 
     document: RobotDocument
     footprint: Footprint | None
 
     def robot(self, footprint: Footprint) -> Robot:
-        """The robot with this outline.
-
-        Raises:
-            InvalidValue: As `Robot`.
-        """
+        """Return the robot with this outline, or raise `InvalidValue` as `Robot`."""
         return dataclasses.replace(self.document.value(), footprint=footprint)
 
 
-def robot_parameters(block: object, owner: str = "robot") -> RobotParameters:
-    """What a block `robot` says; the outline may come from elsewhere, a footprint topic.
-
-    Args:
-        block: The block, with `footprint` as text or `radius`, `drive`, `turns_in_place`, `tracking.*` and `limits.*`.
-        owner: Its name, for messages.
+def robot_parameters(block: object) -> RobotParameters:
+    """Return the block `robot` in the names of the scenario format; all keys are optional, `footprint` is text.
 
     Raises:
-        InvalidValue: What breaks the rules of the scenario format, one line per fault.
+        InvalidValue: If the block breaks the scenario format; one line per fault.
     """
     if not isinstance(block, Mapping):
-        raise InvalidValue(f"{owner}: must be a block of parameters, got {block!r}")
+        raise InvalidValue(f"robot: must be a block of parameters, got {block!r}")
     has_outline = "footprint" in block or "radius" in block
-    document = _validated(RobotDocument, dict(block) if has_outline else {**block, "radius": 1.0}, owner)
+    document = _validated(RobotDocument, dict(block) if has_outline else {**block, "radius": 1.0}, "robot")
     return RobotParameters(document, document.value().footprint if has_outline else None)
 
 
-def clearance_parameters(block: object, owner: str = "clearance") -> ClearanceRule:
-    """What a block `clearance` says; one number holds everywhere, also at the dock.
+def clearance_parameters(block: object) -> ClearanceRule:
+    """Return the clearance of a block `clearance`, or of one number, which also holds at the dock.
 
     Raises:
-        InvalidValue: What breaks the rules of the scenario format, one line per fault.
+        InvalidValue: If the block breaks the scenario format; one line per fault.
     """
     is_number = isinstance(block, int | float) and not isinstance(block, bool)
     whole = {"required": block, "at_dock": block} if is_number else block
-    document: ClearanceDocument = _validated(ClearanceDocument, whole, owner)
+    document: ClearanceDocument = _validated(ClearanceDocument, whole, "clearance")
     return document.value()

@@ -1,11 +1,8 @@
-"""What all servers share: life cycle, parameters, one goal at a time, and the way a process ends.
+"""The base of the servers: lifecycle, parameters, and the start and end of a server's process.
 
-A server's parameters are judged as a whole, into one frozen value (`Server.settings`), before anything is made of
-them: at configure, where all faults are told at once, and at every change afterwards, which holds wholly or not at all.
-Work that is under way goes on with the value before.
-
-Callbacks are short: goals are worked on in threads of their own, and the executor's thread only takes messages and
-answers. An error in a callback is told and does not end the node.
+All parameters of a server are validated together into one frozen value, `Server.settings`: at configure, where all
+faults are reported, and at every later change, which is applied as a whole or not at all. Work in progress keeps the
+settings that it began with.
 """
 
 from __future__ import annotations
@@ -31,19 +28,11 @@ from rclpy.signals import SignalHandlerOptions
 from optdock.errors import InvalidValue, OptdockError
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
-from optdock_ros.nested_parameters import (
-    ServerParameters,
-    declare,
-    declare_overrides,
-    merged,
-    parameters_of,
-    unknown_names,
-)
+from optdock_ros.nested_parameters import BlockReader, ServerParameters, declare, declare_overrides, parameters_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rclpy.context import Context
     from rclpy.executors import Executor
     from rclpy.parameter import Parameter
 
@@ -51,38 +40,29 @@ __all__ = ["Server", "run"]
 
 S = TypeVar("S")
 
-# [s], instead of Python's 5 ms: a thread that calculates gives way to the one that answers, or commands, within this.
-_SWITCH = 0.0005
-# [s] between the end of the work and that of the node: clients ask for the results of goals that ended just now.
-_ANSWERS = 0.1
-
-_PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
+_SWITCH = 0.0005  # [s] instead of Python's 5 ms, so that a calculating thread soon yields to the control loop
+_ANSWERS = 0.1  # [s] between the end of the work and that of the node, in which clients fetch the last results
+_PATIENCE = 10.0  # [s] for the last transitions of a process, as long as a lifecycle manager waits
 
 
 class Server(LifecycleNode, Generic[S]):
     """A lifecycle node with the parameters of a Nav2 server.
 
-    A subclass says what its parameters mean (`check`), what it makes of them (`set_up`, `tear_down`) and how it begins
-    and ends its work (`start`, `stop`). Each may raise: the transition fails, what was made is torn down, and the log
-    says why.
-
-    Args:
-        name: Name of the node.
-        namespace: Of the node, where the command line gives none.
-        parameter_overrides: Values beside those of the command line, for tests and composition.
-        context: rclpy's; None for the default one.
+    A subclass validates its parameters (`check`), makes and destroys its interfaces (`set_up`, `tear_down`), and begins
+    and ends its work (`start`, `stop`). Each method may raise; the transition then fails, everything that was made is
+    destroyed, and the reason is logged.
 
     Attributes:
-        settings: What `check` made of the parameters; there from configure to cleanup.
-        is_active: Whether it works.
-        owns_process: Whether it is alone in this process; `run` sets it.
+        settings: Result of `check`; set from configure to cleanup.
+        is_active: Whether the node is active.
+        owns_process: Whether the node has the process to itself; set by `run`.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
     accepted: ClassVar[frozenset[str]] = frozenset()
-    """Names of Nav2's that mean nothing here; they are listed in the log, and no fault."""
+    """Names of Nav2 without an effect here; they are logged once."""
     fixed: ClassVar[frozenset[str]] = frozenset()
-    """Names, and names of blocks, that are read at configure only and cannot be changed afterwards."""
+    """Names of parameters and blocks that cannot be changed while configured."""
 
     settings: S
 
@@ -91,96 +71,84 @@ class Server(LifecycleNode, Generic[S]):
         name: str,
         *,
         namespace: str | None = None,
-        parameter_overrides: Sequence[Parameter[Any]] | None = None,
-        context: Context | None = None,
+        parameter_overrides: Sequence[Parameter[Any]] = (),
     ) -> None:
-        given = list(parameter_overrides or ())
-        # Undeclared ones may be set: a plugin that is named later brings parameters of its own.
+        given = list(parameter_overrides)
         super().__init__(
             name,
             namespace=namespace,
             parameter_overrides=given,
-            context=context,
-            allow_undeclared_parameters=True,
+            allow_undeclared_parameters=True,  # a plugin that is set later has additional parameters
         )
         declare_overrides(self, given)
         declare(self, self.Parameters)
         self.owns_process = False
-        self._has_begun = False  # there is something to tear down
+        self._has_begun = False  # whether there is something to tear down
         self._is_configured = False
         self.is_active = False
-        self._told: frozenset[str] = frozenset()
+        self._logged: frozenset[str] = frozenset()
         self._bond: Bond | None = None
-        self.add_on_set_parameters_callback(self._may_set)
-        self.add_post_set_parameters_callback(self._have_set)
+        self.add_on_set_parameters_callback(self._validate_change)
+        self.add_post_set_parameters_callback(self._apply_change)
 
-    # What a subclass says.
+    # For subclasses.
 
     def check(self, block: dict[str, object]) -> S:
-        """Everything that the parameters mean, as one frozen value; nothing is made, subscribed or changed.
-
-        Args:
-            block: All parameters of the node, nested.
+        """Return all parameters, a nested block, as one frozen value.
 
         Raises:
-            OptdockError: What is wrong, one line per fault.
+            OptdockError: If a parameter is invalid; one line per fault.
         """
         raise NotImplementedError
 
     def set_up(self) -> None:
-        """Make what `settings` say: subscriptions, publishers, action servers."""
+        """Create subscriptions, publishers and action servers according to `settings`."""
 
     def start(self) -> None:
         """Begin to work."""
 
     def stop(self) -> None:
-        """End all work, and let nothing stand; also called where `start` failed half way."""
+        """End all work; also called after `start` has failed."""
 
     def tear_down(self) -> None:
-        """Give back what `set_up` made, also where it failed half way."""
+        """Destroy what `set_up` created; also called after `set_up` has failed."""
 
-    def changed(self, before: S) -> None:
-        """Parameters were changed: `settings` are new."""
-
-    # What all have in common.
+    def changed(self) -> None:
+        """React to new `settings` of a configured node."""
 
     def own_parameters(self, block: dict[str, object], blocks: Sequence[str] = ()) -> ServerParameters:
-        """The parameters of `Parameters`, checked; names at the top that are not read are listed or refused.
-
-        Args:
-            block: All parameters of the node, nested.
-            blocks: Names at the top that are read elsewhere.
+        """Return the validated parameters of `Parameters`, and log ignored names at the top; `blocks` are other names.
 
         Raises:
-            InvalidValue: Values that break a rule, and names that look like misspelt ones; one line per fault.
+            InvalidValue: If values are invalid or names misspelt; one line per fault.
         """
         fields = {spec.alias or name for name, spec in self.Parameters.model_fields.items()}
-        faults, ignored = unknown_names(block, {*fields, *blocks}, self.accepted)
         own = {name: value for name, value in block.items() if name in fields}
-        try:
-            parsed = parse_parameters(self.Parameters, own, self.get_name())
-        except InvalidValue as error:
-            raise InvalidValue("\n".join([str(error), *faults])) from error
-        if faults:
-            raise InvalidValue("\n".join(faults))
-        fresh = frozenset(ignored) - self._told
-        if fresh:
-            self._told |= fresh
-            self.get_logger().info(f"parameters that mean nothing here: {', '.join(sorted(fresh))}")
+        reader = BlockReader(block)
+        reader.known(block, {*fields, *blocks}, self.accepted)
+        parsed = reader.attempt(lambda: parse_parameters(self.Parameters, own, self.get_name()), None)
+        reader.check()
+        assert parsed is not None
+        self.log_ignored(reader.ignored)
         return parsed
 
-    def say(self, error: BaseException, what: str) -> None:
-        """One line of the log per fault; of an error that is not ours, where it came from as well."""
-        if isinstance(error, OptdockError):
-            for line in str(error).splitlines():
-                self.get_logger().error(f"{what}: {line}")
-        else:
-            self.get_logger().error(f"{what}: {''.join(traceback.format_exception(error))}")
+    def log_ignored(self, names: Sequence[str]) -> None:
+        """Log the names of parameters that have no effect, each once."""
+        new = frozenset(names) - self._logged
+        if new:
+            self._logged |= new
+            self.get_logger().info(f"parameters that mean nothing here: {', '.join(sorted(new))}")
 
-    # rclpy's side.
+    def log_error(self, error: BaseException, what: str) -> None:
+        """Log an error: one line per fault of an `OptdockError`, the traceback of any other exception."""
+        known = isinstance(error, OptdockError)
+        for line in str(error).splitlines() if known else ["".join(traceback.format_exception(error))]:
+            self.get_logger().error(f"{what}: {line}")
+
+    # Callbacks of rclpy.
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Check all parameters, and make what they say."""
+        """Validate all parameters and set up."""
         try:
             block = parameters_of(self)
             self.settings = self.check(block)
@@ -188,8 +156,8 @@ class Server(LifecycleNode, Generic[S]):
             self.set_up()
             self._bond = self._bond or _bond_of(self, block)
             self._is_configured = True
-        except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
-            self.say(error, "configure failed")
+        except Exception as error:  # by a subclass, a plugin or rclpy
+            self.log_error(error, "configure failed")
             self.end()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
@@ -199,32 +167,32 @@ class Server(LifecycleNode, Generic[S]):
         try:
             self.start()
         except Exception as error:
-            self.say(error, "activate failed")
-            self._stopped()
+            self.log_error(error, "activate failed")
+            self._stop()
             return TransitionCallbackReturn.FAILURE
         self.is_active = True
         self.get_logger().info("active")
         if self._bond is not None:
             self._bond.start()
         if self.owns_process:
-            # What is loaded by now stays; later collections, which stop all threads, need not look at it.
-            gc.unfreeze()  # of what an earlier activation left, some is garbage by now
+            # Later garbage collections, which stop all threads, skip everything that is loaded by now.
+            gc.unfreeze()
             gc.collect()
             gc.freeze()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End all work."""
-        self._stopped()
+        self._stop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give everything back."""
+        """Tear down."""
         self.end()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End all work at once, and give everything back once clients have had the results of their goals."""
+        """End all work at once, and tear down after clients have fetched the results of their goals."""
         self.halt()
 
         def _end() -> None:
@@ -235,17 +203,17 @@ class Server(LifecycleNode, Generic[S]):
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """A transition raised, which these do not: nothing may stand."""
+        """Tear down after a transition has raised."""
         self.end()
         return super().on_error(state)
 
     def halt(self) -> None:
-        """End all work, in whatever state; nothing to do where none is done."""
+        """End all work, in any state."""
         if self.is_active:
-            self._stopped()
+            self._stop()
 
     def end(self) -> None:
-        """End all work and give everything back, in whatever state; nothing to do where it has been done."""
+        """End all work and tear down, in any state."""
         self.halt()
         if not self._has_begun:
             return
@@ -253,109 +221,102 @@ class Server(LifecycleNode, Generic[S]):
         try:
             self.tear_down()
         except Exception as error:
-            self.say(error, "cleanup failed")
+            self.log_error(error, "cleanup failed")
 
-    def _stopped(self) -> None:
+    def _stop(self) -> None:
         self.is_active = False
         try:
             self.stop()
         except Exception as error:
-            self.say(error, "stop failed")
+            self.log_error(error, "stop failed")
         if self._bond is not None:
             self._bond.end()
 
-    def _may_set(self, changes: list[Parameter[Any]]) -> SetParametersResult:
-        """Judge a change of parameters; before a configure any may come, which judges them all."""
-        if not self._is_configured:
+    def _validate_change(self, changes: list[Parameter[Any]]) -> SetParametersResult:
+        if not self._is_configured:  # configure validates all parameters
             return SetParametersResult(successful=True)
         try:
-            block = merged(parameters_of(self), changes)
+            block = parameters_of(self, changes)
             for parameter in changes:
-                _require_changeable(self, parameter)
+                self._require_changeable(parameter)
             self.check(block)
         except Exception as error:
             if not isinstance(error, OptdockError):
-                self.say(error, "a change of parameters failed")
+                self.log_error(error, "a change of parameters failed")
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _have_set(self, _changes: list[Parameter[Any]]) -> None:
+    def _require_changeable(self, parameter: Parameter[Any]) -> None:
+        """Raise `InvalidValue` for a new value of a parameter that is read at configure only."""
+        fixed = self.fixed | ServerParameters.model_fields.keys()
+        is_fixed = any(parameter.name == name or parameter.name.startswith(f"{name}.") for name in fixed)
+        if not is_fixed and not parameter.name.endswith(".plugin"):
+            return
+        if parameter.value != self.get_parameter_or(parameter.name).value:
+            raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
+
+    def _apply_change(self, _changes: list[Parameter[Any]]) -> None:
         if not self._is_configured:
             return
         try:
-            before, self.settings = self.settings, self.check(parameters_of(self))
-            self.changed(before)
+            self.settings = self.check(parameters_of(self))
+            self.changed()
         except Exception as error:
-            self.say(error, "a change of parameters failed")
-
-
-def _require_changeable(node: Server[Any], parameter: Parameter[Any]) -> None:
-    """Refuse to change a parameter that is read at configure only.
-
-    Raises:
-        InvalidValue: It is one, and the value is another one.
-    """
-    fixed = node.fixed | ServerParameters.model_fields.keys()
-    name = next((n for n in fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
-    if name is None and not parameter.name.endswith(".plugin"):
-        return
-    if parameter.value != node.get_parameter_or(parameter.name).value:
-        raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
+            self.log_error(error, "a change of parameters failed")
 
 
 def _bond_of(node: Server[Any], block: dict[str, object]) -> Bond | None:
-    """What a lifecycle manager listens for, where its messages are installed."""
+    """Return the bond to a lifecycle manager, or None if it is switched off or its messages are not installed."""
     own = {name: block[name] for name in ServerParameters.model_fields if name in block}
-    period = parse_parameters(ServerParameters, own, node.get_name())
-    if period.bond_heartbeat_period == 0.0:
+    period = parse_parameters(ServerParameters, own, node.get_name()).bond_heartbeat_period
+    if period == 0.0:
         return None
     try:
-        return Bond(node, period.bond_heartbeat_period)
+        return Bond(node, period)
     except ImportError:
         node.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
     return None
 
 
-class _Left(Exception):
-    """The executor's thread is to leave."""
+class _Leave(Exception):
+    """The thread of the executor is to end."""
 
 
 def leave() -> None:
-    """A task for an executor that runs by `spin`: its last one."""
-    raise _Left
+    """Task that ends an executor's `spin`."""
+    raise _Leave
 
 
 def spin(executor: Executor) -> None:
-    """Run an executor until `leave` is its task; an error of a callback is logged, and the others go on.
+    """Run an executor until its task is `leave`; exceptions of callbacks are logged.
 
-    It is not to be shut down before: rclpy's executor that is shut down between two waits begins another one, in which
-    nothing wakes it any more.
+    The executor must not be shut down before: an executor of rclpy that is shut down between two waits begins another
+    wait, which nothing ends.
     """
     while not _has_left(executor):
         pass
 
 
 def _has_left(executor: Executor) -> bool:
-    """Callbacks until one raises; whether that was `leave`."""
+    """Run callbacks until one raises; whether that was `leave`."""
     try:
         executor.spin()
-    except (_Left, ExternalShutdownException):
+    except (_Leave, ExternalShutdownException):
         return True
     except Exception:
         get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
-        return False
-    return True
+    return False
 
 
 def _end_at_signals(ended: threading.Event) -> None:
-    """Have SIGINT and SIGTERM set `ended`; asked again when all should be over, they kill."""
-    asked = math.inf
+    """Have SIGINT and SIGTERM set `ended`; a further signal after `_PATIENCE` kills the process."""
+    first = math.inf
 
     def _end(number: int, _frame: object) -> None:
-        nonlocal asked
+        nonlocal first
         now = time.monotonic()
-        asked = min(asked, now)
-        if now - asked > _PATIENCE:  # by then the robot stands; an impatient second ctrl-C must not end its ramp
+        first = min(first, now)
+        if now - first > _PATIENCE:  # an impatient second ctrl-C must not interrupt the ramp of a moving robot
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
         ended.set()
@@ -365,21 +326,20 @@ def _end_at_signals(ended: threading.Event) -> None:
 
 
 def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> int:
-    """The life of a server's process: made, spun in a thread, and ended by SIGINT or SIGTERM in good order.
+    """Run the process of a server until SIGINT or SIGTERM.
 
-    The order of the end: work is ended, stop commands are out, goals are answered; then the executor's thread is
-    joined, and only then the context goes down.
+    At the end the robot is stopped and goals are answered, then the executor's thread is joined, and then the context
+    is shut down.
 
     Args:
         make: Makes the server.
-        args: Of the command line; None: the process's.
+        args: Command line; None for that of the process.
 
     Returns:
-        The exit code, 0 after a signal.
+        The exit code: 0 after a signal.
     """
     ended = threading.Event()
-
-    # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
+    # Not the handlers of rclpy, which shut the context down before the stop command is sent.
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     _end_at_signals(ended)
     sys.setswitchinterval(_SWITCH)
@@ -405,7 +365,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     executor.create_task(leave)
     thread.join(_PATIENCE)
     executor.shutdown()
-    gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
+    gc.unfreeze()  # frozen objects are not destroyed at exit, and other nodes would see this node for 20 s
     server.destroy_node()
     rclpy.try_shutdown()
     return int(failed)
@@ -417,7 +377,7 @@ def _autostart(server: Server[Any]) -> None:
 
 
 def _in_executor(executor: Executor, thread: threading.Thread, work: Callable[[], None]) -> None:
-    """Do something between callbacks; in this thread where the executor's does nothing any more."""
+    """Call `work` once: between callbacks, or in this thread if the executor's thread hangs or has ended."""
     done, begun = threading.Event(), threading.Lock()
 
     def _once() -> None:

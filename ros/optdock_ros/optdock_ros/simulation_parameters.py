@@ -1,4 +1,4 @@
-"""The parameters of the simulated robot, and the world that they describe."""
+"""The parameters of the simulated robot, and the simulated world that they describe."""
 
 from __future__ import annotations
 
@@ -28,18 +28,12 @@ __all__ = ["PARAMETERS", "SimulationParameters", "about_z"]
 
 BAY = Path(__file__).with_name("simulated_bay.yaml")
 PARAMETERS: dict[str, tuple[object, str]] = {
-    "scenario": (
-        "",
-        "scenario file (optdock-scenario/1): robot, dock, obstacles, start; empty: a bay that comes along",
-    ),
+    "scenario": ("", "scenario file with robot, dock, obstacles, start; empty: the bay of this package"),
     "start": ([], "x [m], y [m], yaw [rad] of the robot in the map; empty: the scenario's"),
-    "dock_offset": ([0.0, 0.0, 0.0], "where the dock truly stands, seen from where the scenario says [m, m, rad]"),
-    "seed": (0, "of all noise"),
+    "dock_offset": ([0.0, 0.0, 0.0], "true pose of the dock relative to the scenario's [m, m, rad]"),
+    "seed": (0, "of the noise"),
     "rate": (100.0, "steps of the simulation [Hz]"),
-    "speed": (
-        0.0,
-        "0: real time, on the system's clock; else /clock is published and goes this many times as fast [1]",
-    ),
+    "speed": (0.0, "0: real time, system clock; otherwise speed of the published /clock [1]"),
     "map_frame": ("map", "of localization, the scenario and the truth"),
     "odom_frame": ("odom", "of odometry and costmap"),
     "base_frame": ("base_link", "of the robot"),
@@ -56,40 +50,37 @@ PARAMETERS: dict[str, tuple[object, str]] = {
     "odometry.linear_sigma": (0.002, "white noise of the speed [m/s]"),
     "odometry.angular_sigma": (0.002, "white noise of the yaw rate [rad/s]"),
     "localization.rate": (20.0, "of map -> odom [Hz]"),
-    "localization.transform_tolerance": (0.1, "by which map -> odom is dated into the future, as AMCL does [s]"),
+    "localization.transform_tolerance": (0.1, "by which map -> odom is stamped into the future, as by AMCL [s]"),
     "localization.position_sigma": (0.005, "white noise of x and y, each [m]"),
     "localization.yaw_sigma": (0.009, "white noise of yaw [rad]"),
-    "detection.rate": (15.0, "pictures [Hz]; 0: there is no detector"),
-    "detection.latency": (0.06, "from the picture to its message [s]"),
+    "detection.rate": (15.0, "camera images [Hz]; 0: there is no detector"),
+    "detection.latency": (0.06, "from the image to its message [s]"),
     "detection.position_sigma": (0.003, "white noise of the dock's x and y within `near`, each [m]"),
     "detection.yaw_sigma": (0.005, "white noise of its yaw within `near` [rad]"),
     "detection.near": (1.0, "[m]"),
-    "detection.growth": (1.0, "of both sigmas for every metre beyond `near` [1/m]"),
-    "detection.drop_out": (0.0, "probability that nothing is found in a picture [1]"),
-    "detection.field_of_view": (2.0, "whole angle of the camera [rad]"),
-    "detection.max_range": (4.0, "farthest marker that is found [m]"),
+    "detection.growth": (1.0, "of both sigmas per metre beyond `near` [1/m]"),
+    "detection.drop_out": (0.0, "probability that nothing is detected in an image [1]"),
+    "detection.field_of_view": (2.0, "horizontal angle of the camera [rad]"),
+    "detection.max_range": (4.0, "largest distance of a detected marker [m]"),
     "camera.frame": ("camera_optical_frame", "x right, y down, z forward"),
-    "camera.pose": ([0.0, 0.0, 0.3], "of the camera on the robot: x, y, z [m]; it looks where the dock is approached"),
-    "marker.distance": (
-        0.2,
-        "from the docked robot's origin into the dock; Nav2's external_detection_translation_x [m]",
-    ),
+    "camera.pose": ([0.0, 0.0, 0.3], "of the camera on the robot: x, y, z [m]; it faces the direction of the approach"),
+    "marker.distance": (0.2, "from the docked robot into the dock; minus external_detection_translation_x [m]"),
     "marker.height": (0.3, "above the floor [m]"),
-    "station.stops": (True, "whether the station holds the robot where it stands docked"),
-    "station.depth": (0.0, "how much deeper than docked it can be driven [m]"),
-    "battery.charging_current": (2.0, "in contact [A]"),
-    "battery.idle_current": (-1.0, "else [A]"),
-    "battery.delay": (0.5, "of the charger after contact [s]"),
+    "station.stops": (True, "whether the station blocks the robot at the docked pose"),
+    "station.depth": (0.0, "distance by which it can be driven beyond the docked pose [m]"),
+    "battery.charging_current": (2.0, "while charging [A]"),
+    "battery.idle_current": (-1.0, "otherwise [A]"),
+    "battery.delay": (0.5, "from contact to charging [s]"),
     "wheels.radius": (0.1, "[m]"),
-    "wheels.stall_effort": (5.0, "of a wheel that is held [N m]"),
-    "costmap.rate": (5.0, "[Hz]; 0: there is none"),
+    "wheels.stall_effort": (5.0, "of a blocked wheel [N m]"),
+    "costmap.rate": (5.0, "[Hz]; 0: there is no costmap"),
     "costmap.size": (3.0, "side of the window [m]"),
     "costmap.resolution": (0.05, "[m]"),
-    "costmap.station": (True, "whether the station is seen in it"),
+    "costmap.station": (True, "whether it contains the station"),
     "faults.transforms": (False, "both transforms stop"),
     "faults.localization": (False, "map -> odom stops"),
     "faults.odometry": (False, "odom stops; the transforms go on"),
-    "faults.detections": (False, "the dock is not seen any more"),
+    "faults.detections": (False, "detections stop"),
     "faults.costmap": (False, "costmap and footprint stop"),
 }
 """Name, default, and what it is."""
@@ -99,18 +90,18 @@ POSITIVE = (
     "costmap.resolution",
 )  # fmt: skip
 NOT_NEGATIVE = ("speed", "costmap.rate", "detection.rate", "battery.delay", "marker.distance")
-CAMERA_LOOKS = (-0.5, 0.5, -0.5, 0.5)  # z forward, x right, y down, seen from a frame with x forward, z up
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # z forward, x right, y down, seen from a frame with x forward, z up
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationParameters:
-    """Everything that the parameters say, checked.
+    """All parameters, validated.
 
     Args:
-        values: By the parameters' names.
+        values: Values by the names of the parameters.
 
     Raises:
-        OptdockError: What is wrong, with the parameter's name.
+        OptdockError: If a parameter is invalid; the message names it.
     """
 
     values: Mapping[str, Any]
@@ -124,7 +115,11 @@ class SimulationParameters:
             if isinstance(default, list):
                 self.numbers(name)
             elif isinstance(default, float):
-                check(name, finite_number(value, name))
+                number = finite_number(value, name)
+                if name in POSITIVE and not number > 0.0:
+                    raise InvalidValue(f"{name}: must be > 0, got {number}")
+                if name in NOT_NEGATIVE and number < 0.0:
+                    raise InvalidValue(f"{name}: must be >= 0, got {number}")
             else:
                 instance(type(default), value, name)
         cells = self.values["costmap.size"] / self.values["costmap.resolution"]
@@ -133,79 +128,74 @@ class SimulationParameters:
         self.robot()
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Three numbers, or none where the default is none."""
+        """Return three numbers, or none if the default is empty."""
         found = tuple(finite_number(value, name) for value in self.values[name])
         if len(found) != 3 and not (len(found) == 0 and not PARAMETERS[name][0]):
             raise InvalidValue(f"{name}: must be three numbers, got {list(found)}")
         return found
 
     def block(self, name: str, *others: str) -> dict[str, Any]:
-        """The parameters of a block, without `others`."""
+        """Return the parameters of a block, without `others`."""
         found = {key.partition(".")[2]: value for key, value in self.values.items() if key.startswith(f"{name}.")}
         return {key: value for key, value in found.items() if key not in others}
 
     @cached_property
     def problem(self) -> DockingProblem:
-        """Of the scenario."""
+        """Problem of the scenario."""
         return load_scenario(self.values["scenario"] or BAY).problem
 
     @cached_property
     def gear(self) -> float:
-        """1 where the robot drives forward into the dock, -1 backward."""
+        """Gear of the approach: 1 for forward, -1 for backward."""
         return -1.0 if self.problem.dock.direction is DockDirection.BACKWARD else 1.0
 
     @cached_property
+    def approach_yaw(self) -> float:
+        """Direction of the approach in the robot's frame [rad]."""
+        return 0.0 if self.gear > 0.0 else math.pi
+
+    @cached_property
+    def dock(self) -> Pose2:
+        """True docked pose of the robot."""
+        return self.problem.goal @ Pose2(*self.numbers("dock_offset"))
+
+    @cached_property
     def camera(self) -> tuple[tuple[float, float, float], Rotation]:
-        """Position and orientation of the camera's frame on the robot."""
+        """Position and orientation of the camera in the robot's frame."""
         x, y, z = self.numbers("camera.pose")
-        return (x, y, z), quaternion_product(about_z(0.0 if self.gear > 0.0 else math.pi), CAMERA_LOOKS)
+        return (x, y, z), quaternion_product(about_z(self.approach_yaw), OPTICAL)
 
     def robot(self) -> simulation.SimulatedRobot:
-        """The robot at its start, at rest."""
+        """Return the robot at its start, at rest."""
         (x, y, _), values, problem = self.numbers("camera.pose"), self.values, self.problem
-        start = Pose2(*self.numbers("start")) if values["start"] else problem.start
         detector = None
         if values["detection.rate"] > 0.0:
             detector = simulation.DockSensor(
                 **self.block("detection"),
-                camera=Pose2(x, y, 0.0 if self.gear > 0.0 else math.pi),
+                camera=Pose2(x, y, self.approach_yaw),
                 marker=Pose2(self.gear * values["marker.distance"], 0.0, 0.0),
             )
-        actuation = simulation.Actuation(**self.block("actuation"))
         direction = DockDirection.FORWARD if self.gear > 0.0 else DockDirection.BACKWARD
+        station = simulation.Station(direction, values["station.depth"])
         return simulation.SimulatedRobot(
-            simulation.plant_of(problem.robot, actuation),
-            start,
-            problem.goal @ Pose2(*self.numbers("dock_offset")),
+            simulation.plant_of(problem.robot, simulation.Actuation(**self.block("actuation"))),
+            Pose2(*self.numbers("start")) if values["start"] else problem.start,
+            self.dock,
             simulation.Sensors(
                 simulation.PoseSensor(**self.block("localization", "rate", "transform_tolerance")),
                 simulation.Odometry(**self.block("odometry", "rate")),
                 detector,
             ),
-            station=simulation.Station(direction, values["station.depth"]) if values["station.stops"] else None,
+            station=station if values["station.stops"] else None,
             seed=values["seed"],
         )
 
     def station(self) -> ObstacleSet:
-        """The outline of the dock, where it truly stands."""
+        """Return the outline of the station at its true pose."""
         outline = self.problem.dock.footprint
-        if outline is None:
-            return ObstacleSet.empty()
-        return ObstacleSet.from_footprint(outline, self.problem.goal @ Pose2(*self.numbers("dock_offset")), "dock")
-
-
-def check(name: str, value: float) -> None:
-    """Check the range of numbers that are not checked elsewhere.
-
-    Raises:
-        InvalidValue: It may not be so small.
-    """
-    if name in POSITIVE and not value > 0.0:
-        raise InvalidValue(f"{name}: must be > 0, got {value}")
-    if name in NOT_NEGATIVE and value < 0.0:
-        raise InvalidValue(f"{name}: must be >= 0, got {value}")
+        return ObstacleSet.empty() if outline is None else ObstacleSet.from_footprint(outline, self.dock, "dock")
 
 
 def about_z(angle: float) -> Rotation:
-    """Turned by an angle [rad] about the vertical."""
+    """Return the rotation by an angle [rad] about the vertical axis."""
     return 0.0, 0.0, math.sin(0.5 * angle), math.cos(0.5 * angle)

@@ -1,6 +1,6 @@
-"""What the costmap and the footprint topics say, and how old it is.
+"""The costmap and footprint topics.
 
-Subscriptions only store what arrives; it is converted, and judged, on demand.
+Subscriptions only store messages; they are converted and validated on demand.
 """
 
 from __future__ import annotations
@@ -37,73 +37,54 @@ __all__ = [
     "SurroundingsError",
     "first_collision",
     "nav2_footprint",
-    "now",
 ]
 
-# Updates are patched in on demand, or at this number: more would only be kept, and patched at once later.
-_MOST_UPDATES = 32
-# [m]: an outline that comes back from the map's frame as float32, by an interpolated transform, wanders by micrometres,
-# 4 of them 100 m from the origin; it is the same outline. Contact forgives 2 of them, so it is rounded too.
+_MOST_UPDATES = 32  # stored at most; then they are applied
+# [m]: an outline transformed back from the map's frame as float32 varies by micrometres, 4 of them at 100 m from the
+# origin, more than the 2 that a contact tolerates. So it is rounded, and smaller changes are ignored.
 _SAME_OUTLINE = 1e-4
 _DIGITS = 4  # after the point: a tenth of a millimetre
 
 
 class SurroundingsError(OptdockError):
-    """A topic has not been heard, says what cannot be, or is too old."""
-
-
-def now(node: Node) -> float:
-    """Seconds on a node's clock, which is the simulation's with `use_sim_time`."""
-    return float(node.get_clock().now().nanoseconds) * 1e-9
+    """A topic has no message, an invalid one or an old one."""
 
 
 class CostmapTopic:
-    """The newest costmap of a topic, with the updates of parts that came after it.
+    """The newest costmap of a topic, with its later updates.
 
-    Args:
-        node: Whose subscription it is.
-        topic: Its name. One that ends in `_raw` holds nav2_msgs/Costmap, as `costmap_raw` of Nav2 does; any other
-            nav_msgs/OccupancyGrid, as `costmap` and `map`. Updates come on the same name with `_updates`.
+    A topic whose name ends in `_raw` has nav2_msgs/Costmap, any other nav_msgs/OccupancyGrid.
     """
 
     def __init__(self, node: Node, topic: str) -> None:
-        self.topic = topic
-        self._node = node
-        raw = topic.endswith("_raw")
-        whole = ros.imported("nav2_msgs/msg/Costmap" if raw else "nav_msgs/msg/OccupancyGrid")
-        part = _update_type(raw=raw)
+        self.topic, self._node = topic, node
+        is_raw = topic.endswith("_raw")
         self._lock = threading.Lock()  # held for list operations only
         self._whole: Any = None
         self._updates: list[Any] = []
         self._known: StampedCostmap | None = None
         self._fault = f"{topic}: no costmap yet"
         self._converting = threading.Lock()
-        group = MutuallyExclusiveCallbackGroup()
-        kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        parts = QoSProfile(depth=_MOST_UPDATES, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._subscriptions = [
-            node.create_subscription(whole, topic, self._take_whole, kept, callback_group=group),
-        ]
-        if part is not None:
-            updates = f"{topic}_updates"
-            self._subscriptions.append(
-                node.create_subscription(part, updates, self._take_part, parts, callback_group=group)
-            )
+        subscribe = partial(node.create_subscription, callback_group=MutuallyExclusiveCallbackGroup())
+        latched = partial(QoSProfile, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        whole = ros.imported("nav2_msgs/msg/Costmap" if is_raw else "nav_msgs/msg/OccupancyGrid")
+        self._subscriptions = [subscribe(whole, topic, self._take_whole, latched(depth=1))]
+        try:
+            part = ros.imported("nav2_msgs/msg/CostmapUpdate" if is_raw else "map_msgs/msg/OccupancyGridUpdate")
+        except ImportError:
+            node.get_logger().warning(f"{topic}: map_msgs is not installed; its updates are not received")
         else:
-            node.get_logger().warning(f"{topic}: map_msgs is not installed; only whole grids of it are seen")
+            parts = latched(depth=_MOST_UPDATES)
+            self._subscriptions.append(subscribe(part, f"{topic}_updates", self._take_part, parts))
 
     def close(self) -> None:
-        """End the subscriptions."""
+        """Destroy the subscriptions."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
 
     def newest(self) -> StampedCostmap:
-        """The costmap as it is known now.
-
-        Raises:
-            SurroundingsError: Nothing has come yet, or what came is not a costmap; the message names topic and fault.
-        """
+        """Return the costmap with all updates; raise `SurroundingsError` if there is no valid message."""
         with self._converting:
             with self._lock:
                 whole, updates = self._whole, self._updates
@@ -118,10 +99,7 @@ class CostmapTopic:
         return known
 
     def _converted(self, topic: str, convert: Callable[[], StampedCostmap]) -> StampedCostmap | None:
-        """A costmap; None, and why is kept, where what came is none or does not fit what is known.
-
-        What was known is then not what there is, until the next whole costmap.
-        """
+        """Return a costmap; None, until the next whole costmap, for an invalid message."""
         try:
             return convert()
         except InvalidValue as error:
@@ -129,8 +107,7 @@ class CostmapTopic:
             return None
 
     def _take_whole(self, message: Any) -> None:
-        with self._lock:
-            # What is older than a whole costmap is part of it; later parts may overtake it, and stay.
+        with self._lock:  # keep the updates: those that are newer may arrive first
             self._whole = message
 
     def _take_part(self, message: Any) -> None:
@@ -145,17 +122,10 @@ class CostmapTopic:
 
 
 class FootprintTopic:
-    """The newest outline of the robot from a topic, in the robot's own frame.
+    """The newest outline of a topic, in the robot's frame.
 
-    Nav2 publishes the outline where the robot stands, in its costmap's frame; the transform of the same moment takes it
-    back.
-
-    Args:
-        node: Whose subscription it is.
-        topic: Its name; geometry_msgs/PolygonStamped.
-        transforms: Where the robot stands.
-        base_frame: The robot's own frame.
-        tolerance: How much older than the message its transform may be [s].
+    Nav2 publishes the outline in the frame of its costmap; the transform of the same time transforms it back, which
+    may be older than the message by `tolerance` [s].
     """
 
     def __init__(
@@ -167,26 +137,25 @@ class FootprintTopic:
         self._known: tuple[Footprint, float] | None = None
         self._converting = threading.Lock()
         group = MutuallyExclusiveCallbackGroup()
-        # Nav2 publishes it as any topic; a latched one is taken by this as well, once it moves or is told again.
         self._subscription = node.create_subscription(PolygonStamped, topic, self._take, 1, callback_group=group)
 
     def close(self) -> None:
-        """End the subscription."""
+        """Destroy the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     @property
     def is_heard(self) -> bool:
-        """Whether anything has come."""
+        """Whether a message has been received."""
         return self._newest is not None or self._known is not None
 
     def newest(self) -> tuple[Footprint, float]:
-        """The outline in the robot's frame, and its stamp [s].
+        """Return the outline in the robot's frame and its stamp [s].
 
-        It is rounded to a tenth of a millimetre; one that differs from the one before by less is the one before.
+        The outline is rounded to a tenth of a millimetre; smaller changes return the previous outline.
 
         Raises:
-            SurroundingsError: Nothing has come yet, or it is not an outline.
-            TransformError: Where the robot stood at that moment is not known.
+            SurroundingsError: If there is no message, or an invalid one.
+            TransformError: If there is no transform at the time of the message.
         """
         with self._converting:
             message, self._newest = self._newest, None
@@ -194,8 +163,7 @@ class FootprintTopic:
                 try:
                     self._known = self._converted(message)
                 except OptdockError:
-                    # A transform may come a moment later; a newer message has its own.
-                    if self._newest is None:
+                    if self._newest is None:  # try again: its transform may come later
                         self._newest = message
                     raise
             known = self._known
@@ -223,11 +191,7 @@ class FootprintTopic:
 
 
 def _updated(known: StampedCostmap, updates: Sequence[Any]) -> StampedCostmap:
-    """A costmap with the parts that came after it; a part that is older than what is known changes nothing.
-
-    Raises:
-        InvalidMessage: A part does not fit.
-    """
+    """Apply the updates that are not older than the costmap or than previous updates."""
     newer, newest = [], known.stamp
     for update in updates:
         stamp = ros.seconds(update.header.stamp)
@@ -237,32 +201,19 @@ def _updated(known: StampedCostmap, updates: Sequence[Any]) -> StampedCostmap:
     return ros.patched(known, *newer)
 
 
-def _update_type(*, raw: bool) -> type | None:
-    """The class of a grid's updates; None where its package is not installed, as may be with map_msgs."""
-    try:
-        return ros.imported("nav2_msgs/msg/CostmapUpdate" if raw else "map_msgs/msg/OccupancyGridUpdate")
-    except ImportError:
-        return None
-
-
 def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -> int:
-    """The first pose whose outline's edges meet a lethal or unknown cell or one off the map, or -1.
+    """Return the first of the poses, shape (n, 3), at which the outline meets a lethal or unknown cell, or -1.
 
-    Args:
-        poses: Shape (n, 3).
-        footprint: The outline.
-        costmap: Where to look.
+    Only the edges of the outline are checked, as in Nav2; cells off the map are unknown.
     """
     corners = transform_points(poses, footprint.vertices)
     count = corners.shape[1]
     starts = costmap.cell_of(corners.reshape(-1, 2))
     ends = costmap.cell_of(np.roll(corners, -1, axis=1).reshape(-1, 2))
     on_map = costmap.has_cell(starts).reshape(-1, count).all(axis=1)
-    if not on_map.all():
-        # Cells are looked up where all corners are on the map; a line between two such is there too.
-        inside = np.flatnonzero(on_map)
+    if not on_map.all():  # check the poses before the first one off the map
         first_off = int(np.flatnonzero(~on_map)[0])
-        before = first_collision(poses[inside[inside < first_off]], footprint, costmap) if first_off else -1
+        before = first_collision(poses[:first_off], footprint, costmap) if first_off else -1
         return before if before >= 0 else first_off
     cells, owner = cells_of_lines(starts, ends)
     hit = owner[costmap.data[cells[:, 1], cells[:, 0]] >= LETHAL]
@@ -270,15 +221,10 @@ def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -
 
 
 def nav2_footprint(footprint: str, robot_radius: float, padding: float) -> Footprint:
-    """The outline that Nav2's three parameters mean.
-
-    Args:
-        footprint: `"[[x, y], ...]"` [m]; empty or `"[]"`: the robot is round.
-        robot_radius: Of a round robot [m].
-        padding: How far every vertex is moved outward along x and y [m].
+    """Return the outline of Nav2's three parameters, the last two in metres; an empty footprint is a round robot.
 
     Raises:
-        InvalidValue: They make no outline.
+        InvalidValue: If the parameters are invalid.
     """
     is_round = footprint.strip() in {"", "[]"}
     outline = Footprint.from_radius(robot_radius) if is_round else Footprint.from_string(footprint)
