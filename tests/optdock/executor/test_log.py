@@ -83,7 +83,7 @@ def test_crash_leaves_a_log(written, tmp_path):
     assert found.cut_off
     assert found.cycles[-1].ending is None
     assert replay(found).differs_at is None
-    assert "cut off" in CliRunner().invoke(app, ["replay", str(crashed)]).output
+    assert "truncated" in CliRunner().invoke(app, ["replay", str(crashed)]).output
 
 
 def damaged(lines, line, text):
