@@ -59,7 +59,8 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP)
-	$(BIN)/python -m pytest -q -n 2 --ignore=tests/docs --ignore=tests/experiments
+	$(BIN)/python -m pytest -q -n 2 tests --ignore=tests/docs --ignore=tests/experiments
+	$(BIN)/python -m pytest -q --doctest-modules optdock smoothers checkers
 
 test: check unit
 
