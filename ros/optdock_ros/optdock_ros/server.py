@@ -164,13 +164,13 @@ class Server(LifecycleNode, Generic[S]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work."""
+        self.is_active = True
         try:
             self.start()
         except Exception as error:
             self.log_error(error, "activate failed")
-            self._stop()
+            self.halt()
             return TransitionCallbackReturn.FAILURE
-        self.is_active = True
         self.get_logger().info("active")
         if self._bond is not None:
             self._bond.start()
@@ -183,7 +183,7 @@ class Server(LifecycleNode, Generic[S]):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End all work."""
-        self._stop()
+        self.halt()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -209,8 +209,15 @@ class Server(LifecycleNode, Generic[S]):
 
     def halt(self) -> None:
         """End all work, in any state."""
-        if self.is_active:
-            self._stop()
+        if not self.is_active:
+            return
+        self.is_active = False
+        try:
+            self.stop()
+        except Exception as error:
+            self.log_error(error, "stop failed")
+        if self._bond is not None:
+            self._bond.end()
 
     def end(self) -> None:
         """End all work and tear down, in any state."""
@@ -223,37 +230,19 @@ class Server(LifecycleNode, Generic[S]):
         except Exception as error:
             self.log_error(error, "cleanup failed")
 
-    def _stop(self) -> None:
-        self.is_active = False
-        try:
-            self.stop()
-        except Exception as error:
-            self.log_error(error, "stop failed")
-        if self._bond is not None:
-            self._bond.end()
-
     def _validate_change(self, changes: list[Parameter[Any]]) -> SetParametersResult:
         if not self._is_configured:  # configure validates all parameters
             return SetParametersResult(successful=True)
         try:
             block = parameters_of(self, changes)
             for parameter in changes:
-                self._require_changeable(parameter)
+                _require_changeable(self, parameter)
             self.check(block)
         except Exception as error:
             if not isinstance(error, OptdockError):
                 self.log_error(error, "a change of parameters failed")
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-    def _require_changeable(self, parameter: Parameter[Any]) -> None:
-        """Raise `InvalidValue` for a new value of a parameter that is read at configure only."""
-        fixed = self.fixed | ServerParameters.model_fields.keys()
-        is_fixed = any(parameter.name == name or parameter.name.startswith(f"{name}.") for name in fixed)
-        if not is_fixed and not parameter.name.endswith(".plugin"):
-            return
-        if parameter.value != self.get_parameter_or(parameter.name).value:
-            raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
 
     def _apply_change(self, _changes: list[Parameter[Any]]) -> None:
         if not self._is_configured:
@@ -263,6 +252,16 @@ class Server(LifecycleNode, Generic[S]):
             self.changed()
         except Exception as error:
             self.log_error(error, "a change of parameters failed")
+
+
+def _require_changeable(server: Server[Any], parameter: Parameter[Any]) -> None:
+    """Raise `InvalidValue` for a new value of a parameter that is read at configure only."""
+    fixed = server.fixed | ServerParameters.model_fields.keys()
+    is_fixed = any(parameter.name == name or parameter.name.startswith(f"{name}.") for name in fixed)
+    if not is_fixed and not parameter.name.endswith(".plugin"):
+        return
+    if parameter.value != server.get_parameter_or(parameter.name).value:
+        raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
 
 
 def _bond_of(node: Server[Any], block: dict[str, object]) -> Bond | None:

@@ -53,7 +53,7 @@ from optdock.ros.transforms import quaternion_product, rotated
 from optdock_ros.simulation_parameters import PARAMETERS, SimulationParameters, about_z
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from rclpy.parameter import Parameter
 
@@ -154,7 +154,7 @@ class SimulatedRobotNode:
         solid = world.problem.obstacles + self._station
         self._seen = solid if world.values["costmap.station"] else world.problem.obstacles
         self._topics.obstacles.publish(markers(solid, world.values["map_frame"], self._stamp))
-        self._topics.static_transforms.publish(TFMessage(transforms=[self._camera_transform()]))
+        self._topics.static_transforms.publish(TFMessage(transforms=[camera_transform(world, self._stamp)]))
 
     def _run(self) -> None:
         """Step the world in time; an exception ends the process, because a world that stands still is misleading."""
@@ -238,7 +238,7 @@ class SimulatedRobotNode:
         if self._is_due("costmap", values["costmap.rate"]) and not faults["costmap"]:
             self._publish_costmap(odom, stamp)
         if self._is_due("report", REPORTS):
-            topics.battery.publish(self._battery_state(stamp))
+            topics.battery.publish(battery_state(values, stamp, charges=self._charges))
             self._publish_report(stamp)
 
     def _publish_motion(self, stamp: float) -> None:
@@ -261,14 +261,6 @@ class SimulatedRobotNode:
             return False
         self._due[name] = due + max(1.0, math.ceil((self._now - due) * rate + 1e-6)) / rate
         return True
-
-    def _camera_transform(self) -> TransformStamped:
-        values, (position, rotation) = self._world.values, self._world.camera
-        message = stamped(TransformStamped, self._stamp, values["base_frame"], child_frame_id=values["camera.frame"])
-        shift = message.transform.translation
-        shift.x, shift.y, shift.z = position
-        message.transform.rotation = quaternion(rotation)
-        return message
 
     def _detected(self, detection: Detection) -> PoseStamped:
         """Return the pose of the marker in the camera's frame."""
@@ -294,14 +286,6 @@ class SimulatedRobotNode:
             velocity=[rim / values["wheels.radius"] for rim in rims],
             effort=[pushing if self._is_held else math.copysign(ROLLING_TORQUE, rim) if rim else 0.0 for rim in rims],
         )
-
-    def _battery_state(self, stamp: float) -> BatteryState:
-        message = stamped(BatteryState, stamp, present=True, voltage=24.0, percentage=CHARGED)
-        name, status = "battery.idle_current", BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
-        if self._charges:
-            name, status = "battery.charging_current", BatteryState.POWER_SUPPLY_STATUS_CHARGING
-        message.current, message.power_supply_status = float(self._world.values[name]), status
-        return message
 
     def _publish_costmap(self, frame: str, stamp: float) -> None:
         """Publish the outline and, as Nav2, the whole window after it has moved, otherwise the changed part."""
@@ -404,6 +388,26 @@ class SimulatedRobotNode:
             for name, value in found.items()
             if name.partition(".")[0] not in SHARED
         }
+
+
+def camera_transform(world: SimulationParameters, stamp: float) -> TransformStamped:
+    """Return the transform from the base to the camera."""
+    values, (position, rotation) = world.values, world.camera
+    message = stamped(TransformStamped, stamp, values["base_frame"], child_frame_id=values["camera.frame"])
+    shift = message.transform.translation
+    shift.x, shift.y, shift.z = position
+    message.transform.rotation = quaternion(rotation)
+    return message
+
+
+def battery_state(values: Mapping[str, Any], stamp: float, *, charges: bool) -> BatteryState:
+    """Return the state of the battery with the current of the parameters."""
+    message = stamped(BatteryState, stamp, present=True, voltage=24.0, percentage=CHARGED)
+    name, status = "battery.idle_current", BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+    if charges:
+        name, status = "battery.charging_current", BatteryState.POWER_SUPPLY_STATUS_CHARGING
+    message.current, message.power_supply_status = float(values[name]), status
+    return message
 
 
 def points_along(outlines: FloatArray, step: float) -> FloatArray:
