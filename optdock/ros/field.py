@@ -244,7 +244,7 @@ class _RecordingReader:
         self._base = self._base or _BASE
 
     def _costmap(self, topic: str) -> tuple[str, Costmap]:
-        """Frame and last complete costmap with all later updates."""
+        """Frame and costmap: the last complete message, with all later updates applied."""
         last = self._bag.last(topic, *self._interval)
         if last is None:
             raise self._nothing(topic)

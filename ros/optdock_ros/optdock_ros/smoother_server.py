@@ -296,7 +296,7 @@ class SmootherServer(Server[SmootherSettings]):
             self._footprint.tolerance = self.settings.own.transform_tolerance
 
     def start(self) -> None:
-        """Warm up in the thread of the goals, to which solvers are bound, and accept goals."""
+        """Warm up the smoothers in the thread that executes goals, to which solvers are bound; then accept goals."""
         self._goals.call(self._warm_up)
         self._goals.accept_goals()
 
