@@ -1,4 +1,4 @@
-"""Straight lines and arcs out of the start and out of the dock, between whose ends the search connects.
+"""Straight lines and arcs out of the start and out of the dock; the search connects the ends of both.
 
 A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
 some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of

@@ -208,7 +208,7 @@ def _with_headings(poses: FloatArray) -> FloatArray:
     """Return poses, shape (n, 3), whose headings follow the travel if no headings were given.
 
     Nav2's grid planners leave the identity in all poses but the last one. Equal headings, except for the last one, are
-    regarded as missing if a step leads aside of them or if the last heading differs.
+    regarded as missing if a step has another direction, or if the last heading differs.
     """
     if len(poses) < 3 or not np.all(poses[:-1, 2] == poses[0, 2]):
         return poses
