@@ -32,7 +32,7 @@ class StoppedGoalChecker(SimpleGoalChecker):
     parameters: StoppedGoalCheckerParameters
 
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether position, heading and rest are accepted."""
+        """Whether position and heading are accepted and the robot is at rest."""
         p = self.parameters
         in_place = super().is_goal_reached(query_pose, goal_pose, velocity, path)
         return in_place and is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)

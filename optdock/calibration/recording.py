@@ -49,7 +49,7 @@ class OdometryPath(NamedTuple):
     """Path by dead reckoning, in an arbitrary frame.
 
     Attributes:
-        times: Rising, Shape (n,) [s].
+        times: Times in ascending order, Shape (n,) [s].
         poses: Poses with continuous yaw, Shape (n, 3).
     """
 

@@ -72,7 +72,7 @@ class _Once(logging.Filter):
         self._seen: set[str] = set()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the record is no repeated warning."""
+        """Return False for a warning that was logged before, True for all other records."""
         message = record.getMessage()
         is_new = record.levelno < logging.WARNING or message not in self._seen
         self._seen.add(message)

@@ -196,7 +196,7 @@ class _Points(list[list[float]]):
 
 
 def _points(polygon: ArrayLike) -> _Points:
-    """Vertices without the repeated ones of padded pieces."""
+    """Return the vertices of a polygon without repetitions, which pad obstacles to equal numbers of vertices."""
     points: list[list[float]] = np.asarray(polygon, dtype=np.float64).tolist()
     return _Points(point for i, point in enumerate(points) if point != points[i - 1])
 

@@ -324,9 +324,10 @@ def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
 
 
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
-    """Return the largest deceleration of the coming period, which beyond rest is an acceleration with its own limit a.
+    """Return the largest deceleration of the coming period.
 
-    To decrease from b to a it takes (b^2 - a^2) / (2 jerk) of the speed.
+    From rest on it is an acceleration in the other direction, with a limit a of its own. While the deceleration
+    decreases from b to a, the speed changes by (b^2 - a^2) / (2 jerk).
     """
     most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
     until_rest = speed / most

@@ -69,8 +69,8 @@ class LookAhead:
             context: Footprint and obstacles; without a footprint nothing is checked.
             way: Poses, Shape (n, 3).
             contacts: Poses at which the robot may touch obstacles, Shape (k, 3).
-            tolerance: Largest depth of an intended contact, by noise and a compliant bumper [m].
-            noise: Depth in any obstacle that noise may show [m].
+            tolerance: Largest depth that is allowed for an intended contact, for noise and a compliant bumper [m].
+            noise: Largest apparent depth in any obstacle that noise of the poses can cause [m].
         """
         footprint = context.footprint
         if footprint is None:

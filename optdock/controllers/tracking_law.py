@@ -82,10 +82,10 @@ class DelayBounds(NamedTuple):
 def delay_bounds(speed: float, delay: float, damping: float) -> DelayBounds:
     """Return the bounds at which a delay takes 0.4 of the phase margin of the linearized law.
 
-    Across, the open loop is (2 zeta a s + a^2) / s^2 with a = |v| / L. Its gain is 1 at
-    w = a sqrt(2 zeta^2 + sqrt(4 zeta^4 + 1)), where its phase margin is atan(2 zeta w / a). Along, and for turns in
-    place, it is k / s, with a gain of 1 at w = k and a margin of 90 degrees. A lag takes less phase
-    than an equal latency.
+    Across the path, the open loop is (2 zeta a s + a^2) / s^2 with a = |v| / L. Its gain is 1 at
+    w = a sqrt(2 zeta^2 + sqrt(4 zeta^4 + 1)), where its phase margin is atan(2 zeta w / a). Along the path,
+    and for turns in place, the open loop is k / s, with a gain of 1 at w = k and a phase margin of 90 degrees. A lag
+    reduces the phase less than an equal latency.
 
     Args:
         speed: Speed of the reference [m/s], of either sign.

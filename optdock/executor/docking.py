@@ -62,8 +62,9 @@ class DockingExecutor:
         settings: Settings; None: the defaults.
         task: `dock` or `undock`.
         controller: Name, name with parameters, or plugin that is not configured.
-        goal_checker: Decides whether the robot is docked; given as the controller.
-        dock_type: Kind of dock, given as the controller; None: a `SimpleDock` with parameters from the settings.
+        goal_checker: Decides whether the robot is docked; of the same forms as `controller`.
+        dock_type: Kind of dock, of the same forms as `controller`; None: a `SimpleDock` with parameters from the
+            settings.
         planning: Runs planning jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
         log: Log to write; None: no log.
         last_command: Last command before the task, for a robot in motion; None: the first measured velocity.

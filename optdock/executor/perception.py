@@ -242,7 +242,7 @@ class Perception:
 
 
 def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
-    """Whether two costmaps are equal by value, as a replay creates other objects."""
+    """Whether two costmaps are equal; their values are compared, because a replay creates new objects."""
     if known is None or (costmap.resolution, costmap.origin) != (known.resolution, known.origin):
         return False
     return costmap is known or np.array_equal(costmap.data, known.data)

@@ -356,7 +356,7 @@ class TrajectoryDrive:
         )
 
     def _leaves_error(self, time: float) -> bool:
-        """Whether feedback would leave an error at the dock that is worth a plan.
+        """Whether feedback would leave an error at the dock that is large enough to plan again.
 
         Raises:
             Interrupted: If the remaining error would exceed the tolerances, and only a change of gear could correct it.

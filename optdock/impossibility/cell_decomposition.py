@@ -490,7 +490,10 @@ class _Search:
     def _best_near(
         self, pose: FloatArray, reach: FloatArray, body: DiscCover
     ) -> tuple[tuple[float, float, float], float]:
-        """Return the pose within `reach` with the largest distance of discs from obstacles, and that distance."""
+        """Return the pose near `pose` at which the discs are farthest from obstacles, and their least distance.
+
+        `reach`: largest differences from `pose` in x [m], y [m] and yaw [rad], Shape (3,).
+        """
         import shapely
 
         everything, (x, y, radius) = self.obstacles, body.discs.T

@@ -408,7 +408,7 @@ class _Rim:
         return found, bool(is_in.all(axis=2).any(axis=0).all())
 
     def _is_closed_at_sides(self) -> bool:
-        """Whether tiles are wherever the set reaches the side of a tile; cells beyond that are not in it become rim."""
+        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set become rim."""
         for axis in (0, 1):
             lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
             low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]

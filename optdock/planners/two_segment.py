@@ -444,7 +444,7 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 def _first_wide(
     start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` with an angle between the rays to start and `end` that reaches the threshold."""
+    """Return the first of `indices` from which the rays to start and `end` enclose at least the threshold angle."""
     at = centreline[indices]
     real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
     wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real

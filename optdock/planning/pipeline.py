@@ -355,7 +355,7 @@ class _Portfolio:
         return plan.completed and not self.deadline.passed() and not (plan is self.last_resort and is_cut_short)
 
     def _leave_out_gears(self) -> None:
-        """Try the best plan without one of its shorter gears while that helps."""
+        """Try the best plan without one of its short gear segments, and repeat as long as the price may fall."""
         tried: set[str] = set()
         while self.best is not None and len(tried) < _MOST_LEFT_OUT and not self.work.is_late():
             simpler = (path for path in fewer_cusps(self.best.path, self.problem) if path.digest not in tried)

@@ -9,8 +9,8 @@ continuity. These are tried in order until a plan is certified:
 3. `plan_dock` from the joint.
 
 If nothing is certified in time, the old plan continues if its rest is certified in the new world and ends at the new
-dock within the dock's tolerances; otherwise the robot brakes along its path. The way until the joint is driven in any
-case and is proven first; if that fails, the robot brakes at once.
+dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint cannot be
+changed any more, so it is proven first; if that fails, the robot brakes at once.
 """
 
 from __future__ import annotations

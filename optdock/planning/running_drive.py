@@ -69,7 +69,7 @@ class BranchPoint(NamedTuple):
 
     @property
     def rests(self) -> bool:
-        """Whether the robot stands there."""
+        """Whether the robot is at rest there."""
         return self.speed == 0.0 and self.acceleration == 0.0
 
 

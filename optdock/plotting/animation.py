@@ -47,8 +47,8 @@ def save_animation(
         on_frame: Callback with the number of finished frames and of all frames.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     stage = _Stage(problem, poses)
     count = frame_count(float(times[-1]))

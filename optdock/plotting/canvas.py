@@ -38,7 +38,7 @@ def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure, size in inches.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
+        MissingExtra: If Matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -75,7 +75,7 @@ def format_of(target: str | Path) -> str:
 
     Raises:
         InvalidValue: If the suffix is not that of a picture format.
-        MissingExtra: Matplotlib is not installed.
+        MissingExtra: If Matplotlib is not installed.
     """
     known = canvas_of(new_figure(1.0, 1.0)).get_supported_filetypes()
     kind = Path(target).suffix.removeprefix(".").lower() or "png"
@@ -88,7 +88,7 @@ def save_figure(figure: Figure, target: str | Path) -> None:
     """Write a picture atomically, in the format of the suffix; PNG without a suffix.
 
     Raises:
-        InvalidFile: The file cannot be written.
+        InvalidFile: If the file cannot be written.
         InvalidValue: If the suffix is not that of a picture format.
     """
     kind = format_of(target)

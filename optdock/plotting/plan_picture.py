@@ -90,8 +90,8 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         title: Title of the picture.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     drawing = PlanDrawing(problem, raw_path, path, certificate, refusal, title)
     save_figure(_draw(drawing, new_figure), target)
@@ -101,7 +101,7 @@ def show_plan_picture(drawing: PlanDrawing) -> None:
     """Show the picture of a plan in a window; blocks until it is closed, unless Matplotlib is interactive.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
+        MissingExtra: If Matplotlib is not installed.
     """
     new_figure(1.0, 1.0)  # raises without Matplotlib
     import matplotlib.pyplot as plt
@@ -118,7 +118,7 @@ def plan_picture_png(drawing: PlanDrawing) -> bytes:
     """Return the picture of a plan as a PNG file in memory.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
+        MissingExtra: If Matplotlib is not installed.
     """
     pixels = io.BytesIO()
     canvas_of(_draw(drawing, new_figure)).print_png(pixels)

@@ -52,8 +52,8 @@ def save_profile_picture(
         title: Title of the picture.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     times = np.linspace(0.0, trajectory.duration, _POINTS, dtype=np.float64)
     panels = _panels(trajectory, limits, zone, times)

@@ -34,8 +34,8 @@ def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, t
         title: Title of the picture.
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     view = view_of(problem, [run.poses])
     wide = view.right - view.left > 1.3 * (view.top - view.bottom)
@@ -67,8 +67,8 @@ def save_docking_picture(
         commands: Time, linear and angular velocity, Shape (k, 3) [s, m/s, rad/s].
 
     Raises:
-        MissingExtra: Matplotlib is not installed.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If Matplotlib is not installed.
+        InvalidFile: If the file cannot be written.
     """
     view = view_of(problem, [poses for poses in (measured, estimates) if len(poses)])
     figure = new_figure(11.0, 8.0)

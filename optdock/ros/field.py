@@ -244,7 +244,7 @@ class _RecordingReader:
         self._base = self._base or _BASE
 
     def _costmap(self, topic: str) -> tuple[str, Costmap]:
-        """Frame and last complete costmap with all later updates."""
+        """Frame and costmap: the last complete message, with all later updates applied."""
         last = self._bag.last(topic, *self._interval)
         if last is None:
             raise self._nothing(topic)
@@ -365,7 +365,7 @@ def kept_poses(poses: FloatArray) -> tuple[int, ...]:
 
 
 def _reversals(ahead: FloatArray) -> list[int]:
-    """Rows at which the distance driven forward, Shape (n,) [m], reverses by more than noise."""
+    """Return the rows of the turning points of the distance driven forward, Shape (n,) [m], without those of noise."""
     found, trend, low, high = list[int](), 0, 0, 0
     for row, way in enumerate(ahead.tolist()):
         high, low = (row if way > ahead[high] else high), (row if way < ahead[low] else low)

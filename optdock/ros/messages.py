@@ -80,7 +80,7 @@ def refuse(message: Message, field: str, rule: str, value: object) -> NoReturn:
 
 
 def seconds(time: Message) -> float:
-    """Return a `builtin_interfaces/Time` in seconds; present times are rounded to 0.3 microseconds.
+    """Return a `builtin_interfaces/Time` in seconds, with a rounding error below 0.3 microseconds.
 
     Raises:
         InvalidMessage: If the time is negative, or the nanoseconds are a second or more.

@@ -151,7 +151,7 @@ def odometry(message: Message) -> StampedOdometry:
 def twist(message: Message) -> StampedTwist:
     """Return the velocity of a `geometry_msgs/Twist` or a `geometry_msgs/TwistStamped`.
 
-    The frame of a `TwistStamped` may be empty: it is then the robot's.
+    An empty frame of a `TwistStamped` means the frame of the robot.
 
     Raises:
         InvalidMessage: If a number is not finite, or the stamp is invalid.

@@ -3,10 +3,10 @@
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
 requests the curvature angular / linear, and so the angle atan(wheelbase * curvature).
 
-At rest a command has no curvature. Usual base controllers, such as the steering controllers of ros2_control and the
-converter of teb_local_planner, then steer straight, which is the default here; others hold the last angle. The wheels
-of a car at rest are steered by a command with the requested ratio and a speed without effect: within the dead band, or
-1e-6 m/s.
+A command with zero speed has no curvature. Usual base controllers, such as the steering controllers of ros2_control and
+the converter of teb_local_planner, then steer straight, which is the default here; others hold the last angle. To steer
+the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead band, or 1e-6
+m/s.
 """
 
 from __future__ import annotations

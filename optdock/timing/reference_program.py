@@ -454,7 +454,7 @@ def solve_reference(
 ) -> ReferenceStates | None:
     """Return the fastest spline under `bounds` from a start state to rest, with its arcs.
 
-    None if launch and stop leave no room for it, or no spline keeps the limits.
+    Return None if the arcs of launch and stop are too long for the segment, or no spline keeps the limits.
 
     Raises:
         OutOfTime: If the deadline passed.

@@ -94,7 +94,10 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
 
 
 def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the last pose, Shape (3,), and the moves, Shape (2 num_intervals, 2), without the other poses."""
+    """Return only the last pose, Shape (3,), and the displacements that lead there, Shape (2 num_intervals, 2) [m].
+
+    There are two displacements per interval, one for each node of the quadrature of its headings.
+    """
     curvature, lengths = variables
     turned = lengths[basis.knot_gear] * curvature
     yaw = start[2] + basis.gauss_headings @ turned

@@ -1,4 +1,4 @@
-"""Straight lines and arcs out of the start and out of the dock, between whose ends the search connects.
+"""Straight lines and arcs out of the start and out of the dock; the search connects the ends of both.
 
 A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
 some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of
@@ -80,7 +80,7 @@ class EndTrees:
         return ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
 
     def straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
-        """Return the start and straight runs out of it; `more` as in `staging`."""
+        """Return nodes at the start and along the free straight lines from it; `more` as in `staging`."""
         tree = self.from_start()
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(ROOT, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
@@ -97,9 +97,9 @@ class EndTrees:
         }
 
     def staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> TreeNodes:
-        """Return straight runs out of the dock, as far as they are free, where the final straight may begin.
+        """Return nodes along the free straight lines out of the dock at which the final straight may begin.
 
-        `more`: further lengths at which runs may end [m].
+        `more`: additional distances from the dock at which nodes are placed [m].
         """
         tree, straight = self._from_goal(), self.problem.dock.final_straight
         stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))

@@ -279,7 +279,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or one much dearer than the way around the obstacles."""
+        """Whether there is no plan, or its price is much higher than that of the way around the obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True

@@ -131,7 +131,7 @@ def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
 
 
 def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
-    """Return shortest durations [s] of turns in place [rad] from rest to rest, without a bound on jerk."""
+    """Return the shortest durations [s] of turns in place [rad] from rest to rest, without a bound on jerk."""
     ramps = np.minimum(limits.rate, np.sqrt(turns * limits.acceleration))
     times: FloatArray = ramps / limits.acceleration + turns / np.maximum(ramps, 1e-300)
     return times
@@ -140,7 +140,10 @@ def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
 def _gear_durations(
     length: FloatArray, first: FloatArray, last: FloatArray, top: FloatArray, limits: MotionLimits
 ) -> FloatArray:
-    """Return shortest durations of lengths between two speeds below a top speed, with bounded jerk [s]."""
+    """Return the shortest durations [s] of straight motions of given lengths, from speed `first` to speed `last`.
+
+    Speed (by `top`), acceleration, deceleration and jerk are bounded.
+    """
     first, last = np.minimum(first, top), np.minimum(last, top)
     low, high = np.maximum(first, last), top
     peak, is_known = high, np.zeros(length.shape, dtype=np.bool_)

@@ -1,8 +1,9 @@
 """A lazy roadmap along a route: Reeds-Shepp words between poses on the shortest way around the obstacles.
 
-The shortest way of a disc through a building is known from the wavefront. Poses stand along that way, heading along it
-and back; words join neighbours; and a best-first search finds the cheapest sequence of words and checks a word only
-when the search reaches it ([Bohlin2000], whose roadmap has random vertices).
+The shortest way of a disc through a building is known from the wavefront. Poses are placed along that way, with
+headings along it and opposite to it, and neighbours are joined by Reeds-Shepp words. A best-first search finds the
+cheapest sequence of words and checks a word for collisions only when it reaches it (lazily, as [Bohlin2000], whose
+roadmap has random vertices).
 
 The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) pulls it to the middle of the
 free space, up to the radius in which the robot can turn.

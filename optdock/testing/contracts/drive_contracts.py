@@ -94,7 +94,7 @@ class ControllerContract(PluginContract[Controller]):
         return tuple((command.linear, command.angular) for command in commands)
 
     def test_without_a_path_there_is_no_command(self) -> None:
-        """`set_path`, `reset`: ControllerException before the one and after the other."""
+        """`set_path`, `reset`: a command raises ControllerException before `set_path` and after `reset`."""
         controller = self.ready_plugin()
         call = partial(controller.compute_velocity_commands, ORIGIN, _REST, None)
         for _ in range(2):
@@ -409,7 +409,7 @@ class BehaviorContract(PluginContract[Behavior]):
         return behavior, world
 
     def _tried(self, context: PluginContext) -> tuple[BehaviorResult, _ScriptedRobot]:
-        """The last result of `command` in a context, be it that of `on_run`."""
+        """The last result of `command` in a context, from `on_run` or from a cycle."""
         behavior, world = self.make_plugin(), _ScriptedRobot(context)
         behavior.configure(world.context)
         begun = behavior.on_run(self.command)
@@ -484,7 +484,7 @@ class DockTypeContract(PluginContract[DockType]):
                     checked.is_charging(measurements)
 
     def test_a_robot_far_away_without_a_signal_has_no_contact(self) -> None:
-        """`contact`: None where there is none."""
+        """`contact`: None far away from the dock without a signal."""
         plugin = self.ready_plugin()
         plugin.reset()
         for cycle in range(100):

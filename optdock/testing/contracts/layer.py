@@ -82,7 +82,7 @@ class LayerContract(PluginContract[Layer]):
         require(layer.is_current(), "on another grid it is current after an update")
 
     def test_reset_removes_observations(self) -> None:
-        """`reset`: a clearable layer is then like a new one; another writes the same costs as before."""
+        """`reset`: a clearable layer is like a new one afterwards; other layers write the same costs as before."""
         layer = self._fed()
         before = _written(layer)
         layer.reset()

@@ -171,7 +171,7 @@ class SmootherContract(PluginContract[Smoother]):
                 require(after >= before - 1e-6, f"a path that cleared all obstacles touches one by {-after:.4f} m")
 
     def test_a_problem_counts_the_same_configured_and_in_the_call(self) -> None:
-        """`problem`: None means the configured one with all its obstacles; a reported certificate is true."""
+        """`problem`: None means the configured problem with all its obstacles; a reported certificate is correct."""
         for top in (-0.08, 0.12):  # next to the path, and in its way
             rock = [[1.4, -0.3], [1.6, -0.3], [1.6, top], [1.4, top]]
             problem = scene_problem(obstacles=ObstacleSet.from_polygons([rock]))

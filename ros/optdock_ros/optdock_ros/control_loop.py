@@ -1,7 +1,7 @@
 """The control loop: a thread that steps tasks at absolute deadlines, without ROS.
 
-The last command is always zero. A task ends at rest; an exception in a cycle or a clock that stops ends in a ramp
-within the robot's limits. Only if the ramp fails too, the command drops to zero at once.
+The last command is always zero. A task ends at rest. After an exception in a cycle, or if the clock stops, the command
+is reduced to zero in a ramp within the robot's limits. Only if that fails too, the command is zero at once.
 """
 
 from __future__ import annotations

@@ -208,7 +208,7 @@ def _with_headings(poses: FloatArray) -> FloatArray:
     """Return poses, shape (n, 3), whose headings follow the travel if no headings were given.
 
     Nav2's grid planners leave the identity in all poses but the last one. Equal headings, except for the last one, are
-    regarded as missing if a step leads aside of them or if the last heading differs.
+    regarded as missing if a step has another direction, or if the last heading differs.
     """
     if len(poses) < 3 or not np.all(poses[:-1, 2] == poses[0, 2]):
         return poses
@@ -296,7 +296,7 @@ class SmootherServer(Server[SmootherSettings]):
             self._footprint.tolerance = self.settings.own.transform_tolerance
 
     def start(self) -> None:
-        """Warm up in the thread of the goals, to which solvers are bound, and accept goals."""
+        """Warm up the smoothers in the thread that executes goals, to which solvers are bound; then accept goals."""
         self._goals.call(self._warm_up)
         self._goals.accept_goals()
 

@@ -39,7 +39,7 @@ _CACHED = 100_000  # numbers, 0.8 MB: blocks of this size stay in the processor'
 
 
 class Clearance(NamedTuple):
-    """Near pairs and their margins above the requirement; one column per pair."""
+    """Near pairs of robot part and obstacle, and their margins above the required clearance; one column per pair."""
 
     pairs: Pairs  # interval, part and obstacle
     hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
