@@ -34,9 +34,10 @@ from optdock.io.guarded_file import MostBytes, read_text
 from optdock.io.numbers import MOST_POLYGONS, check_vertices, check_yaw
 from optdock.io.quoting import shown
 from optdock.io.yaml_lines import listed, load_yaml
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.plugins.parameters import closest
 

@@ -17,9 +17,10 @@ import numpy as np
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 
 if TYPE_CHECKING:

@@ -38,6 +38,7 @@ from .impossibility import prove_impossible as prove_impossible
 from .io.maps import load_map as load_map
 from .io.plan_file import load_plan as load_plan
 from .model.camera import Camera as Camera
+from .model.clearance_rule import ClearanceRule as ClearanceRule
 from .model.costmap import Costmap as Costmap
 from .model.dock import Dock as Dock
 from .model.dock import DockTolerances as DockTolerances
@@ -47,7 +48,6 @@ from .model.measurements import Detection as Detection
 from .model.measurements import Measurements as Measurements
 from .model.measurements import OdometryPose as OdometryPose
 from .model.path import Path as Path
-from .model.problem import ClearanceRule as ClearanceRule
 from .model.problem import DockingProblem as DockingProblem
 from .model.robot import Robot as Robot
 from .model.robot import TrackingTube as TrackingTube

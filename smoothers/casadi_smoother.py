@@ -15,10 +15,11 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path, may_be_one_frame
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.plugins.parameters import PluginParameters, checked_seconds

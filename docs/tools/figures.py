@@ -24,9 +24,9 @@ from optdock.plotting.canvas import COLOURS
 from optdock.ros import plan_markers
 from optdock.ros.bag import bag_types
 from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
+from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.jerk_phases import MotionState
 from optdock.timing.path_limits import ReferenceBounds, limits_along
-from optdock.timing.reference_program import forward_backward_pass
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:

@@ -27,10 +27,11 @@ from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock, warm_up
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from experiments.benchmarks.timing_paths import Case
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.constant_jerk import TimeLaw
     from optdock.model.limits import MotionLimits
     from optdock.model.path import Segment
-    from optdock.model.trajectory import TimeLaw
 
 __all__ = ["acceleration_bound", "jerk_limited_optimum"]
 

@@ -10,9 +10,10 @@ import numpy as np
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot, TrackingTube
 
 __all__ = ["ROBOT", "SPREADS", "STATION", "Layout", "Spread", "layout_of"]

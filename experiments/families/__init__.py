@@ -19,7 +19,8 @@ from experiments.families.scene import drawn_costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.problem import DockingProblem
 from optdock.plugins.parameters import closest
 
 if TYPE_CHECKING:

@@ -12,13 +12,14 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot, TrackingTube
-from optdock.model.trajectory import TimeLaw
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case

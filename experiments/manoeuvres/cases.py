@@ -28,8 +28,9 @@ import numpy as np
 from experiments.parking_cases import OBCA_SCENES, load_tpcap, obca_cases
 from experiments.real_maps import DRAWN_SCENARIOS, FRONT_CHARGER, REAR_CHARGER, ROBOT, SCENARIOS, problem_of
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:

@@ -49,9 +49,9 @@ from experiments.real_maps import ROBOT, SCENARIOS, problem_of
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule
 from optdock.model.robot import Drive, Robot
 from optdock.verification import pose_clearances
 

@@ -13,8 +13,8 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
+    from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.costs import OccupancyRule
-    from optdock.model.problem import ClearanceRule
 
 __all__ = ["app"]
 
@@ -143,8 +143,8 @@ def _check_distance(option: str, value: float | None) -> None:
 
 
 def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
+    from optdock.model.clearance_rule import ClearanceRule
     from optdock.model.costs import OccupancyRule
-    from optdock.model.problem import ClearanceRule
 
     _check_distance("--clearance", clearance)
     if not 1 <= occupied_from <= 100:

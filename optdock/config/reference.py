@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pydantic.json_schema import models_json_schema
 
-from optdock.config.document import SECTIONS, ScenarioDocument
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plural
+from optdock.config.scenario_keys import SECTIONS, ScenarioDocument
 from optdock.errors import PluginError
 from optdock.plugins.registry import INTERFACES, available_plugins, load_plugin
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import ValidationError
 
-from optdock.config.document import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_choice
+from optdock.config.scenario_keys import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.io.faults import Fault, faults_of, report

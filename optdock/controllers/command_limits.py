@@ -19,8 +19,8 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2
+from optdock.model.constant_jerk import braking_phases, constant_jerk
 from optdock.model.robot import Drive, admissible
-from optdock.model.trajectory import braking_phases, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Callable

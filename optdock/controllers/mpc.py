@@ -25,8 +25,8 @@ from optdock.controllers.mpc_program import (
 from optdock.controllers.tracking_controller import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.constant_jerk import braking_time
 from optdock.model.robot import Drive, TrackingTube, admissible
-from optdock.model.trajectory import braking_time
 
 if TYPE_CHECKING:
     from optdock.controllers.tracking_checks import AcceptedErrors

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter
-from optdock.controllers.control_timing import ControlClock, DelayEstimate
+from optdock.controllers.delay_estimate import ControlClock, DelayEstimate
 from optdock.controllers.look_ahead import LookAhead, Obstruction, stopping_way
 from optdock.controllers.moving_reference import (
     ReferenceProgress,

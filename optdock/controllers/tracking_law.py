@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from optdock.geometry.pose import Pose2, Twist2
 
 if TYPE_CHECKING:
-    from optdock.controllers.control_timing import ControlClock
+    from optdock.controllers.delay_estimate import ControlClock
     from optdock.controllers.moving_reference import ReferenceState
     from optdock.controllers.tracking_checks import AcceptedErrors
 

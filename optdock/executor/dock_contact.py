@@ -15,8 +15,8 @@ from optdock.executor.control_cycles import REST_PATIENCE, STOP
 from optdock.executor.dock_estimate import LAST_LOOK, NO_ROOM
 from optdock.executor.task_states import NOT_DOCKED, AttemptFailed, EndingKind, Interrupted, State, TaskFailed
 from optdock.geometry.pose import Twist2
+from optdock.model.constant_jerk import braking_time
 from optdock.model.robot import Drive
-from optdock.model.trajectory import braking_time
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
 import numpy as np
 from pydantic import BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
-from optdock.config.document import ScenarioDocument
 from optdock.config.scenario import problem_of
+from optdock.config.scenario_keys import ScenarioDocument
 from optdock.config.writing import problem_document
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.executor.executor_settings import ExecutorSettings

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.executor.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.pose_filter import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:

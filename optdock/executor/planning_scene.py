@@ -16,10 +16,10 @@ from optdock.executor.dock_estimate import staging_distance
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.costs import FREE_SPACE
 from optdock.model.dock import Dock, DockDirection
-from optdock.model.problem import ClearanceRule
 
 if TYPE_CHECKING:
     from optdock.executor.checked_inputs import CheckedDockType

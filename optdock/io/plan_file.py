@@ -24,7 +24,7 @@ from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
 from optdock.io.quoting import shortened, shown
 from optdock.io.yaml_lines import listed
-from optdock.model.trajectory import TimeLaw
+from optdock.model.constant_jerk import TimeLaw
 from optdock.samples import SampledMotion
 
 if TYPE_CHECKING:

@@ -1,189 +1,25 @@
-"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`.
-
-Motion under constant jerk is evaluated here only: `constant_jerk` within a phase, `border_states` over many phases.
-The reference implementations in `experiments` evaluate it independently on purpose.
-"""
+"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FloatArray, FrozenArrays, IntArray, frozen_array, readonly
-from optdock.geometry.checked import exactly, finite_number, sampling_step
+from optdock.geometry.arrays import FloatArray, FrozenArrays
+from optdock.geometry.checked import exactly, sampling_step
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import Path
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-__all__ = [
-    "TimeLaw",
-    "TimedPoses",
-    "Trajectory",
-    "TrajectorySamples",
-    "TrajectoryState",
-    "border_states",
-    "braking_phases",
-    "braking_time",
-    "constant_jerk",
-]
+__all__ = ["TimedPoses", "Trajectory", "TrajectorySamples", "TrajectoryState"]
 
-Number = TypeVar("Number", float, FloatArray)
 _AT_REST = 1e-6  # [m/s], [m/s^2]: the tolerance of certificates at cusps
-
-
-def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
-    """Return distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
-
-    s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
-
-    Args:
-        t: Time since the state [s].
-        s: Distance [m].
-        v: Speed [m/s].
-        a: Acceleration [m/s^2].
-        jerk: [m/s^3].
-    """
-    gain = t * jerk
-    return s + t * (v + t * (0.5 * a + gain / 6.0)), v + t * (a + 0.5 * gain), a + gain
-
-
-def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, float, float]) -> FloatArray:
-    """Return distance, speed and acceleration at the borders of phases of constant jerk.
-
-    Args:
-        durations: Shape (n,) [s].
-        jerks: Shape (n,) [m/s^3].
-        start: Distance, speed and acceleration at the first border.
-
-    Returns:
-        Shape (3, n + 1).
-    """
-    states = np.empty((3, durations.size + 1))
-    s, v, a = states
-    gain = durations * jerks
-    s[0], v[0], a[0] = 0.0, 0.0, 0.0
-    np.cumsum(gain, out=a[1:])
-    a += start[2]
-    np.cumsum(durations * (a[:-1] + 0.5 * gain), out=v[1:])
-    v += start[1]
-    np.cumsum(durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0)), out=s[1:])
-    s += start[0]
-    return states
-
-
-def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
-    """Return full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
-
-    The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
-    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most the deceleration, and the remaining speed
-    is braked off at b. A deceleration beyond D is reduced first.
-
-    Args:
-        v: Speed along the travel [m/s].
-        a: Acceleration along the travel [m/s^2].
-        deceleration: D, the largest [m/s^2].
-        jerk: J, the largest [m/s^3].
-    """
-    if a < -deceleration:
-        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
-        phases = ((-deceleration - a) / jerk, jerk), (spare / deceleration, 0.0), (deceleration / jerk, jerk)
-    else:
-        brake = min(deceleration, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
-        hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / deceleration if brake == deceleration else 0.0
-        phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
-    return tuple(phase for phase in phases if phase[0] > 0.0)
-
-
-def braking_time(speed: float, deceleration: float, jerk: float) -> float:
-    """Return the duration of `braking_phases` from a constant speed [s].
-
-    Args:
-        speed: Speed along the travel, >= 0 [m/s].
-        deceleration: The largest [m/s^2].
-        jerk: The largest [m/s^3].
-    """
-    if speed < deceleration**2 / jerk:
-        return 2.0 * math.sqrt(speed / jerk)
-    return speed / deceleration + deceleration / jerk
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TimeLaw(FrozenArrays):
-    """Travelled distance over time, in phases of constant jerk.
-
-    Args:
-        durations: Shape (n,) [s], each > 0.
-        jerks: Shape (n,) [m/s^3].
-        start_s: Distance at the start [m].
-        start_speed: Speed at the start, >= 0 in either gear [m/s].
-        start_acceleration: Acceleration at the start [m/s^2].
-
-    Attributes:
-        times: Phase borders, Shape (n + 1,) [s], first 0.
-        states: Distance, speed, acceleration at the borders, Shape (n + 1, 3).
-
-    Raises:
-        InvalidValue: If there is no phase, shapes differ, a duration is not > 0, a value is not finite, or the motion
-            overflows.
-    """
-
-    durations: FloatArray
-    jerks: FloatArray
-    start_s: float = 0.0
-    start_speed: float = 0.0
-    start_acceleration: float = 0.0
-    times: FloatArray = field(init=False, repr=False)
-    states: FloatArray = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        durations, jerks = (
-            frozen_array(self.durations, "time law.durations"),
-            frozen_array(self.jerks, "time law.jerks"),
-        )
-        if durations.size == 0 or durations.size != jerks.size:
-            raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
-        if not np.all(durations > 0.0):
-            raise InvalidValue("time law.durations: must be > 0 s")
-        for name in ("start_s", "start_speed", "start_acceleration"):
-            vars(self)[name] = finite_number(getattr(self, name), f"time law.{name}")
-        start = self.start_s, self.start_speed, self.start_acceleration
-        with np.errstate(over="ignore", invalid="ignore"):
-            times = np.concatenate(([0.0], np.cumsum(durations)))
-            states = np.ascontiguousarray(border_states(durations, jerks, start).T)
-        if not (np.all(np.isfinite(states)) and np.isfinite(times[-1])):
-            raise InvalidValue("time law: the motion overflows; durations or jerks are too large")
-        vars(self).update(durations=durations, jerks=jerks, times=readonly(times), states=readonly(states))
-
-    def __repr__(self) -> str:
-        return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
-
-    @property
-    def duration(self) -> float:
-        """Total time [s]."""
-        return float(self.times[-1])
-
-    def at(self, t: ArrayLike) -> FloatArray:
-        """Return distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
-        points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
-        phase = self._phases_at(points)
-        (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
-        return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
-
-    def phase_middles(self, t: FloatArray) -> FloatArray:
-        """Return the mean of the end distances of the phases at the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
-        phase = self._phases_at(t)
-        middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
-        return middles
-
-    def _phases_at(self, t: FloatArray) -> IntArray:
-        return np.searchsorted(self.times[1:-1], t, side="right")
 
 
 class TrajectoryState(NamedTuple):

@@ -17,9 +17,9 @@ from optdock.deadline import never_late
 from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.obstacles import ObstacleSet, in_words
 from optdock.model.cell_obstacles import added_obstacles, is_same_grid
+from optdock.model.constant_jerk import constant_jerk
 from optdock.model.costmap import Costmap
 from optdock.model.problem import DockingProblem
-from optdock.model.trajectory import constant_jerk
 from optdock.planning.plan import DockPlan
 from optdock.verification import end_clearances
 from optdock.verification.conservative_advancement import Begun, prove_clearance

@@ -21,9 +21,9 @@ from optdock.errors import (
     TimingTimedOut,
 )
 from optdock.geometry.obstacles import in_words
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
-from optdock.model.problem import ClearanceRule
 from optdock.planning.refinement import ran_out_of_time
 from optdock.verification import TOLERANCE, end_clearances
 

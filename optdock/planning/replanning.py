@@ -37,10 +37,11 @@ from optdock.errors import (
 )
 from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.changed_world import StillHolds, still_holds
 from optdock.planning.deformation import Push, deformed, push_off
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up

@@ -10,10 +10,11 @@ import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.model.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.timing.jerk_phases import DriveBounds, MotionState
 from optdock.timing.start_states import full_stop
 from optdock.verification import TOLERANCE, WayVerdict, certify_trajectory, pose_clearance, prove_way, unchanged_way

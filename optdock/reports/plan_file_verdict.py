@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from optdock.impossibility import NoMotionProof
     from optdock.io.plan_file import PlanFile, TrajectoryColumns
+    from optdock.model.constant_jerk import TimeLaw
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
-    from optdock.model.trajectory import TimeLaw
     from optdock.samples import SampledMotionVerdict
     from optdock.verification import Certificate, TrajectoryCertificate, Violation
 

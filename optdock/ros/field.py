@@ -20,11 +20,12 @@ from optdock.geometry.obstacles import in_words
 from optdock.geometry.pose import Pose2, transform_points, transform_poses, unwrap_yaw
 from optdock.io.maps import save_map
 from optdock.io.plan_file import PlanFile, save_plan
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costs import FREE_SPACE, LETHAL
 from optdock.model.dock import Dock
 from optdock.model.limits import LIMIT_UNITS, MotionLimits
 from optdock.model.path import Path as DockPath
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.ros.grids import costmap, patched
 from optdock.ros.messages import seconds

@@ -9,8 +9,9 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import ClothoidSegment, Direction, Path
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

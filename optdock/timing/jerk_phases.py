@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from optdock.model.trajectory import border_states, constant_jerk
+from optdock.model.constant_jerk import border_states, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

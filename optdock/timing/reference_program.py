@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import ENDLESS
+from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
 from optdock.timing.interior_point import Program, applied, solve
 from optdock.timing.jerk_phases import MotionState, Phases, state_after
 
@@ -38,10 +39,8 @@ __all__ = [
     "Grid",
     "LimitRows",
     "ReferenceStates",
-    "SpeedProfile",
     "Spline",
     "coefficients_of",
-    "forward_backward_pass",
     "grid_of",
     "initial_guess",
     "jerk_step_bands",
@@ -53,7 +52,6 @@ __all__ = [
     "stop_arc",
 ]
 
-_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, as the profile rests at its ends
 
 _ARC_DRIVE = 0.7  # share of the acceleration and of the yaw acceleration for an arc
 _ARC_SPEED = 0.6  # share of the local cap that an arc and its mirror image reach
@@ -83,32 +81,6 @@ _SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
 # A reference slower than the bounds by this factor was not solved: where no spline keeps the limits the iterations end
 # anywhere, and samples of a motion of weeks fill any memory. Solved ones stay below 4.
 _HOPELESS = 10.0
-
-
-class SpeedProfile(NamedTuple):
-    """Acceleration-limited speeds at the nodes of the limits: v^2 [m^2/s^2] and pseudo time [s], Shape (n,)."""
-
-    speed_squared: FloatArray
-    time: FloatArray
-
-
-def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
-    """Return the fastest v^2 under caps, acceleration and deceleration alone, with turning limits as caps at a = 0.
-
-    The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
-    2 A: one sweep forward, one backward [Bobrow1985].
-    """
-    limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
-    for limit, most in zip(limits.turning, bounds.turning, strict=True):
-        cell = np.minimum(cell, limit.most_squared(most, np.maximum(limits.steepest, 1e-9)))
-    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
-    rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
-    x = np.minimum.accumulate(x - rise) + rise
-    x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
-    x = np.maximum(x, 0.0)
-    v = np.sqrt(x)
-    gain = 2.0 * np.diff(limits.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
-    return SpeedProfile(x, np.concatenate(([0.0], np.cumsum(gain))))
 
 
 class Arc(NamedTuple):

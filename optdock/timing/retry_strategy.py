@@ -29,10 +29,11 @@ import numpy as np
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import LIMITS
 from optdock.model.path import Path, PolylineSegment, TurnSegment, joint_curvatures
 from optdock.model.segments import TURN_RADIUS
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.plugins.interfaces import TimeParameterizer, TimingReport, TimingResult, TimingStatus, never_cancelled
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases
 from optdock.timing.path_limits import NO_LENGTH, limits_along

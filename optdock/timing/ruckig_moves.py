@@ -20,7 +20,7 @@ import numpy as np
 
 from optdock.deadline import ENDLESS
 from optdock.errors import PluginError
-from optdock.model.trajectory import constant_jerk
+from optdock.model.constant_jerk import constant_jerk
 from optdock.timing.jerk_phases import DriveBounds, MotionState, Phases, duration_of
 from optdock.timing.reference_program import spline_phases
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.model.constant_jerk import braking_phases
 from optdock.model.limits import LIMITS
-from optdock.model.trajectory import braking_phases
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState, Phases, braking_slack
 from optdock.timing.plan_checks import KEPT, SegmentPlan, worst_ratio

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.model.constant_jerk import TimeLaw
     from optdock.model.limits import SpeedZone
     from optdock.model.path import Path
     from optdock.model.problem import DockingProblem
-    from optdock.model.trajectory import TimeLaw, Trajectory
+    from optdock.model.trajectory import Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
 __all__ = ["certify_motion", "certify_path", "certify_trajectory"]

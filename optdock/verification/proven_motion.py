@@ -16,8 +16,9 @@ from optdock.deadline import never_late
 from optdock.errors import CertificationFailed, InvalidValue
 from optdock.geometry.checked import exactly
 from optdock.geometry.obstacles import ObstacleSet, in_words
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import TrackingTube
 from optdock.model.trajectory import Trajectory
 from optdock.verification.certificate import TOLERANCE, Certificate, Memo, TrajectoryCertificate, where_broken

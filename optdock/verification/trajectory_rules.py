@@ -47,9 +47,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.constant_jerk import TimeLaw
     from optdock.model.limits import MotionLimits, SpeedZone
     from optdock.model.path import Path
-    from optdock.model.trajectory import TimeLaw, Trajectory
+    from optdock.model.trajectory import Trajectory
 
 __all__ = ["trajectory_violations"]
 

@@ -21,18 +21,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.model.constant_jerk import constant_jerk
 from optdock.model.limits import LIMITS, QUANTITY_UNITS
 from optdock.model.path import PolylineSegment, TurnSegment
-from optdock.model.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.model.constant_jerk import TimeLaw
     from optdock.model.limits import MotionLimits
     from optdock.model.path import Path, Segment
-    from optdock.model.trajectory import TimeLaw
 
 __all__ = [
     "STEP_RTOL",

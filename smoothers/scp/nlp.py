@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import unwrap_yaw, wrap_angles
-from optdock.model.trajectory import border_states, braking_phases
+from optdock.model.constant_jerk import border_states, braking_phases
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, InputNodes
 

@@ -14,9 +14,10 @@ from optdock.controllers import moving_reference
 from optdock.controllers.mpc import MpcController
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.problem import DockingProblem
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.lifecycle import PluginContext
 from optdock.simulation import Actuation, SimulationSettings, Steering, run_closed_loop

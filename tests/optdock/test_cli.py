@@ -19,8 +19,9 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import prove_impossible
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import ClothoidSegment, Path
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.plotting import save_plan_picture
 from optdock.reports.report import failed_plan_file
 

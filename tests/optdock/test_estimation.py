@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
 from optdock.executor import estimation
-from optdock.executor.estimation import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.executor.pose_filter import DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import OdometryPose
 

@@ -17,10 +17,11 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map, save_map
 from optdock.model.camera import Camera
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.nav2.docking_problem import nav2_scenario
 from optdock.planning.pipeline import plan_dock

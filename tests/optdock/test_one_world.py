@@ -10,11 +10,12 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.cell_obstacles import obstacles_from_costmap
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Behavior, BehaviorStatus, Controller, CostmapInfoType, PluginContext, Smoother

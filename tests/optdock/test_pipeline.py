@@ -32,13 +32,15 @@ from optdock.errors import (
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planners.dock_planner import DockPlanner
 from optdock.planning.pipeline import _warm_once, plan_dock, warm_up
 from optdock.planning.plan import PartialPlan

@@ -11,11 +11,11 @@ from optdock.errors import CertificationFailed, InvalidFile, InvalidPath, Invali
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan, PartialPlan
 from optdock.verification import proven_for

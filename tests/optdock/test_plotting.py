@@ -22,13 +22,14 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.model.camera import Camera
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.plotting import plan_picture, save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.plan_picture import _draw_closest, _place

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from optdock.config import load_scenario, plugin_reference, scenario_reference, scenario_schema
-from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
+from optdock.config.scenario_keys import SECTIONS, ScenarioDocument, known_keys
 from optdock.errors import InvalidFile, PluginError
 from optdock.plugins.registry import available_plugins
 

@@ -12,13 +12,15 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path, TurnSegment
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot, TrackingTube
 from optdock.model.segments import ClothoidSegment
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import DockPlan
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan, still_holds

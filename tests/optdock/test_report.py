@@ -8,10 +8,11 @@ from optdock.errors import NoValidPathCouldBeFound, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem, ProblemFingerprint
+from optdock.model.problem import DockingProblem, ProblemFingerprint
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.plan import PartialPlan

@@ -19,6 +19,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import (
@@ -33,7 +34,7 @@ from optdock.model.path import (
 )
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan
 from optdock.plotting import save_profile_picture
 from optdock.plugins.interfaces import Controller, GoalChecker, TimingStatus

@@ -22,12 +22,13 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import ImpossibilityVerdict, check_impossibility, prove_impossible
 from optdock.io.run_file import RunColumns
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.changed_world import StillHolds
 from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import Replanned, ReplanOutcome

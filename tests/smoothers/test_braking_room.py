@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
+from optdock.model.constant_jerk import TimeLaw, braking_phases
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.segments import PolylineSegment
-from optdock.model.trajectory import TimeLaw, braking_phases
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planning.pipeline import plan_dock
 from smoothers.casadi_smoother import CasadiSmoother

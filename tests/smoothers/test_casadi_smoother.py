@@ -15,11 +15,12 @@ from optdock.errors import FailedToSmoothPath, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Direction, Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.interfaces import PluginContext, Smoother, SmoothingStatus, never_cancelled
 from optdock.plugins.registry import create_plugin

@@ -9,10 +9,11 @@ import pytest
 from optdock.errors import FailedToSmoothPath, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.plugins.interfaces import PluginContext, SmoothingStatus
 from optdock.verification import certify_path

@@ -12,9 +12,10 @@ from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import check_impossibility, prove_impossible
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ import numpy as np
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.executor import Ending, EndingKind
 from optdock.geometry.pose import Twist2
-from optdock.model.trajectory import braking_time
+from optdock.model.constant_jerk import braking_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable

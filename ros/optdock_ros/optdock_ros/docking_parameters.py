@@ -16,8 +16,8 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.quoting import printable
 from optdock.io.yaml_lines import Document
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockTolerances
-from optdock.model.problem import ClearanceRule
 from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.parameters import PluginParameters, closest, parse_parameters

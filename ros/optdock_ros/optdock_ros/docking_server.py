@@ -19,7 +19,7 @@ from optdock import ros
 from optdock.errors import InvalidValue, OptdockError
 from optdock.executor import PlanningProcess
 from optdock.geometry.pose import Twist2
-from optdock.model.trajectory import braking_time
+from optdock.model.constant_jerk import braking_time
 from optdock_ros.control_loop import may_be_preferred
 from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, Docks, docking_settings
 from optdock_ros.docking_reports import Reports

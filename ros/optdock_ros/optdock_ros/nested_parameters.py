@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 
-from optdock.config.document import ClearanceDocument, RobotDocument, known_keys, synonym
+from optdock.config.scenario_keys import ClearanceDocument, RobotDocument, known_keys, synonym
 from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
 from optdock.model.robot import Robot
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from optdock.geometry.footprint import Footprint
-    from optdock.model.problem import ClearanceRule
+    from optdock.model.clearance_rule import ClearanceRule
 
 T = TypeVar("T")
 

@@ -24,9 +24,10 @@ from rclpy.duration import Duration
 from optdock import ros
 from optdock.errors import Cancelled, InvalidPath, InvalidValue, OptdockError, SmootherException
 from optdock.geometry.pose import Pose2, transform_poses
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.path import Path, PolylineSegment, may_be_one_frame
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
 from optdock.nav2.provided_plugins import provided

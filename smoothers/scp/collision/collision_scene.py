@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import frozen
-from optdock.model.problem import START_RELIEF_SLOPE
+from optdock.model.clearance_rule import START_RELIEF_SLOPE
 from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.obstacles import ObstacleSet
-    from optdock.model.problem import ClearanceRule, DockingProblem
+    from optdock.model.clearance_rule import ClearanceRule
+    from optdock.model.problem import DockingProblem
 
 __all__ = ["LEAVING", "Body", "BodyAtNodes", "Points", "Requirement", "Scene", "body_at_nodes", "scene_around"]
 

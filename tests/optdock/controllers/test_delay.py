@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from optdock.controllers.control_timing import DelayEstimate
+from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.limits import MotionLimits

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 
 from checkers.dock_goal import DockGoalChecker
-from optdock.controllers.control_timing import ControlClock
+from optdock.controllers.delay_estimate import ControlClock
 from optdock.controllers.moving_reference import ReferenceProgress, TrajectoryReference
 from optdock.controllers.tracking_controller import TrackingController
 from optdock.errors import InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Direction, Path
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.plugins.interfaces import PluginContext
 from optdock.simulation import SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive

@@ -15,9 +15,9 @@ from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, Inli
 from optdock.executor.planning import DrivenMotion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.costmap import Costmap
 from optdock.model.measurements import Detection, Measurements
-from optdock.model.problem import ClearanceRule
 from optdock.model.robot import TrackingTube
 from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest

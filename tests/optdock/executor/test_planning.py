@@ -10,10 +10,11 @@ from optdock.executor.planning import DrivenMotion, Job, Outcome, planned
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan

@@ -12,8 +12,9 @@ from optdock.errors import InvalidFile, InvalidPath, InvalidValue, StartOccupied
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanError, PlanFile, TrajectoryColumns, load_plan, save_plan
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 
 
 def two_gears(curvature=0.8):

@@ -24,13 +24,14 @@ from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.impossibility import connectivity_graph, footprint_discs, prove_impossible
 from optdock.model.cell_obstacles import mapped_obstacles
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.costmap import Costmap, OccupancyGrid
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planners.two_segment import DockGeometry, DockPlannerParameters, plan_two_segment
 from optdock.samples.tube import Tube
 from optdock.simulation.closed_loop import Run

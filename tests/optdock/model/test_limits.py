@@ -12,10 +12,11 @@ from optdock.config import scenario_reference
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import DIMENSIONS, LIMITS, LimitKind, MotionLimits, SpeedZone, finite_limits
 from optdock.model.path import ClothoidSegment, Path
 from optdock.model.robot import Drive, Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.testing.contracts import TimeParameterizerContract
 from optdock.verification import certify_trajectory, path_rules
 

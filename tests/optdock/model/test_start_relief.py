@@ -12,10 +12,11 @@ from experiments.dense_check import dense_check
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother

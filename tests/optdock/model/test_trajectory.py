@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw, border_states, constant_jerk
 from optdock.model.path import ClothoidSegment, Path
-from optdock.model.trajectory import TimeLaw, Trajectory, border_states, constant_jerk
+from optdock.model.trajectory import Trajectory
 
 phases = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-2.0, 2.0)), min_size=1, max_size=8)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.model.trajectory import TimeLaw
+from optdock.model.constant_jerk import TimeLaw
 from optdock.timing.jerk_phases import Motion, MotionState, braking_slack, state_after, stretched
 
 PHASES = ((0.4, 1.0), (0.3, 0.0), (0.5, -0.8), (0.7, 0.2))

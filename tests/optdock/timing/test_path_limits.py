@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import Direction, Path
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.timing.jerk_phases import DriveBounds, Motion, MotionState
 from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
 from optdock.timing.plan_checks import worst_ratio

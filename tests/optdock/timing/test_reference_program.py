@@ -8,12 +8,12 @@ import pytest
 from optdock.model.limits import SpeedZone
 from optdock.model.path import Path
 from optdock.timing import reference_program
+from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.jerk_phases import MotionState, state_after
 from optdock.timing.path_limits import ReferenceBounds, limits_along
 from optdock.timing.reference_program import (
     applied,
     coefficients_of,
-    forward_backward_pass,
     initial_guess,
     jerk_step_bands,
     limit_rows,

@@ -12,12 +12,13 @@ from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import LIMITS, MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, joint_curvatures
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal

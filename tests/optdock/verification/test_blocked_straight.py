@@ -15,10 +15,11 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.impossibility import BlockedStraight, check_impossibility, prove_straight_blocked
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import plan_dock
 from optdock.reports.plan_file_verdict import judge_plan_file

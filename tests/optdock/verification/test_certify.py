@@ -12,12 +12,14 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.verification import certify, certify_path, certify_trajectory
 from optdock.verification.certificate import Memo
 

@@ -16,10 +16,11 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.polygon import is_convex
 from optdock.geometry.pose import Pose2, transform_points
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Direction, Path, PolylineSegment
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.verification import certify_path, conservative_advancement, pose_clearance
 from optdock.verification.conservative_advancement import AdvanceBounds, Advances, _Subdivision, _World, advance_bounds

@@ -21,9 +21,10 @@ from optdock.impossibility import (
     prove_impossible,
 )
 from optdock.impossibility import proof as impossibility
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planning.pipeline import warm_up
 from optdock.verification.certificate import TOLERANCE

@@ -15,12 +15,14 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
 from optdock.model.path import ClothoidSegment, Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot, TrackingTube
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.plan import DockPlan
 from optdock.planning.replanning import DriveState, replan, still_holds
 from optdock.verification import (

@@ -13,13 +13,15 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import TrajectoryColumns
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import DIMENSIONS, LimitKind, MotionLimits, SpeedZone
 from optdock.model.limits import LIMITS as KINDS
 from optdock.model.path import ClothoidSegment, Path, TurnSegment, joint_curvatures
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Drive, Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import TimeParameterizer
 from optdock.plugins.registry import create_plugin

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.constant_jerk import TimeLaw
 from optdock.model.dock import Dock
 from optdock.model.limits import DIMENSIONS, LIMITS, Limit, LimitKind, MotionLimits, SpeedZone
 from optdock.model.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import TimeLaw, Trajectory
+from optdock.model.trajectory import Trajectory
 from optdock.verification import certify_trajectory, path_rules, trajectory_rules, turning_rules
 
 OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5, wheelbase=0.8)

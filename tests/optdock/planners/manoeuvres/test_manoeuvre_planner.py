@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
+from optdock.model.constant_jerk import braking_time
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import MotionLimits
 from optdock.model.path import Path
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
-from optdock.model.trajectory import braking_time
 from optdock.planners.manoeuvres import turns
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner, turning_radius

@@ -7,9 +7,10 @@ import pytest
 
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.arcs import ArcTree, advance
 from optdock.planners.manoeuvres.end_trees import sharpest_arcs

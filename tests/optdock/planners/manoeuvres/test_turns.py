@@ -13,10 +13,11 @@ from experiments.dense_check import dense_check
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.limits import MotionLimits, TurnLimits
 from optdock.model.path import Direction, Path, PolylineSegment, TurnSegment
-from optdock.model.problem import ClearanceRule, DockingProblem
+from optdock.model.problem import DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, stops, turning_times

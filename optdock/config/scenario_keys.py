@@ -36,9 +36,9 @@ from optdock.geometry.pose import Pose2
 from optdock.io.numbers import MOST_POLYGONS, check_outline, check_speed, check_vertices, check_yaw, is_number
 from optdock.io.quoting import shown
 from optdock.model.camera import Camera
+from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockDirection
 from optdock.model.limits import DIMENSIONS, LIMITS, MotionLimits
-from optdock.model.problem import ClearanceRule
 from optdock.model.robot import Drive, Robot, TrackingTube, check_drive, check_price
 from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 

@@ -1,0 +1,142 @@
+"""The required clearance as a function of the pose: taper at the dock and relief at the start."""
+
+from __future__ import annotations
+
+import dataclasses
+import numbers
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.checked import non_negative, number
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["ClearanceRule"]
+
+# Slope at which the required clearance grows with the distance from a start that violates it, from the start on or,
+# under the weaker rule, from `DockingProblem.start_run` on.
+START_RELIEF_SLOPE = 0.5
+
+
+# [m]: the weaker rule allows this much less clearance than at the start, at most half of it, to turn away from a wall.
+# With it a robot of 0.9 m leaves a wall at 1 cm without a cusp.
+START_SLACK = 0.005
+
+
+@dataclass(frozen=True)
+class ClearanceRule:
+    """Required clearance of the footprint from the nearest obstacle, the station included.
+
+    Args:
+        required: Clearance away from the goal [m].
+        at_dock: Clearance at the goal [m].
+        taper: Distance over which the clearance grows linearly from `at_dock` to `required` [m].
+        dock_run: Distance from the goal within which `at_dock` suffices [m]; the growth starts there. For docks next to
+            an
+            obstacle: a robot along a wall cannot turn away without its tail or nose approaching the wall.
+        at_start: As `at_dock`, for a start that violates `required`, such as a start in a dock. None: such a robot may
+            approach the obstacle by at most `START_SLACK` [m].
+
+    Raises:
+        InvalidValue: If a value is negative or not finite, or at_dock or at_start exceeds required.
+    """
+
+    required: float = 0.05
+    at_dock: float = 0.0
+    taper: float = 0.5
+    dock_run: float = 0.0
+    at_start: float | None = None
+
+    @classmethod
+    def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
+        """Return the rule itself, or the rule of one number [m] that holds everywhere, also at the dock.
+
+        Raises:
+            InvalidValue: If the value is neither a rule nor a finite number >= 0.
+        """
+        if isinstance(value, cls):
+            return value
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            raise InvalidValue(f"{name}: must be a ClearanceRule or one number [m], got {type(value).__name__}")
+        same = number(value, name)
+        return cls(same, same)
+
+    def __post_init__(self) -> None:
+        for name in ("required", "at_dock", "taper", "dock_run", *(("at_start",) if self.at_start is not None else ())):
+            vars(self)[name] = non_negative(getattr(self, name), f"clearance.{name}", "m")
+        for name, least in (("at_dock", self.at_dock), ("at_start", self.at_start)):
+            if least is not None and least > self.required:
+                raise InvalidValue(f"clearance.{name}: must be <= required = {self.required} m, got {least}")
+
+    def required_at(
+        self, from_goal: FloatArray, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0
+    ) -> FloatArray:
+        """Return the required clearance, Shape (n,) [m].
+
+        Args:
+            from_goal: Distances of the poses from the goal position, Shape (n,) [m].
+            from_start: Distances from the start position, Shape (n,) [m].
+            start_clearance: Clearance of the start pose [m].
+            start_relief: 0 for the strict rule; otherwise the distance from the start within which the weaker rule
+                requires hardly more than the start has, e.g. for a robot along a wall [m].
+        """
+        return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
+
+    def near_goal(self, from_goal: FloatArray) -> FloatArray:
+        """Return the requirement at distances from the goal, regardless of the start, Shape (n,) [m]."""
+        return self._tapered(from_goal, self.at_dock)
+
+    def near_start(self, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
+        """Return the requirement at distances from a start that is too close, Shape (n,) [m]; see `required_at`."""
+        leaving = self.leaving(from_start, start_clearance, start_relief)
+        return np.minimum(leaving, self.undocking(from_start)) if start_relief > 0.0 else leaving
+
+    @staticmethod
+    def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
+        """Return the start clearance, growing with the distance; beyond `start_relief` from a lower value."""
+        kept = max(0.0, start_clearance)
+        least = kept if start_relief == 0.0 else _relieved(kept)
+        return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
+
+    def undocking(self, from_start: FloatArray) -> FloatArray:
+        """Return the requirement of `at_start` at distances from the start, Shape (n,) [m]; inf if it is None."""
+        return np.full_like(from_start, np.inf) if self.at_start is None else self._tapered(from_start, self.at_start)
+
+    def _tapered(self, distance: FloatArray, least: float) -> FloatArray:
+        beyond = np.maximum(distance - self.dock_run, 0.0)
+        share = np.minimum(beyond, self.taper) / self.taper if self.taper > 0.0 else np.where(beyond > 0.0, 1.0, 0.0)
+        wanted: FloatArray = least + (self.required - least) * share
+        return wanted
+
+    def raised(self, more: float) -> ClearanceRule:
+        """Return the rule that requires `more` everywhere [m], for a robot with `raised_start`.
+
+        Raises:
+            InvalidValue: If the requirement becomes negative.
+        """
+        least = None if self.at_start is None else self.at_start + more
+        return dataclasses.replace(self, required=self.required + more, at_dock=self.at_dock + more, at_start=least)
+
+    @staticmethod
+    def raised_start(more: float, start_clearance: float, start_relief: float = 0.0) -> float:
+        """Return the start clearance for which `leaving` requires `more` than for `start_clearance` [m]."""
+        kept = max(0.0, start_clearance)
+        if start_relief == 0.0:
+            return kept + more
+        least = _relieved(kept) + more
+        return min(least + START_SLACK, 2.0 * least)  # inverse of `_relieved`
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """Numbers of the digest; parameters added later are included only if set, so that older digests stay valid."""
+        least = () if self.at_start is None else (self.at_start,)
+        return self.required, self.at_dock, self.taper, *((self.dock_run, *least) if self.dock_run or least else ())
+
+
+def _relieved(kept: float) -> float:
+    """Return the requirement of the weaker rule near a start with this clearance [m]."""
+    return max(kept - START_SLACK, 0.5 * kept)

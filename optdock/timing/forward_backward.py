@@ -1,0 +1,43 @@
+"""Forward-backward pass: the fastest speed profile within acceleration limits, without jerk."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.timing.jerk_phases import MotionState
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.path_limits import ReferenceBounds
+
+__all__ = ["SpeedProfile", "forward_backward_pass"]
+
+_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, as the profile rests at its ends
+
+
+class SpeedProfile(NamedTuple):
+    """Acceleration-limited speeds at the nodes of the limits: v^2 [m^2/s^2] and pseudo time [s], Shape (n,)."""
+
+    speed_squared: FloatArray
+    time: FloatArray
+
+
+def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
+    """Return the fastest v^2 under caps, acceleration and deceleration alone, with turning limits as caps at a = 0.
+
+    The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
+    2 A: one sweep forward, one backward [Bobrow1985].
+    """
+    limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
+    for limit, most in zip(limits.turning, bounds.turning, strict=True):
+        cell = np.minimum(cell, limit.most_squared(most, np.maximum(limits.steepest, 1e-9)))
+    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
+    rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
+    x = np.minimum.accumulate(x - rise) + rise
+    x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
+    x = np.maximum(x, 0.0)
+    v = np.sqrt(x)
+    gain = 2.0 * np.diff(limits.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
+    return SpeedProfile(x, np.concatenate(([0.0], np.cumsum(gain))))
