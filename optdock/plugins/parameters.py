@@ -43,13 +43,18 @@ class PluginParameters(BaseModel):
 P = TypeVar("P", bound=PluginParameters)
 
 
-def closest(name: str, known: Iterable[str]) -> str:
+def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return `; did you mean ...?` with the known name closest to `name`, or the empty string.
+
+    Args:
+        name: The unknown name.
+        known: The known names.
+        cutoff: Least similarity by `difflib`, in [0, 1].
 
     >>> closest("toleranse", ["tolerance", "step"])
     '; did you mean tolerance?'
     """
-    found = difflib.get_close_matches(name, list(known), n=1)
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {found[0]}?" if found else ""
 
 

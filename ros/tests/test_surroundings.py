@@ -166,6 +166,31 @@ def test_outline_is_transformed_to_the_robot(
     assert topic.newest()[0].length == pytest.approx(2.0)
 
 
+def test_known_outline_is_used_until_the_transform_arrives(
+    outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
+) -> None:
+    """An older transform would displace the outline of a moving robot."""
+    topic, buffer = outline
+    topic.tolerance = 10.0
+    client_node.until(world._footprint.get_subscription_count)
+    stood = Pose2(1.0, 2.0, 0.3)
+    client_node.until(
+        lambda: world.transform("map", "base_link", stood) or "base_link" in buffer.frames, what="a transform"
+    )
+    world.transform("map", "base_link", stood)
+    world.footprint(stood, "map")
+    client_node.until(lambda: topic.is_heard)
+    found, stamp = topic.newest()
+    time.sleep(0.05)
+    moved = Pose2(1.1, 2.0, 0.3)
+    world.footprint(moved, "map")  # newer than every transform, within the tolerance
+    time.sleep(0.2)
+    assert topic.newest() == (found, stamp)
+    time.sleep(0.05)
+    world.transform("map", "base_link", moved)
+    client_node.until(lambda: topic.newest()[1] > stamp, what="the outline at the time of its transform")
+
+
 def test_outline_in_an_unknown_frame(
     outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
 ) -> None:

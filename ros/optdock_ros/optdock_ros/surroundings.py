@@ -124,8 +124,9 @@ class CostmapTopic:
 class FootprintTopic:
     """The newest outline of a topic, in the robot's frame.
 
-    Nav2 publishes the outline in the frame of its costmap; the transform of the same time transforms it back, which
-    may be older than the message by `tolerance` [s].
+    Nav2 publishes the outline in the frame of its costmap; the transform of the same time transforms it back. For the
+    first outline the transform may be older than the message by `tolerance` [s]. Later ones require the exact time,
+    because an older transform displaces the outline of a moving robot; until it arrives, the previous outline is used.
     """
 
     def __init__(
@@ -155,17 +156,18 @@ class FootprintTopic:
 
         Raises:
             SurroundingsError: If there is no message, or an invalid one.
-            TransformError: If there is no transform at the time of the message.
+            TransformError: If there is no transform at the time of the first message.
         """
         with self._converting:
             message, self._newest = self._newest, None
             if message is not None:
                 try:
                     self._known = self._converted(message)
-                except OptdockError:
+                except OptdockError as error:
                     if self._newest is None:  # try again: its transform may come later
                         self._newest = message
-                    raise
+                    if self._known is None or not isinstance(error, ros.TransformError):
+                        raise
             known = self._known
         if known is None:
             raise SurroundingsError(f"{self.topic}: no footprint yet", where={"topic": self.topic})
@@ -176,7 +178,8 @@ class FootprintTopic:
             frame, stamp = message.header.frame_id.lstrip("/"), ros.seconds(message.header.stamp)
             stood = None
             if frame and frame != self._base.lstrip("/"):
-                stood = self._transforms.lookup(frame, self._base, stamp, self.tolerance).planar()
+                tolerance = self.tolerance if self._known is None else 0.0
+                stood = self._transforms.lookup(frame, self._base, stamp, tolerance).planar()
             outline = Footprint(np.round(ros.footprint(message, at=stood).footprint.vertices, _DIGITS))
         except InvalidValue as error:
             raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
