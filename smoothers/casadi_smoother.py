@@ -247,8 +247,8 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
         off = float(np.hypot(*(points - problem.start.as_array()[:2]).T).min())
         what = f"comes no nearer than {off:.2f} m to the start"
     if off > allowed:
-        message = f"path: {what} of the problem, more than {allowed:.2f} m: it leads elsewhere"
-        raise InvalidPath(f"{message}; without `problem` it keeps its own ends")
+        message = f"path: {what} of the problem, allowed are {allowed:.2f} m"
+        raise InvalidPath(f"{message}; without `problem` the path keeps its own ends")
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:

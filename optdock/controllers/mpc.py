@@ -300,8 +300,8 @@ class MpcController(TrackingController):
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
-                f"{self.name}: no commands were found for {self._horizon:g} s, and none are left from before; "
-                f"plan again from here"
+                f"{self.name}: no commands were found for {self._horizon:g} s, and those of earlier cycles are used "
+                f"up; plan again from here"
             )
         times, commands = self._plan.times + self._plan.stamp, self._plan.commands
         shifted: FloatArray = commands[np.searchsorted(times, now, side="right") - 1]

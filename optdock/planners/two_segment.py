@@ -303,7 +303,7 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
         point = np.array([[pose.x, pose.y]])
         where: dict[str, object] = {"pose": [pose.x, pose.y]}
         if not bool(costmap.contains(point)[0]):
-            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where=where)
+            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) is outside the map", where=where)
         cost = int(costmap.cost_at(point)[0])
         if cost >= threshold:
             raise occupied(

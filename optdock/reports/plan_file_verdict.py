@@ -315,7 +315,7 @@ class _Claims:
         elif claim is False and verdict.certified and not self._others:
             yield f"{name}.certified is false, {subject} certified"
         if claim is True and claimed.get("violations"):
-            yield f"{name}.violations are there, though {name}.certified is true"
+            yield f"{name}.violations is not empty, but {name}.certified is true"
 
     def _false_numbers(self) -> Iterator[str]:
         """Numbers of the certificate; clearances are accurate to `SHARPNESS`, margins hold for the same path only."""

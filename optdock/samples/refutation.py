@@ -145,7 +145,8 @@ def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
     """Samples too far apart, or a polyline that turns in place, where distance does not determine the place."""
     if not error <= REACH:
         message = (
-            f"samples up to {step:.3g} s apart leave the motion between them open by {error:.3g} m; sample it finer"
+            f"samples up to {step:.3g} s apart leave the motion between them uncertain by {error:.3g} m; "
+            "sample it finer"
         )
         return Violation("too_coarse", message, 0.0, error)
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
