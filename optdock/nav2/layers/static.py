@@ -29,8 +29,12 @@ class StaticLayerParameters(LayerParameters):
     trinary_costmap: bool = Field(
         default=True, description="occupancies below the threshold are free; False scales them to costs"
     )
-    unknown_cost_value: int = Field(default=255, ge=0, le=255, description="occupancy, as a byte, that is unknown")
-    inscribed_obstacle_cost_value: int = Field(default=99, ge=0, le=255, description="occupancy that is inscribed")
+    unknown_cost_value: int = Field(
+        default=255, ge=0, le=255, description="occupancy value, as a byte, of unknown cells"
+    )
+    inscribed_obstacle_cost_value: int = Field(
+        default=99, ge=0, le=255, description="occupancy value of inscribed cells"
+    )
     use_maximum: bool = Field(default=False, description="keep higher costs of the layers below")
     footprint_clearing_enabled: bool = Field(default=False, description="clear the cells under the robot")
 
