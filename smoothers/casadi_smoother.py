@@ -245,7 +245,7 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
     if off <= allowed and path.start.distance_to(problem.start) > allowed:
         points = path.sample(_SPACING).poses[:, :2]
         off = float(np.hypot(*(points - problem.start.as_array()[:2]).T).min())
-        what = f"comes no nearer than {off:.2f} m to the start"
+        what = f"stays at least {off:.2f} m from the start"
     if off > allowed:
         message = f"path: {what} of the problem, allowed are {allowed:.2f} m"
         raise InvalidPath(f"{message}; without `problem` the path keeps its own ends")

@@ -83,8 +83,8 @@ class CycleOutcome(str, Enum):
     """Source of the command of a cycle."""
 
     SOLVED = "solved"
-    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as possible"
-    SHIFTED = "no commands found in time: those of the previous cycle continue"
+    JERK_EXCEEDED = "no commands keep the jerk limit: it is exceeded by the smallest possible amount"
+    SHIFTED = "no commands found in time: the commands of the previous cycle continue"
 
 
 class MpcStatus(NamedTuple):

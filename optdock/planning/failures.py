@@ -174,4 +174,5 @@ def _clearance_hint(rule: ClearanceRule) -> str:
         parts["taper"] = rule.taper
     in_file = ", ".join(f"{key}: {value:g}" for key, value in parts.items())
     in_python = ", ".join(f"{key}={value!r}" for key, value in parts.items())
-    return f"; clearance holds at the dock too; give {{{in_file}}} (in Python: ClearanceRule({in_python}))"
+    reduced = f"{{{in_file}}} (in Python: ClearanceRule({in_python}))"
+    return f"; the clearance also holds at the dock; to reduce it there set {reduced}"

@@ -302,7 +302,7 @@ class _Replanning:
         if kept is not None:
             return kept
         if deadline.left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
+            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning from the joint', self.budget)}")
         plan = plan_dock(problem, time_budget=deadline.left, cancel_checker=self.cancelled, **plugins._asdict())
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
             raise FailedToSmoothPath(

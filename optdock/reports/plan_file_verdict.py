@@ -218,7 +218,7 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
     summary = f"{law.durations.size} phases, {law.duration:.3f} s"
     if faults and are_rounded_phases(trajectory, motion):
         judged = _sampled(motion, path, problem)
-        return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
+        return judged._replace(row=f"the phases are rounded and cannot prove the motion; {judged.row}")
     if faults:
         return _MotionVerdict("not certified", f"{summary}, refuted", faults)
     agree = f"{summary}, certified; {samples.samples} samples agree with them{_offset(samples)}"

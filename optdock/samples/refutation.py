@@ -153,7 +153,7 @@ def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
         still = np.flatnonzero(np.diff(segment.knots) <= 0.0)
         if still.size:
             s = float(start + segment.knots[still[0]])
-            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be judged"
+            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be checked"
             return Violation("coverage", message, s, 1.0)
     return None
 

@@ -204,7 +204,7 @@ def test_rounded_phases_prove_nothing_and_refute_nothing(planned):
     pathlib.Path("rounded.json").write_text(json.dumps(rounded(document, 6)))
     result = run("certify", "rounded.json", folder / "bay.yaml")
     assert result.exit_code == 3
-    assert "the phases are rounded and prove nothing; " in result.stdout.splitlines()[-1]
+    assert "the phases are rounded and cannot prove the motion; " in result.stdout.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
