@@ -37,17 +37,17 @@ class AxisGoalCheckerParameters(PluginParameters):
     along_path_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error along the axis [m]")
     cross_track_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error across the axis [m]")
     path_length_tolerance: float = Field(
-        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+        default=1.0, ge=0.0, description="remaining path length above which the goal is not reached [m]"
     )
     is_overshoot_valid: bool = Field(default=False, description="accept any distance past the goal")
     direction_estimation_distance: float = Field(default=0.0, ge=0.0, description="baseline of the axis [m]")
     fallback_radial_goal_tolerance: float | None = Field(
-        default=None, ge=0.0, description="radius without an axis [m]; None: the smaller tolerance"
+        default=None, ge=0.0, description="accepted distance if there is no axis [m]; None: the smaller tolerance"
     )
     axis_end: Literal["path", "goal"] = Field(
         default="path", description="the axis ends at the last pose of the path, or (Nav2 since #5746) at the goal"
     )
-    stopped: bool = Field(default=False, description="the robot must also be at rest")
+    stopped: bool = Field(default=False, description="require the robot to be at rest")
     trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
 

@@ -27,12 +27,12 @@ class DockGoalCheckerParameters(PluginParameters):
     cross_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error across the heading [m]")
     yaw_goal_tolerance: float | None = Field(default=None, ge=0.0, description="accepted heading error [rad]")
     path_length_tolerance: float = Field(
-        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+        default=1.0, ge=0.0, description="remaining path length above which the goal is not reached [m]"
     )
-    stopped: bool = Field(default=True, description="the robot must also be at rest")
+    stopped: bool = Field(default=True, description="require the robot to be at rest")
     trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
-    stateful: bool = Field(default=True, description="once reached stays reached until reset")
+    stateful: bool = Field(default=True, description="a reached goal stays reached until reset")
 
 
 class _Accepted(NamedTuple):

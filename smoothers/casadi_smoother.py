@@ -58,15 +58,15 @@ class CasadiSmootherParameters(PluginParameters):
     kept_clearance: float = Field(
         0.3, ge=0, description="without a problem, the clearance of the input is required, up to this value [m]"
     )
-    final_straight: float = Field(0.0, ge=0, description="straight run at the end without a problem [m]")
+    final_straight: float = Field(0.0, ge=0, description="length of the straight end without a problem [m]")
     length_weight: float = Field(1.0, gt=0, description="cost per metre [1/m]")
     curvature_weight: float = Field(0.4, ge=0, description="cost of curvature, relative to its limit [1/m]")
     curvature_rate_weight: float = Field(0.15, gt=0, description="cost of curvature rate, relative to its limit [1/m]")
     tracking_weight: float = Field(0.3, ge=0, description="cost of squared distance to the input [1/m^3]")
     spans: int = Field(24, ge=8, le=80, description="least number of pieces of linear curvature over the whole path")
     interval: float = Field(0.0625, gt=0, description="distance of collision nodes for a robot of 1 m [m]")
-    max_iterations: int = Field(60, ge=1, description="convex steps")
-    backend: Literal["scp"] = Field("scp", description="sequential convex programming, the only one")
+    max_iterations: int = Field(60, ge=1, description="largest number of convex steps")
+    backend: Literal["scp"] = Field("scp", description="solver: sequential convex programming")
     stop_at_first: bool = Field(default=False, description="return the first certified path")
 
     @field_validator("backend", mode="before")
@@ -246,10 +246,10 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
     if off <= allowed and path.start.distance_to(problem.start) > allowed:
         points = path.sample(_SPACING).poses[:, :2]
         off = float(np.hypot(*(points - problem.start.as_array()[:2]).T).min())
-        what = f"comes no nearer than {off:.2f} m to the start"
+        what = f"stays at least {off:.2f} m from the start"
     if off > allowed:
-        message = f"path: {what} of the problem, more than {allowed:.2f} m: it leads elsewhere"
-        raise InvalidPath(f"{message}; without `problem` it keeps its own ends")
+        message = f"path: {what} of the problem, allowed are {allowed:.2f} m"
+        raise InvalidPath(f"{message}; without `problem` the path keeps its own ends")
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:

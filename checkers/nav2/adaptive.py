@@ -23,18 +23,22 @@ __all__ = ["AdaptiveToleranceGoalChecker", "AdaptiveToleranceGoalCheckerParamete
 class AdaptiveToleranceGoalCheckerParameters(PluginParameters):
     """Nav2's parameters of the AdaptiveToleranceGoalChecker."""
 
-    fine_xy_goal_tolerance: float = Field(default=0.10, ge=0.0, description="accepted at once [m]")
-    coarse_xy_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted without progress [m]")
+    fine_xy_goal_tolerance: float = Field(default=0.10, ge=0.0, description="distance accepted at once [m]")
+    coarse_xy_goal_tolerance: float = Field(
+        default=0.25, ge=0.0, description="distance accepted without further progress [m]"
+    )
     xy_goal_tolerance_buffer: float = Field(default=0.0, ge=0.0, description="drift that ends the acceptance [m]")
     yaw_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted heading error [rad]")
     path_length_tolerance: float = Field(
-        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+        default=1.0, ge=0.0, description="remaining path length above which the goal is not reached [m]"
     )
     stateful: bool = Field(default=True, description="an accepted position stays accepted until reset")
     symmetric_yaw_tolerance: bool = Field(default=False, description="accept the opposite heading as well")
     trans_stopped_velocity: float = Field(default=0.10, ge=0.0, description="largest speed at rest [m/s]")
     rot_stopped_velocity: float = Field(default=0.10, ge=0.0, description="largest yaw rate at rest [rad/s]")
-    required_stagnation_cycles: int = Field(default=15, ge=1, description="calls without progress")
+    required_stagnation_cycles: int = Field(
+        default=15, ge=1, description="number of calls without progress after which the coarse tolerance applies"
+    )
 
 
 @dataclass

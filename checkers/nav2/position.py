@@ -23,7 +23,7 @@ class PositionParameters(PluginParameters):
 
     xy_goal_tolerance: float = Field(default=0.25, ge=0.0, description="accepted distance [m]")
     path_length_tolerance: float = Field(
-        default=1.0, ge=0.0, description="not reached while the remaining path is longer [m]"
+        default=1.0, ge=0.0, description="remaining path length above which the goal is not reached [m]"
     )
     stateful: bool = Field(default=True, description="an accepted position stays accepted until reset")
     xy_goal_tolerance_buffer: float = Field(default=0.0, ge=0.0, description="drift that ends the acceptance [m]")

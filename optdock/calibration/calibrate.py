@@ -29,7 +29,7 @@ __all__ = ["Calibration", "calibrate"]
 
 _SAME_DOCK = 0.01, 0.01  # [m], [rad]: stored docks that differ by less are the same
 _BY_DETECTIONS = (
-    ("scale of the way", "1"),
+    ("scale of the distance", "1"),
     ("turn per metre", "rad/m"),
     ("scale of turns", "1"),
     ("detections late by", "s"),
@@ -122,7 +122,7 @@ def _check_robots(recordings: Sequence[Recording]) -> None:
     for source, robot in known[1:]:
         first, other = known[0]
         if robot.drive is not other.drive or not np.array_equal(robot.footprint.vertices, other.footprint.vertices):
-            raise InvalidValue(f"{source}: its robot has another drive or outline than that of {first}")
+            raise InvalidValue(f"{source}: its robot has another drive or footprint than that of {first}")
         width, others = robot.limits.track_width, other.limits.track_width
         if width != others:
             raise InvalidValue(f"{source}: its robot has a track width of {width:g} m, that of {first} {others:g} m")
@@ -146,5 +146,5 @@ def _check_drives(recordings: Sequence[Recording]) -> None:
     for one in recordings:
         key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()
         if key in seen:
-            raise InvalidValue(f"{one.source}: is the same drive as {seen[key]}")
+            raise InvalidValue(f"{one.source}: contains the same drive as {seen[key]}")
         seen[key] = one.source

@@ -61,7 +61,7 @@ def conformal_tube(deviations: Sequence[tuple[float, float]], radius: float, cov
         needed = math.ceil(coverage / (1.0 - coverage) - 1e-9)
         reason = f"there are {count} complete dockings; for {100 * coverage:g} %, {needed} are needed"
     elif radius <= 0.0:
-        reason = "the outline of the robot is unknown"
+        reason = "the footprint of the robot is unknown"
     if reason:
         return DrivenTube(None, 0.0, [unknown(name, unit, reason, count) for name, unit in names])
     scores = np.array([float(displacement(cross, yaw, radius)) for cross, yaw in deviations])

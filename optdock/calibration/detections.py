@@ -39,7 +39,7 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
     rows = []
     for (name, unit, is_slope), value, off in zip(_NOISE, found.noise[:5], half.tolist(), strict=True):
         if is_slope and one_range:
-            rows.append(unknown(name, unit, "the dock was always seen from the same distance", count))
+            rows.append(unknown(name, unit, "the dock was always detected from the same distance", count))
             continue
         low, high = value - off if is_slope else max(value - off, 0.0), value + off
         if name.startswith("jitter"):  # `off` is that of the square; slip that the motion misses lowers the bound
@@ -67,7 +67,7 @@ def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     ]
     nearest = min((float(np.min(ranges)) for ranges in seen if len(ranges)), default=np.inf)
     if not np.isfinite(nearest):
-        return unknown(name, unit, "all detections are wrong ones")
+        return unknown(name, unit, "all detections are outliers")
     passed = np.concatenate([_frame_ranges(one) for one in motion.of])
     count, closest = sum(map(len, seen)), float(np.min(passed, initial=np.inf))
     missed = np.sort(passed[passed < nearest])[::-1]

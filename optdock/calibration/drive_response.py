@@ -140,7 +140,11 @@ def _latency_and_lag(axes: list[_Axis], name: str) -> tuple[Fit | None, list[Qua
     changes = [float(np.ptp(axis.commands)) for axis in axes]
     reason = _too_short(axes)
     if axes and max(changes) < _LEAST_CHANGE[name]:
-        reason = "there are no commands to turn" if name == "angular" else "there are no commands to drive"
+        reason = (
+            "the recordings contain no turning commands"
+            if name == "angular"
+            else "the recordings contain no driving commands"
+        )
     if reason:
         return None, [unknown(row, "s", reason, count) for row in rows]
     found = _fit(axes)
@@ -149,7 +153,9 @@ def _latency_and_lag(axes: list[_Axis], name: str) -> tuple[Fit | None, list[Qua
     for k, row in enumerate(rows):
         value, low, high = found.interval(k)
         if high - low > _MOST_UNCERTAIN:
-            quantities.append(unknown(row, "s", "the answers fit with latencies and lags of any length", count))
+            quantities.append(
+                unknown(row, "s", "the response is consistent with latencies and lags of any length", count)
+            )
         else:
             low, high = max(low - _UNMODELLED, 0.0), high + _UNMODELLED
             quantities.append(Quantity(row, "s", value, low, high, count, sources))

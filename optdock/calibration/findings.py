@@ -18,13 +18,13 @@ __all__ = ["as_text", "as_yaml", "written_values"]
 
 # Advice for quantities that no key of a file holds.
 _USES = {
-    "detections late by": "learned by the executor; subtract it from the stamps in the detector's driver",
+    "detections late by": "estimated by the executor; subtract it from the stamps in the detector's driver",
     "twist window": "use the odometry's poses (Measurements.odometry), as a twist is delayed by half of it",
-    "scale of the way": "learned by the executor; multiply the wheels' radii by 1 + it in the base",
+    "scale of the distance": "estimated by the executor; multiply the wheels' radii by 1 + it in the base",
     "dead band, left wheel": "the TrackingController raises their commands gradually; min_speed does so at once",
 }
 _LEARNED = {
-    "odometry_scale_sigma": "scale of the way",
+    "odometry_scale_sigma": "scale of the distance",
     "odometry_drift_sigma": "turn per metre",
     "detection_delay_sigma": "detections late by",
 }
@@ -44,11 +44,11 @@ def as_text(calibration: Calibration) -> str:
             rows.append((one.name, f"{one.value:.4f}", interval, one.unit, str(one.samples), str(one.sources)))
         parts.append(table(rows))
     if missing:
-        parts.append("These recordings cannot tell:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing))
+        parts.append("Unknown from these recordings:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing))
     not_zero = [one for one in known if one.low > 0.0 or one.high < 0.0]
     notes = [f"  {one.name}: {_USES[one.name]}" for one in not_zero if one.name in _USES]
     if notes:
-        parts.append("Not zero, and no key of a file:\n" + "\n".join(notes))
+        parts.append("Significant values without a key in a file:\n" + "\n".join(notes))
     if calibration.tube.tube is not None:
         parts.append(f"{100 * calibration.tube.coverage:.1f} % of dockings stay inside the tube, or more.")
     parts.append("Recordings:\n" + "\n".join(f"  {one}" for one in _recording_lines(calibration)))

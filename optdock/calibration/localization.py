@@ -112,7 +112,11 @@ def stored_dock(motion: RecordedMotion) -> list[Quantity]:
     rows = [one for one in rows if len(one) > 0]
     count = sum(map(len, rows))
     if len(rows) < 2:
-        reason = "no docking succeeded" if not rows else "one docking succeeded; its localization may have been off"
+        reason = (
+            "no docking succeeded"
+            if not rows
+            else "only one docking succeeded, so errors of its localization are unknown"
+        )
         return [unknown(name, unit, reason, count) for name, unit in names]
     first = float(rows[0][0, 2])
     poses = np.array(

@@ -45,13 +45,13 @@ def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quan
     turned = sum(float(np.sum(np.abs(wrap_angles(step[:, 2])))) for step in ways)
     half = 0.5 * track_width
     rows = [  # each a linear combination of scale, drift, turn scale and delay
-        ("scale of the way", "1", (1.0, 0.0, 0.0, 0.0)),
+        ("scale of the distance", "1", (1.0, 0.0, 0.0, 0.0)),
         ("turn per metre", "rad/m", (0.0, 1.0, 0.0, 0.0)),
         ("scale of turns", "1", (0.0, 0.0, 1.0, 0.0)),
         ("detections late by", "s", (0.0, 0.0, 0.0, 1.0)),
-        ("left wheel's radius beyond what is believed", "1", (1.0, -half, 0.0, 0.0)),
-        ("right wheel's radius beyond what is believed", "1", (1.0, half, 0.0, 0.0)),
-        ("track width beyond what is believed", "1", (1.0, 0.0, -1.0, 0.0)),
+        ("left wheel's radius outside the plausible range", "1", (1.0, -half, 0.0, 0.0)),
+        ("right wheel's radius outside the plausible range", "1", (1.0, half, 0.0, 0.0)),
+        ("track width outside the plausible range", "1", (1.0, 0.0, -1.0, 0.0)),
     ]
     count = 3 * sum(len(one.seen.ranges) for one in motion.of)
     found = []
@@ -70,10 +70,10 @@ def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quan
 def _missing(name: str, way: float, turned: float, track_width: float) -> str:
     """Reason why a quantity is unknown; empty if it is known."""
     if way < _LEAST_TRIP:
-        return f"the robot drove {way:.2f} m only while it saw the dock"
-    if turned < _LEAST_TURN and name in ("scale of turns", "track width beyond what is believed"):
-        return f"the robot turned by {turned:.2f} rad only while it saw the dock"
-    if track_width == 0.0 and name.endswith("is believed"):
+        return f"the robot drove only {way:.2f} m while the dock was detected"
+    if turned < _LEAST_TURN and name in ("scale of turns", "track width outside the plausible range"):
+        return f"the robot turned by only {turned:.2f} rad while the dock was detected"
+    if track_width == 0.0 and name.endswith("plausible range"):
         return "the distance between the wheels, robot.limits.track_width, is unknown"
     return ""
 
@@ -112,7 +112,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     found = fit(residuals, (start,), clusters, (0.01,), bounds=((1e-3,), (_LONGEST,)))
     value, low, high = found.interval(0)
     if high - low > _LONGEST:
-        return unknown(name, unit, "the twists fit with windows of any length", len(clusters))
+        return unknown(name, unit, "the twists are consistent with windows of any length", len(clusters))
     # The distance is interpolated linearly between two poses; the error of means is a share of the time between them.
     rough = _ROUGH * float(np.median(np.concatenate([np.diff(one.odometry[:, 0]) for one in used])))
     return Quantity(name, unit, value, max(low - rough, 0.0), high + rough, len(clusters), len(used))

@@ -329,7 +329,7 @@ def _recording_of_bag(source: Path) -> Recording:
 def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], what: str) -> str:
     found = bag.find(names, kinds)
     if not found:
-        raise InvalidFile(f"{bag.source}: has no {what}: it contains none of {', '.join(names)}")
+        raise InvalidFile(f"{bag.source}: has no {what}: none of the topics {', '.join(names)}")
     return found
 
 

@@ -29,7 +29,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
     *,
     scenario: Annotated[
         Path | None,
-        typer.Option(help="Scenario of a plan or run, for the map, the swept outlines and the closest point."),
+        typer.Option(help="Scenario of a plan or run, for the map, the swept area and the closest point."),
     ] = None,
     frame: Annotated[
         str, typer.Option(help="Name of the coordinate frame; default: that of the file or the scenario.")

@@ -84,15 +84,16 @@ def bag(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(help="Outline as a list of corners in Nav2's syntax, instead of the recording's.")
     ] = "",
     radius: Annotated[
-        float | None, typer.Option(metavar=METRES, help="Radius of a round robot, instead of the recording's outline.")
+        float | None,
+        typer.Option(metavar=METRES, help="Radius of a round robot, instead of the recording's footprint."),
     ] = None,
     clearance: Annotated[float, typer.Option(metavar=METRES, help="Required clearance of path and drive.")] = 0.0,
     contact: Annotated[
         float | None,
         typer.Option(
             metavar=METRES,
-            help="Occupied cells within this distance of the outline at the end of the path belong to the dock and are "
-            "free; default: the diagonal of a cell.",
+            help="Occupied cells within this distance of the footprint at the end of the path belong to the dock and "
+            "are free; default: the diagonal of a cell.",
             show_default=False,
         ),
     ] = None,

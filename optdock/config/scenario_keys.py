@@ -98,7 +98,7 @@ def _footprint(value: object) -> Footprint:
     if isinstance(value, dict) and set(value) == {"radius"} and is_number(value["radius"]):
         return Footprint.from_radius(float(value["radius"]))
     if not isinstance(value, list):
-        raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {shown(value)}")
+        raise InvalidValue(f"must be a list of points [x, y], the same as text, or {{radius: r}}, got {shown(value)}")
     check_vertices(value)
     return Footprint(value)  # type: ignore[arg-type]  # Footprint checks and converts what it is given
 
@@ -298,7 +298,7 @@ class RobotDocument(_Part):
     """`robot`."""
 
     footprint: FootprintValue | None = _key(
-        "outline in the robot's frame, whose origin follows the path [m]", None, absent="radius must be given"
+        "polygon in the robot's frame, whose origin follows the path [m]", None, absent="radius must be given"
     )
     radius: Number | None = _key("radius of a round robot [m]", None, above=0, absent="footprint must be given")
     drive: Drive = _key("kind of drive", Drive.DIFFERENTIAL)
@@ -355,7 +355,7 @@ class DockDocument(_Part):
 
     pose: PoseValue = _key("the robot's pose when docked [m, m, rad]")
     footprint: FootprintValue | None = _key(
-        "outline of the station in the docked robot's frame, an obstacle [m]", None, absent="no obstacle"
+        "polygon of the station in the docked robot's frame, an obstacle [m]", None, absent="no obstacle"
     )
     direction: DockDirection = _key(
         "gear of the last motion; auto: chosen by the side of the start", DockDirection.AUTO

@@ -109,7 +109,7 @@ def _check_supported(problem: DockingProblem) -> None:
             "problem.unknown_is_obstacle: is always True in a scenario file; mark those cells free in the costmap"
         )
     if problem.dock.tolerances != type(problem.dock.tolerances)():
-        raise InvalidValue("dock.tolerances: a scenario file has none; give them to the goal checker")
+        raise InvalidValue("dock.tolerances: have no key in a scenario file; set them at the goal checker")
 
 
 def _map(target: Path, costmap: Costmap | None, source: str | Path | None) -> tuple[str, tuple[Path, ...]]:

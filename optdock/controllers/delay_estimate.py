@@ -67,7 +67,7 @@ class ControlClock:
         before = self.now
         if before is not None and stamp < before:
             raise NoValidControl(
-                f"{context.name}: the clock went back from {before} s to {stamp} s; reset the controller if it was set",
+                f"{context.name}: the clock went back from {before} s to {stamp} s; reset the controller if intended",
                 where={"stamp": stamp, "before": before},
             )
         self.now = stamp

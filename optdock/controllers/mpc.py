@@ -57,25 +57,34 @@ class MpcControllerParameters(TrackingControllerParameters):
     )
     steps: int = Field(default=14, ge=3, le=60, description="steps of the horizon")
     latency: float | None = Field(
-        default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
+        default=None,
+        ge=0.0,
+        le=0.5,
+        description="dead time between a command and its first effect [s]; None: identified online",
     )
-    lag: float | None = Field(default=None, ge=0.0, description="time constant of the drive [s]; None: identified")
-    along_error: float = Field(default=0.015, gt=0.0, description="error along that weighs 1 [m]")
-    cross_error: float = Field(default=0.0125, gt=0.0, description="error across that weighs 1 [m]")
-    yaw_error: float = Field(default=0.05, gt=0.0, description="heading error that weighs 1 [rad]")
-    speed_effort: float = Field(default=0.08, gt=0.0, description="deviation of the speed that weighs 1 [m/s]")
-    yaw_rate_effort: float = Field(default=0.3, gt=0.0, description="deviation of the yaw rate that weighs 1 [rad/s]")
-    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these deviations may change [s]")
-    final_weight: float = Field(default=20.0, ge=0.0, description="errors at the end weigh as over this time [s]")
-    hold_tube: bool = Field(default=True, description="keep the robot in its tube, Robot.tracking, if it has one")
+    lag: float | None = Field(
+        default=None, ge=0.0, description="time constant of the drive [s]; None: identified online"
+    )
+    along_error: float = Field(default=0.015, gt=0.0, description="longitudinal error with unit cost [m]")
+    cross_error: float = Field(default=0.0125, gt=0.0, description="lateral error with unit cost [m]")
+    yaw_error: float = Field(default=0.05, gt=0.0, description="heading error with unit cost [rad]")
+    speed_effort: float = Field(default=0.08, gt=0.0, description="deviation of the speed with unit cost [m/s]")
+    yaw_rate_effort: float = Field(default=0.3, gt=0.0, description="deviation of the yaw rate with unit cost [rad/s]")
+    smoothness: float = Field(
+        default=0.2, ge=0.0, description="time scale of the cost of changes of these deviations [s]"
+    )
+    final_weight: float = Field(default=20.0, ge=0.0, description="weight of the terminal error, as a duration [s]")
+    hold_tube: bool = Field(
+        default=True, description="keep the robot within the tracking tube, Robot.tracking, if it is given"
+    )
 
 
 class CycleOutcome(str, Enum):
     """Source of the command of a cycle."""
 
     SOLVED = "solved"
-    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as possible"
-    SHIFTED = "no commands found in time: those of the previous cycle continue"
+    JERK_EXCEEDED = "no commands keep the jerk limit: it is exceeded by the smallest possible amount"
+    SHIFTED = "no commands found in time: the commands of the previous cycle continue"
 
 
 class MpcStatus(NamedTuple):
@@ -300,8 +309,8 @@ class MpcController(TrackingController):
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
-                f"{self.name}: no commands were found for {self._horizon:g} s, and none are left from before; "
-                f"plan again from here"
+                f"{self.name}: no commands were found for {self._horizon:g} s, and those of earlier cycles are used "
+                f"up; plan again from here"
             )
         times, commands = self._plan.times + self._plan.stamp, self._plan.commands
         shifted: FloatArray = commands[np.searchsorted(times, now, side="right") - 1]

@@ -50,7 +50,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
         raise ControllerInvalidPath(f"TrackingController: can follow a Path or a Trajectory, got {type(task).__name__}")
     if context.problem is not None and not may_be_one_frame(task.frame, context.problem.frame):
         raise ControllerInvalidPath(
-            f"TrackingController: the path stands in frame {task.frame!r}, the configured problem in "
+            f"TrackingController: the path is in frame {task.frame!r}, the configured problem in "
             f"{context.problem.frame!r}; transform one of them",
             where={"path": task.frame, "problem": context.problem.frame},
         )
@@ -130,13 +130,13 @@ class ProgressCheck:
         if self._following.expired(2.0 if is_held else 0.0, period, patience):
             raise NoValidControl(
                 f"TrackingController: the robot does not follow: for {patience:g} s the reference has waited "
-                f"{abs(error.x):.3f} m ahead; the robot is blocked, or its drive does not answer",
+                f"{abs(error.x):.3f} m ahead; the robot is blocked, or its drive does not respond",
                 where=where,
             )
         if self._arriving.expired(left.shortfall(error) if left else 0.0, period, patience) and left:
             raise NoValidControl(
-                f"TrackingController: cannot come any nearer: {error.x:.3f} m along, {error.y:.3f} m across and "
-                f"{error.yaw:.3f} rad are left, accepted are {left.along:g} m, {left.cross:g} m and "
-                f"{left.yaw:g} rad, and nothing has improved for {patience:g} s; plan again from here",
+                f"TrackingController: the goal tolerances are not reached: {error.x:.3f} m along, {error.y:.3f} m "
+                f"across and {error.yaw:.3f} rad remain, tolerances {left.along:g} m, {left.cross:g} m and "
+                f"{left.yaw:g} rad, no improvement for {patience:g} s; plan again from here",
                 where=where,
             )

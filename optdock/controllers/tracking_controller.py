@@ -60,34 +60,42 @@ class TrackingControllerParameters(PluginParameters):
     period: float | None = Field(
         default=None, gt=0.0, description="time between two calls [s]; None: measured from their stamps"
     )
-    along_gain: float = Field(default=2.0, gt=0.0, description="speed per error along the travel [1/s]")
+    along_gain: float = Field(default=2.0, gt=0.0, description="gain of the longitudinal error [1/s]")
     convergence_distance: float = Field(
-        default=0.25, gt=0.0, description="distance over which lateral errors decay, longer for late drives [m]"
+        default=0.25, gt=0.0, description="distance over which lateral errors decay, increased for delayed drives [m]"
     )
     damping: float = Field(default=1.0, gt=0.0, description="damping ratio of the lateral error")
-    turn_gain: float = Field(default=1.0, gt=0.0, description="least yaw rate per heading error [1/s]")
+    turn_gain: float = Field(default=1.0, gt=0.0, description="smallest gain of the heading error [1/s]")
     preview: float | None = Field(
         default=None, ge=0.0, description="the drive's latency plus lag, compensated [s]; None: identified online"
     )
     slow_down_lag: float = Field(default=0.002, ge=0.0, description="lag at which the reference begins to wait [m]")
-    stop_lag: float = Field(default=0.1, gt=0.0, description="lag at which the reference stands still [m]")
+    stop_lag: float = Field(default=0.1, gt=0.0, description="lag at which the reference stops [m]")
     turn_reserve: float = Field(
         default=0.06, ge=0.0, lt=0.5, description="share of max_yaw_acceleration left to feedback by slowing down [1]"
     )
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
     max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")
-    min_speed: float = Field(default=0.0, ge=0.0, description="smallest speed the drive executes, for the finish [m/s]")
-    min_yaw_rate: float = Field(default=0.0, ge=0.0, description="smallest yaw rate the drive executes [rad/s]")
-    finish_tolerance: float = Field(default=0.002, gt=0.0, description="the smallest speed is used beyond this [m]")
-    finish_yaw_tolerance: float = Field(default=0.005, gt=0.0, description="as finish_tolerance, for yaw [rad]")
+    min_speed: float = Field(default=0.0, ge=0.0, description="dead band of the speed, compensated at the goal [m/s]")
+    min_yaw_rate: float = Field(
+        default=0.0, ge=0.0, description="dead band of the yaw rate, compensated at the goal [rad/s]"
+    )
+    finish_tolerance: float = Field(
+        default=0.002, gt=0.0, description="error above which the dead band is compensated [m]"
+    )
+    finish_yaw_tolerance: float = Field(
+        default=0.005, gt=0.0, description="heading error above which the dead band is compensated [rad]"
+    )
     patience: float = Field(
-        default=3.0, gt=0.0, description="time without progress, on the way or at the end, that ends the task [s]"
+        default=3.0, gt=0.0, description="time without progress, in motion or at the end, that ends the task [s]"
     )
-    use_collision_detection: bool = Field(default=True, description="check for obstacles on the way to a stop")
+    use_collision_detection: bool = Field(default=True, description="check the stopping path for obstacles")
     collision_tolerance: float = Field(
-        default=0.01, ge=0.0, description="depth in the station that noise and a pressed bumper may show [m]"
+        default=0.01, ge=0.0, description="accepted penetration of the station, by noise or a compressed bumper [m]"
     )
-    time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path given without times")
+    time_parameterizer: str = Field(
+        default="NearOptimal", description="time parameterizer for paths given without times"
+    )
 
 
 class TrackingController(Controller):

@@ -91,9 +91,9 @@ def perceive(cycles: ControlCycles) -> Cycles:
             found, far = detections.count - before, detections.too_far
             raise TaskFailed(
                 EndingKind.FAILED_TO_DETECT_DOCK,
-                f"{found} detections in {cycles.now - since:.1f} s, needed are {settings.least_detections}; "
+                f"{found} detections in {cycles.now - since:.1f} s, required are {settings.least_detections}; "
                 f"{detections.rejected} were rejected so far"
-                + (f"; the last was {far:.3f} m from the stored dock, which is another one" if far else ""),
+                + (f"; the last was {far:.3f} m from the stored dock, more than max_detection_offset" if far else ""),
             )
         yield from cycles.cycle(STOP)
 
@@ -162,7 +162,7 @@ def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
 def _require_certainty(cycles: ControlCycles) -> None:
     """Raise AttemptFailed if the pose at the dock is too uncertain."""
     situation, perception = cycles.situation, cycles.situation.perception
-    kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "it cannot be known whether the robot is docked"
+    kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "docking cannot be confirmed"
     if perception.detections.is_contradicted:
         raise AttemptFailed(kind, "the last detections contradict the estimated pose of the dock")
     if situation.estimate.may_have_turned:

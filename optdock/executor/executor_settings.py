@@ -29,7 +29,7 @@ class ExecutorSettings(PluginParameters):
         default="distance",
         description="distance: docked by the goal checker; touch: docked by contact, towards which the robot presses",
     )
-    wait_for_charge: bool = Field(default=False, description="docked only with the external signal of the charger")
+    wait_for_charge: bool = Field(default=False, description="require the external signal of the charger for docked")
     wait_charge_timeout: float = Field(default=5.0, gt=0.0, description="timeout of the wait for that signal [s]")
     contact_range: float = Field(
         default=0.05, gt=0.0, description="distance from the dock within which stall and signal are contact [m]"
@@ -48,7 +48,8 @@ class ExecutorSettings(PluginParameters):
     staging_distance: float | None = Field(
         default=None,
         gt=0.0,
-        description="of the staging pose from the docked one, on its axis [m]; None: what the curvature needs, >= 0.7",
+        description="distance of the staging pose from the docked pose, on its axis [m]; None: as the curvature "
+        "requires, >= 0.7",
     )
     prestaging_tolerance: float = Field(
         default=0.5, gt=0.0, description="no staging within this norm over m, m, rad of the staging pose, as in Nav2"
@@ -58,7 +59,7 @@ class ExecutorSettings(PluginParameters):
     dock_approach_timeout: float = Field(
         default=30.0, gt=0.0, description="time that an approach may take beyond its plan [s]"
     )
-    max_undocking_time: float = Field(default=30.0, gt=0.0, description="as above, for undocking [s]")
+    max_undocking_time: float = Field(default=30.0, gt=0.0, description="as dock_approach_timeout, for undocking [s]")
     back_out_distance: float = Field(
         default=0.1, gt=0.0, description="largest straight distance out of contact before a path back is planned [m]"
     )
@@ -85,25 +86,41 @@ class ExecutorSettings(PluginParameters):
         default=3, ge=2, description="agreeing rejected detections that move the dock; one fewer if they agree closely"
     )
     detection_delay_sigma: float = Field(
-        default=0.05, ge=0.0, description="unknown delay of the detections' stamps, which is estimated [s]"
+        default=0.05,
+        ge=0.0,
+        description="standard deviation of the delay of the detections' stamps, which is estimated [s]",
     )
-    stored_position_sigma: float = Field(default=0.1, gt=0.0, description="of the stored dock's x and y, each [m]")
-    stored_yaw_sigma: float = Field(default=0.06, gt=0.0, description="of the stored dock's yaw [rad]")
+    stored_position_sigma: float = Field(
+        default=0.1, gt=0.0, description="standard deviation of the stored dock's x and y, each [m]"
+    )
+    stored_yaw_sigma: float = Field(
+        default=0.06, gt=0.0, description="standard deviation of the stored dock's yaw [rad]"
+    )
     dock_drift: float = Field(default=0.0005, ge=0.0, description="random walk of a moving dock [m/sqrt(s)]")
 
     # Perception of the robot.
-    position_sigma: float = Field(default=0.005, gt=0.0, description="of the measured x and y, each [m]")
-    yaw_sigma: float = Field(default=0.009, gt=0.0, description="of the measured yaw [rad]")
-    odometry_sigma: float = Field(default=0.005, gt=0.0, description="of odometry per distance [m/sqrt(m)]")
-    odometry_yaw_sigma: float = Field(default=0.02, gt=0.0, description="of its yaw per rotation [rad/sqrt(rad)]")
+    position_sigma: float = Field(
+        default=0.005, gt=0.0, description="standard deviation of the measured x and y, each [m]"
+    )
+    yaw_sigma: float = Field(default=0.009, gt=0.0, description="standard deviation of the measured yaw [rad]")
+    odometry_sigma: float = Field(
+        default=0.005, gt=0.0, description="standard deviation of odometry per distance [m/sqrt(m)]"
+    )
+    odometry_yaw_sigma: float = Field(
+        default=0.02, gt=0.0, description="standard deviation of its yaw per rotation [rad/sqrt(rad)]"
+    )
     odometry_straight_yaw_sigma: float = Field(
-        default=0.008, gt=0.0, description="of its yaw per distance, small wheel slips included [rad/sqrt(m)]"
+        default=0.008,
+        gt=0.0,
+        description="standard deviation of its yaw per distance, small wheel slips included [rad/sqrt(m)]",
     )
     odometry_scale_sigma: float = Field(
-        default=0.003, ge=0.0, description="systematic error of the distance, which is estimated [1]"
+        default=0.003, ge=0.0, description="standard deviation of the systematic distance error, which is estimated [1]"
     )
     odometry_drift_sigma: float = Field(
-        default=0.005, ge=0.0, description="systematic rotation per distance, which is estimated [rad/m]"
+        default=0.005,
+        ge=0.0,
+        description="standard deviation of the systematic rotation per distance, which is estimated [rad/m]",
     )
     pose_patience: float = Field(default=0.5, gt=0.0, description="time for which odometry replaces the pose [s]")
     localization_timeout: float = Field(default=5.0, gt=0.0, description="timeout of a wait for a pose, at rest [s]")
@@ -118,11 +135,17 @@ class ExecutorSettings(PluginParameters):
         ge=0.0,
         description="distance from the touching edge of the docked robot within which costmap cells are freed [m]",
     )
-    obstacle_patience: float = Field(default=5.0, ge=0.0, description="wait for a blocking obstacle to go, at rest [s]")
-    progress_time: float = Field(default=3.0, gt=0.0, description="commanded motion without progress, at most [s]")
+    obstacle_patience: float = Field(
+        default=5.0, ge=0.0, description="timeout of the wait for an obstacle to move away, at rest [s]"
+    )
+    progress_time: float = Field(
+        default=3.0, gt=0.0, description="largest time of commanded motion without progress [s]"
+    )
     settling_time: float = Field(default=2.0, gt=0.0, description="time to dock after the end of the path [s]")
     late_tick: float = Field(default=0.08, gt=0.0, description="period above which a cycle is reported as late [s]")
-    longest_tick: float = Field(default=0.5, gt=0.0, description="period after which the robot stops first [s]")
+    longest_tick: float = Field(
+        default=0.5, gt=0.0, description="period above which the robot stops before it continues [s]"
+    )
 
     # Planning.
     time_budget: float = Field(default=1.0, gt=0.0, description="wall-clock time of a plan from rest [s]")
@@ -132,4 +155,6 @@ class ExecutorSettings(PluginParameters):
     worth_position: float = Field(
         default=0.002, gt=0.0, description="remaining error at the dock that justifies a plan in motion [m]"
     )
-    worth_yaw: float = Field(default=0.009, gt=0.0, description="as above, of the heading [rad]")
+    worth_yaw: float = Field(
+        default=0.009, gt=0.0, description="remaining heading error at the dock that justifies a plan in motion [rad]"
+    )

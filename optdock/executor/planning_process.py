@@ -62,7 +62,7 @@ class PlanningProcess:
             if self._closed or self._worker.wait_until_warm(timeout):
                 return not self._closed
             if not self._worker.process.is_alive():
-                self._replace("it has ended before it was warm")
+                self._replace("it ended during warm-up")
             return False
 
     def planned(self, job: Job) -> PlanResult:
@@ -126,7 +126,7 @@ class _Worker(NamedTuple):
                 return f"the planning process has not started: {self._exit}"
             self.line.send_bytes(self.shared.dumps(job))
             if not self.line.poll(job.budget + _MARGIN):
-                return f"the planning process did not answer within {job.budget + _MARGIN:.1f} s"
+                return f"the planning process did not respond within {job.budget + _MARGIN:.1f} s"
             result = self.shared.loads(self.line.recv_bytes())
         except (EOFError, OSError):
             return f"the planning process has ended: {self._exit}"

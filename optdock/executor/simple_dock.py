@@ -32,15 +32,15 @@ class SimpleDockParameters(PluginParameters):
     )
     stall_speed: float = Field(default=0.005, gt=0.0, description="odometry speed below which the robot stalls [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="duration of a stall that is contact [s]")
-    wait_for_charge: bool = Field(default=False, description="docked only once the battery charges")
+    wait_for_charge: bool = Field(default=False, description="require a charging battery for docked")
     charging_current: float | None = Field(
         default=None,
-        description="larger currents into the battery are charge and contact [A]; None: use the external signal",
+        description="battery current above which the robot charges and is in contact [A]; None: by the external signal",
     )
     staging_distance: float | None = Field(
         default=None,
         gt=0.0,
-        description="of the staging pose from the docked one, on its axis [m]; None: from the executor",
+        description="distance of the staging pose from the docked pose, on its axis [m]; None: from the executor",
     )
     staging_poses: tuple[tuple[_Number, _Number, _Number], ...] = Field(
         default=(),

@@ -468,7 +468,7 @@ class TubeMonitor:
         if is_outside == self._is_outside:
             return False
         self._is_outside = is_outside
-        detail = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; certified: {width:.4f} m"
+        detail = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m of the footprint; certified: {width:.4f} m"
         self._report("tube left" if is_outside else "tube entered", detail)
         return is_outside and width >= _WATCHED and path.length - s > _LAST_REPLAN
 

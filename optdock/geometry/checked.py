@@ -49,7 +49,7 @@ def number(value: object, name: str) -> float:
     try:
         return float(value)
     except OverflowError as error:
-        raise InvalidValue(f"{name}: must be finite, got an integer beyond all floats") from error
+        raise InvalidValue(f"{name}: must be finite, got an integer too large for a float") from error
 
 
 def finite_number(value: object, name: str) -> float:

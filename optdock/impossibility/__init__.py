@@ -53,7 +53,7 @@ def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> Imposs
         return check_blocked_straight(proof, problem)
     if type(proof) is ImpossibilityProof:
         return check_cells(proof, problem)
-    return ImpossibilityVerdict(proven=False, reason=f"it is not a proof but a {type(proof).__name__}", cells=0)
+    return ImpossibilityVerdict(proven=False, reason=f"it must be a proof, got a {type(proof).__name__}", cells=0)
 
 
 def impossibility_from_dict(values: Mapping[str, object]) -> NoMotionProof:

@@ -89,7 +89,7 @@ class BlockedStraight:
     def message(self) -> str:
         """The result in one sentence."""
         blocked = "; ".join(map(str, self.poses))
-        message = f"no motion ends in the dock: its final straight is blocked: {blocked}"
+        message = f"no motion ends in the dock, because its final straight is blocked: {blocked}"
         if all(pose.clearance >= 0.0 for pose in self.poses):
             kept = max(pose.clearance for pose in self.poses)
             message += f"; up to {kept:.4f} m can be kept there, see clearance.dock_run"
@@ -171,7 +171,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
 
     fault = ""
     if not 0.0 < problem.dock.final_straight < math.inf:
-        fault = "the dock asks for no final straight"
+        fault = "the dock requires no final straight"
     elif set(_GEARS[problem.dock.direction]) - {pose.gear for pose in proof.poses}:
         fault = "a gear that the dock allows is missing"
     elif not all(0.0 <= pose.before <= problem.dock.final_straight for pose in proof.poses):

@@ -151,7 +151,7 @@ class ImpossibilityProof(FrozenArrays):
     @property
     def message(self) -> str:
         """The result in one sentence."""
-        why = self.bottleneck or f"the {self.end} is shut in"
+        why = self.bottleneck or f"the {self.end} is enclosed"
         return f"no motion joins start and goal, reversing and turning in place included: {why}"
 
     @property
@@ -377,7 +377,7 @@ class _Rim:
         for k, cells in within:
             self.blocked[k][cells] |= ~self.inside[k][cells]
         if not is_covered:
-            return "the set does not hold the end that it is around"
+            return "the set of cells does not contain its end pose"
         if any(self.inside[k][cells].any() for k, cells in self._cells_at(outer)[0]):
             return "the set holds both ends"
         for inside, rim in zip(self.inside, self.blocked, strict=True):

@@ -134,7 +134,9 @@ def parse_json(text: str) -> object:
         try:
             json.dumps(value, ensure_ascii=False).encode()
         except UnicodeEncodeError:
-            raise ValueError("holds half a character: an escape \\ud800 to \\udfff without its other one") from None
+            raise ValueError(
+                "contains an unpaired surrogate: an escape \\ud800 to \\udfff without its other one"
+            ) from None
     return value
 
 
@@ -170,7 +172,7 @@ def _refuse_constant(name: str) -> NoReturn:
 def _finite(digits: str) -> float:
     value = float(digits)
     if not math.isfinite(value):
-        raise ValueError(f"{digits[:20]} is beyond all numbers; numbers must be finite")
+        raise ValueError(f"{digits[:20]} is too large; numbers must be finite")
     return value
 
 

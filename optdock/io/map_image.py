@@ -78,7 +78,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
     except Image.DecompressionBombError as error:
         raise InvalidFile(f"{path}: more than the {MAX_PIXELS} pixels allowed; crop the map") from error
     except _DAMAGE as error:
-        raise InvalidFile(f"{path}: is damaged or cut short: {shortened(str(error))}") from error
+        raise InvalidFile(f"{path}: is damaged or truncated: {shortened(str(error))}") from error
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -95,7 +95,7 @@ def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
     if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:
-        raise ValueError(f"a PGM in digits may have {_MAX_PLAIN_PIXELS} pixels; save it as a raw one or as PNG")
+        raise ValueError(f"an ASCII PGM may have at most {_MAX_PLAIN_PIXELS} pixels; save it as a binary PGM or as PNG")
     if codec not in ("ppm", "ppm_plain") or not isinstance(arguments, tuple):
         return 65535 if image.mode in _DEEP_MODES else 255
     maxval = int(arguments[1])

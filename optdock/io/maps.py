@@ -188,7 +188,7 @@ def _refuse_picture(path: Path) -> None:
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
         named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
-        raise InvalidFile(f"{path}: is a picture; name the YAML file {named}")
+        raise InvalidFile(f"{path}: is an image; give the YAML file {named}")
 
 
 def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:

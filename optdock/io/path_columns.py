@@ -250,7 +250,7 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
     right = (given == before) | (given == after) | ((given == 0) & still)
     if not np.all(right):
         i = int(np.argmin(right))
-        does = "moves the other way there" if given[i] else "moves there"
+        does = "moves in the other gear there" if given[i] else "moves there"
         raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot {does}")
 
 

@@ -90,7 +90,7 @@ def load_run(source: str | Path) -> RunColumns:
             )
     times = np.array(columns["t"])
     if not np.all(np.diff(times) > 0.0):
-        raise InvalidFile(f"{source}: columns.t: must rise")
+        raise InvalidFile(f"{source}: columns.t: must increase strictly")
     poses, measured, planned = (
         np.column_stack([columns[f"{of}{part}"] for part in _POSE]) for of in ("", "measured_", "planned_")
     )

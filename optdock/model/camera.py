@@ -131,7 +131,7 @@ class ViewQuantity(NamedTuple):
 
     def __str__(self) -> str:
         if self.name == "bearing":
-            return f"bearing {math.degrees(self.value):.1f} of {math.degrees(self.limit):.1f} degrees"
+            return f"bearing {math.degrees(self.value):.1f} degrees, at most {math.degrees(self.limit):.1f} degrees"
         bound = "at least" if self.value < self.limit else "at most"
         return f"distance {self.value:.3f} m, {bound} {self.limit:.3f} m"
 

@@ -131,7 +131,7 @@ class Path(FrozenArrays):
         if frame in ("", self.frame):
             return self
         if not may_be_one_frame(self.frame, frame):
-            raise InvalidPath(f"path: stands in frame {self.frame!r}, not in {frame!r}; transform it first")
+            raise InvalidPath(f"path: is in frame {self.frame!r}, not in {frame!r}; transform it first")
         return dataclasses.replace(self, frame=frame)
 
     def __repr__(self) -> str:
@@ -170,7 +170,7 @@ class Path(FrozenArrays):
             if high - low > SAME_POSITION or (low == 0.0 and high == last - first):
                 found.append(piece_of(segment, low, min(high, segment.length)))
         if not found:
-            raise InvalidPath(f"path: has nothing between s = {begin:.6g} m and {end:.6g} m")
+            raise InvalidPath(f"path: is empty between s = {begin:.6g} m and {end:.6g} m")
         return Path(tuple(found), self.frame)
 
     def moved(self, move: Pose2) -> Path:

@@ -418,8 +418,8 @@ def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
     corners = ", ".join(f"[{x:.4g}, {y:.4g}]" for x, y in np.round(seen, 3) + 0.0)
     meant = f"; meant as [{corners}]?" if _corner_distances(outline, seen).min() <= allowed else ""
     raise InvalidValue(
-        f"dock.footprint: is {gap:.3f} m away from the docked robot, which is {length:.3f} m long: the outline of the "
-        f"station is given in the frame of the docked robot, not of the map{meant}"
+        f"dock.footprint: is {gap:.3f} m away from the docked robot, which is {length:.3f} m long: the footprint of "
+        f"the station is given in the frame of the docked robot, not of the map{meant}"
     )
 
 
@@ -447,5 +447,7 @@ def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:
     )
     if occupied_from > 1 and grid.size and int(grid.max()) == 1:
         # Occupancies of at most 1 % are most likely a mask of ones and zeros, whose walls would be free.
-        raise InvalidValue("occupancy: holds 1 at most, of 100; give a mask as booleans, or occupied_from = 1")
+        raise InvalidValue(
+            "occupancy: the largest value is 1 of 100; pass a mask as booleans, or set occupied_from = 1"
+        )
     return costs

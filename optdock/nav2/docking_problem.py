@@ -131,7 +131,7 @@ def _type_of(dock: DockEntry, params: Nav2Params) -> DockTypeParams:
     known = params.dock_types
     if known and dock.type not in known:
         raise DockNotValid(
-            f"{params.source}: has no dock type {dock.type!r}, which {dock.name} is of{closest(dock.type, known)}; its "
+            f"{params.source}: has no dock type {dock.type!r}, the type of {dock.name}{closest(dock.type, known)}; its "
             f"dock types: {', '.join(known)}"
         )
     return known.get(dock.type, DockTypeParams(dock.type))

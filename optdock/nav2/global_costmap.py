@@ -136,7 +136,7 @@ def _unknown_cells(tracked: object, layers: Mapping[str, Layer]) -> str:
 
 def _skipped_costmap(name: str) -> str:
     if name.endswith("local_costmap"):
-        return "skipped: it contains only sensor data, of which there is none yet"
+        return "skipped: it contains only sensor data, which is not available"
     return "skipped: planning uses one costmap"
 
 
@@ -172,7 +172,7 @@ def layered_costmap(
             grown = layer.update_bounds(robot, _EVERYWHERE)
             if joined(_EVERYWHERE, grown) != grown:  # also for NaN
                 raise PluginError(
-                    f"layer {name}: update_bounds must grow the bounds {tuple(_EVERYWHERE)}, got {tuple(grown)}"
+                    f"layer {name}: update_bounds must extend the bounds {tuple(_EVERYWHERE)}, got {tuple(grown)}"
                 )
         for layer in enabled.values():
             layer.update_costs(master, 0, 0, master.columns, master.rows)

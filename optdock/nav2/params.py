@@ -158,7 +158,7 @@ def _read_costmap(block: ParameterBlock) -> CostmapParams:
     try:
         _ = costmap.outline
     except InvalidValue as error:
-        block.fault("footprint_padding", message=f"leaves no outline: {error}")
+        block.fault("footprint_padding", message=f"leaves no footprint: {error}")
     return costmap
 
 

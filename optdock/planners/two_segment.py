@@ -70,21 +70,22 @@ _CHUNK = 5_000  # samples between two calls of the cancel checker, about 2 ms
 class DockPlannerParameters(PluginParameters):
     """Parameters of the two-segment planner; `alpha` to `resolution` are not in the source."""
 
-    cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
-    calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")
+    cost_threshold: int = Field(200, ge=0, le=255, description="cost from which a cell blocks the curve")
+    calib_safety_distance: float = Field(0.0, description="distance added to the robot's circumscribed radius [m]")
     check_free_space: bool = Field(
-        default=False, description="the costmap must be free under the robot's centre; needs one"
+        default=False, description="require free costmap cells under the robot's centre; needs a costmap"
     )
-    degree: int = Field(2, ge=1, le=2, description="NURBS degree; three control points carry at most 2")
-    step: float = Field(0.02, gt=0.0, le=1.0, description="coarsest sampling step of u")
+    degree: int = Field(2, ge=1, le=2, description="NURBS degree, at most 2 for three control points")
+    step: float = Field(0.02, gt=0.0, le=1.0, description="largest sampling step of u")
     footprint_dock: tuple[tuple[float, float], ...] | None = Field(
-        None, description="outline of the dock, Nav2's string or points [m]; null: the problem's dock, or no length"
+        None,
+        description="footprint of the dock, Nav2's string or points [m]; null: that of the problem's dock, or length 0",
     )
     alpha: float = Field(1.0, ge=0.0, description="threshold angle of a start on the axis, in units of beta * pi")
     beta: float = Field(0.5, gt=0.0, le=1.0, description="slope of the threshold angle over the scale, in units of pi")
     gamma: float = Field(0.667, gt=0.0, lt=1.0, description="largest threshold angle, in units of pi")
     direction: DockDirection = Field(DockDirection.AUTO, description="gear of the last motion: auto, forward, backward")
-    resolution: float = Field(0.05, gt=0.0, description="largest spacing of poses where there is no costmap [m]")
+    resolution: float = Field(0.05, gt=0.0, description="largest spacing of poses without a costmap [m]")
 
     @field_validator("footprint_dock", mode="before")
     @classmethod
@@ -303,7 +304,7 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
         point = np.array([[pose.x, pose.y]])
         where: dict[str, object] = {"pose": [pose.x, pose.y]}
         if not bool(costmap.contains(point)[0]):
-            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where=where)
+            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) is outside the map", where=where)
         cost = int(costmap.cost_at(point)[0])
         if cost >= threshold:
             raise occupied(

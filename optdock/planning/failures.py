@@ -85,7 +85,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
         return NoValidPathCouldBeFound("no planner returned a path")
     found, late = furthest(failures), [failure for failure in failures if isinstance(failure.error, TimedOut)]
     for_good = _reason_of_every_guess(failures, work.problem)
-    attempts = f"{len(failures)} attempts failed; that no way exists is not proven"
+    attempts = f"{len(failures)} attempts failed; it is not proven that no motion exists"
     if for_good is not None or not (late or is_cut_off):
         error = (for_good or found).error
         if len(failures) > 1:
@@ -102,7 +102,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
     if len(failures) > 1 or last is None:
         error.args = (f"{error} ({attempts})",)
     if not isinstance(found.error, TimedOut):
-        error.args = (f"{error}; until then {type(found.error).__name__}: {found.error}",)
+        error.args = (f"{error}; best attempt: {type(found.error).__name__}: {found.error}",)
     return error
 
 
@@ -138,7 +138,9 @@ def check_ends(problem: DockingProblem) -> None:
         ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
     ):
         if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
-            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
+            raise off_map(
+                f"the {name} ({pose.x:.3f}, {pose.y:.3f}) is outside the map", where={"pose": [pose.x, pose.y]}
+            )
         required = problem.clearance.at_dock if name == "goal" else 0.0
         if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)
@@ -172,4 +174,5 @@ def _clearance_hint(rule: ClearanceRule) -> str:
         parts["taper"] = rule.taper
     in_file = ", ".join(f"{key}: {value:g}" for key, value in parts.items())
     in_python = ", ".join(f"{key}={value!r}" for key, value in parts.items())
-    return f"; clearance holds at the dock too; give {{{in_file}}} (in Python: ClearanceRule({in_python}))"
+    reduced = f"{{{in_file}}} (in Python: ClearanceRule({in_python}))"
+    return f"; the clearance also holds at the dock; to reduce it there set {reduced}"

@@ -449,7 +449,7 @@ class _Portfolio:
             self._look_for_a_proof(_DISC_PROOF, only_disc=True)
         is_long = overlapping * guess.path.length > _SHORTLY * self.problem.robot.footprint.length
         if overlapping > _PUT_OFF and is_long:
-            reason = f"put off: {100.0 * overlapping:.0f} % of its poses lie in obstacles"
+            reason = f"postponed: {100.0 * overlapping:.0f} % of its poses overlap obstacles"
             self.tried.append(Attempt(guess.stage, guess.path, reason=reason))
             self.interrupted.append(_Interrupted(guess, None, overlapping))
             return
@@ -520,7 +520,7 @@ class _Portfolio:
             allowed = share * self.deadline.left
             proof = self.impossibility.proof(allowed, self.work.cancelled, only_disc=only_disc)
         if self.work.cancelled():
-            raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
+            raise PlannerCancelled("cancelled during the search for a proof of impossibility")
         if proof is not None:
             self._leave()
             raise NoMotionExists(proof.message, proof=proof, where=proof.where)

@@ -395,7 +395,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
     """
     name = type(plugin).__name__
     if plugin.state is not LifecycleState.UNCONFIGURED:
-        raise LifecycleError(f"{name} is {plugin.state.value}; plan_dock configures the plugins that it is given")
+        raise LifecycleError(f"{name} is {plugin.state.value}, must be unconfigured; plan_dock configures its plugins")
     try:
         plugin.configure(PluginContext(name=plugin.name, problem=problem))
         try:

@@ -141,7 +141,7 @@ class Replanned:
         if self.way is not None:
             exactly(ProvenWay, self.way, "replanned.way")
         if (self.plan is None) != (self.outcome is ReplanOutcome.STOP):
-            raise InvalidValue("replanned.plan: a stop has none, new and kept have one")
+            raise InvalidValue("replanned.plan: must be None for a stop, and a plan otherwise")
         if self.plan is not None and self.trajectory is not exactly(DockPlan, self.plan, "replanned.plan").trajectory:
             raise InvalidValue("replanned.trajectory: must be that of its plan")
 
@@ -237,7 +237,7 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
         return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
     instance(DockingProblem, target, "target")
     if target.frame != plan.frame:
-        raise InvalidValue(f"target: stands in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
+        raise InvalidValue(f"target: is in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
     return target
 
 
@@ -271,7 +271,7 @@ class _Replanning:
             joint = self.drive.branch_point(self.lead, at_a_rest=True)
         until = self.drive.way_until(joint)
         if until is not None and until.way is None:
-            why = f"the way until a new plan could take over is not clear: {until.reason}"
+            why = f"the path until the takeover of a new plan is not clear: {until.reason}"
             return self._kept(why) or self._stop(delay, why)
         try:
             return self._replanned(joint, None if until is None else until.way, plugins)
@@ -303,10 +303,12 @@ class _Replanning:
         if kept is not None:
             return kept
         if deadline.left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
+            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning from the joint', self.budget)}")
         plan = plan_dock(problem, time_budget=deadline.left, cancel_checker=self.cancelled, **plugins._asdict())
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
-            raise FailedToSmoothPath("the wheels are turned for the other gear")
+            raise FailedToSmoothPath(
+                "the new path begins in the other gear, for which the steered wheels are not turned"
+            )
         return self._new(joint, until, plan)
 
     def _new(self, joint: BranchPoint, until: ProvenWay | None, plan: DockPlan) -> Replanned:

@@ -218,7 +218,7 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
     summary = f"{law.durations.size} phases, {law.duration:.3f} s"
     if faults and are_rounded_phases(trajectory, motion):
         judged = _sampled(motion, path, problem)
-        return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
+        return judged._replace(row=f"the phases are rounded and cannot prove the motion; {judged.row}")
     if faults:
         return _MotionVerdict("not certified", f"{summary}, refuted", faults)
     agree = f"{summary}, certified; {samples.samples} samples agree with them{_offset(samples)}"
@@ -315,7 +315,7 @@ class _Claims:
         elif claim is False and verdict.certified and not self._others:
             yield f"{name}.certified is false, {subject} certified"
         if claim is True and claimed.get("violations"):
-            yield f"{name}.violations are there, though {name}.certified is true"
+            yield f"{name}.violations is not empty, but {name}.certified is true"
 
     def _false_numbers(self) -> Iterator[str]:
         """Numbers of the certificate; clearances are accurate to `SHARPNESS`, margins hold for the same path only."""

@@ -112,7 +112,7 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
     if target.suffix not in (".mcap", ""):
         raise InvalidValue(f"{target}: must end in .mcap, or name a folder without a suffix, got {target.suffix}")
     if target.is_dir() or (target.exists() and not target.suffix):
-        raise InvalidFile(f"{target}: exists, and a recording replaces no folder; choose another name")
+        raise InvalidFile(f"{target}: is an existing folder, which a recording does not replace; choose another name")
     store, nanoseconds = _store(), 1_000_000_000
     rows = sorted(messages, key=lambda one: one.time)
     if rows and not rows[0].time >= 0.0:

@@ -325,7 +325,7 @@ class _RecordingReader:
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:
-            raise self._none_of(names, _POLYGON, option, "; or give the outline by --footprint or --radius")
+            raise self._none_of(names, _POLYGON, option, "; or set --footprint or --radius")
         outlines = []
         for message in self._evenly_spaced(topic):
             with self._errors_of(topic):
@@ -452,7 +452,7 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
     data = grid.data.copy()
     data[rows[touched], columns[touched]] = FREE_SPACE
     count = np.count_nonzero(touched)
-    text = f"{count} occupied cells at the edge of the outline, to within {near:.3f} m, taken as free"
+    text = f"{count} occupied cells at the edge of the footprint, to within {near:.3f} m, taken as free"
     return grid.with_data(data), [("path's end", text)]
 
 

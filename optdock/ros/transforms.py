@@ -178,7 +178,7 @@ class TransformTree:
         elif not parent or not child or parent == child:
             fault = "needs two different frames"
         elif child in _to_root(self._tracks, parent):
-            fault = f"would close a circle: {child} is above {parent} already"
+            fault = f"would form a loop: {child} is above {parent} already"
         if fault:
             return self.refuse(parent, child, fault)
         sample = array("d", (*place, *(part / norm for part in turn)))
@@ -230,7 +230,7 @@ class TransformTree:
         if at > newest + self._reach + _SAME_TIME:
             if at - newest > tolerance:
                 raise TransformError(
-                    f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
+                    f"{target} <- {source}: requested {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
                     f"older, more than {tolerance:g} s",
                     where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - newest},
                 )
@@ -260,7 +260,7 @@ class TransformTree:
             if times[first] - at <= self._reach + _SAME_TIME:
                 return track.sample(first)
             raise TransformError(
-                f"{track.parent} <- {name}: asked for {at:.3f} s, but the oldest known is {times[first] - at:.3f} s "
+                f"{track.parent} <- {name}: requested {at:.3f} s, but the oldest known is {times[first] - at:.3f} s "
                 f"newer",
                 where={"frame": name, "stamp": at, "before": times[first] - at},
             )

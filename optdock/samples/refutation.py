@@ -145,14 +145,15 @@ def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
     """Samples too far apart, or a polyline that turns in place, where distance does not determine the place."""
     if not error <= REACH:
         message = (
-            f"samples up to {step:.3g} s apart leave the motion between them open by {error:.3g} m; sample it finer"
+            f"samples up to {step:.3g} s apart leave the motion between them uncertain by {error:.3g} m; "
+            "sample it finer"
         )
         return Violation("too_coarse", message, 0.0, error)
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         still = np.flatnonzero(np.diff(segment.knots) <= 0.0)
         if still.size:
             s = float(start + segment.knots[still[0]])
-            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be judged"
+            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be checked"
             return Violation("coverage", message, s, 1.0)
     return None
 

@@ -339,6 +339,6 @@ def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, 
     worst = int(np.argmax(short))
     if short[worst] > 0.0:
         near = in_words(obstacles.name_of(int(nearest[worst])))
-        rule = f"required are {required[worst]:.4f} m"
+        rule = f"required {required[worst]:.4f} m"
         faults.append(f"{clearance[worst]:.4f} m from {near} {to_go[worst]:.3f} m before the dock, {rule}")
     return " and ".join(faults)

@@ -257,7 +257,7 @@ def _undrivable(path: Path) -> str:
         turn = float(segment.poses[first + 1, 2] - segment.poses[first, 2])
         if not math.isfinite(segment.step_curvature[first]) and turn != 0.0:
             where = f"by {turn:.6g} rad at s = {begin + float(segment.knots[first]):.6g} m"
-            return f"path turns in place {where}; a time law over arc length cannot drive that"
+            return f"path turns in place {where}; a turn in place must be a TurnSegment"
     return "" if any(segment.length > NO_LENGTH for segment in path.segments) else "path has no length"
 
 
@@ -300,7 +300,7 @@ def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
     """Return the next plan that is not FAIL, or the last one; TIMED_OUT if time is up."""
-    last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method has a motion for this gear", arrives=False)
+    last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method found a motion for this gear", arrives=False)
     try:
         for last in plans:
             if last.status is not TimingStatus.FAIL:
@@ -357,7 +357,7 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin
     reason = ""
     if not math.isfinite(rate + acceleration):
         needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
-        reason = f"the path turns in place at s = {begin:.6g} m, and nothing limits that: it takes {needed}"
+        reason = f"the path turns in place at s = {begin:.6g} m, which requires the limits {needed}"
     elif start != MotionState():
         reason = f"the path turns in place at s = {begin:.6g} m, where the robot moves at {start.v:.6g} m/s"
     elif turn.length / rate > LONGEST_MOTION:

@@ -75,7 +75,7 @@ def windowed_plans(
     level = state_after(start, *head[0]) if head else start
     level = level._replace(v=max(level.v, 0.0))  # negative only by rounding
     if level.s >= limits.length:
-        reason = "no room to end the start acceleration"
+        reason = "the path is too short to end the start acceleration"
         yield SegmentPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=limits.begin)
         return
     windows = _windows(limits.after(level.s), settings or WindowedParameters(), deadlines.last)

@@ -49,7 +49,7 @@ def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  
 def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     """Path and problem must have the same frame; a path without a frame name is assumed to have it."""
     if not may_be_one_frame(path.frame, problem.frame):
-        message = f"the path stands in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
+        message = f"the path is in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
         yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})
 
 
@@ -312,7 +312,7 @@ def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]
         limit = problem.robot.limits.max_curvature_rate
         allowed = float(np.diff(first.knots)[0]) * (limit if np.isfinite(limit) else 10.0)
     if not abs(found - wanted) <= allowed:
-        message = f"the path begins with curvature {found:.4g} 1/m, the robot steers {wanted:.4g} 1/m"
+        message = f"the path begins with curvature {found:.4g} 1/m, start.curvature is {wanted:.4g} 1/m"
         yield Violation("start_curvature", message, 0.0, abs(found - wanted))
 
 

@@ -73,7 +73,7 @@ class _Proven(Generic[Content]):
         return self._keep, (self._content,)
 
     def __init__(self) -> None:
-        raise InvalidValue(f"{type(self).__name__}: cannot be constructed, only proven, see `prove_motion`")
+        raise InvalidValue(f"{type(self).__name__}: cannot be constructed directly; use `prove_motion`")
 
     @classmethod
     def _keep(cls: type[Kind], content: Content) -> Kind:
@@ -280,7 +280,7 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
     if proof.holds:
         return ""
     if not len(proof.violations):
-        return "the clearance of the way is not proven"
+        return "the clearance of the path is not proven"
     s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
     return f"{clearance:.4f} m from {in_words(near.name_of(int(row)))} after {s:.3f} m, required {required:.4f} m"
 
@@ -299,7 +299,7 @@ def _not_clear_by(
     kept = ClearanceRule.raised_start(more, begun.clearance, relief)
     blocked = _not_clear(path, raised, begun._replace(clearance=kept), relief)
     if blocked or not spares_station or dock.footprint is None:
-        return blocked and f"{blocked} with the {more:.4f} m that the robot is off with its outline"
+        return blocked and f"{blocked} with the {more:.4f} m by which the footprint is off the path"
     alone = replace(problem, robot=robot, obstacles=ObstacleSet.empty(), costmap=None)
     return _not_clear(path, alone, begun, relief)
 

@@ -29,7 +29,7 @@ _UNTOUCHED_POSES = 4  # pieces of at most so many poses are left unchanged
 class SimpleParameters(PieceParameters):
     """Nav2's names and defaults."""
 
-    tolerance: float = Field(1e-10, gt=0.0, description="summed |change| of a sweep that ends the sweeps [m]")
+    tolerance: float = Field(1e-10, gt=0.0, description="sum of |change| of a sweep below which the sweeps end [m]")
     max_its: int = Field(1000, ge=1, description="sweeps")
     w_data: float = Field(0.2, ge=0.0, description="weight of the original point, per sweep")
     w_smooth: float = Field(0.3, ge=0.0, description="weight of the neighbours, per sweep")

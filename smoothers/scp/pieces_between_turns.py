@@ -140,7 +140,7 @@ class TurningSolver:
         """The whole path if certified; else raise the violation if `is_final`, or return None."""
         began, problem = self.deadline.elapsed, call.problem
         if not found.segments:
-            raise FailedToSmoothPath("goal_unreachable: nothing is left of the turns of the raw path", where={})
+            raise FailedToSmoothPath("goal_unreachable: the raw path has no piece left between its turns", where={})
         path = Path(tuple(found.segments), problem.frame)
         latest = self.settings.anytime.latest
         certificate = certify_path(path, problem, is_late=lambda: self.deadline.left < -latest)

@@ -73,11 +73,11 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     """Return the refusal of a start, or of gears, that no path can begin or end with; or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
-        message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m where the robot stands"
+        message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m at the start"
         return Refusal("start_in_collision", 0.0, -start_clearance, name, message)
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
     if steered is not None and abs(steered) > limit:
-        message = f"the robot steers {steered:.4g} 1/m at the start, the limit is {limit:.4g} 1/m"
+        message = f"the curvature at the start is {steered:.4g} 1/m, the limit is {limit:.4g} 1/m"
         return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message)
     first, last = path.segments[0].direction, path.segments[-1].direction
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
@@ -110,7 +110,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     what = "at the goal" if back[k] == 0.0 else f"on the final straight, {abs(back[k]):.3f} m before the goal,"
     met = in_words(name)
     does = f"overlaps {met} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {met}"
-    message = f"{what} the footprint {does}, required are {required[k]:.4f} m"
+    message = f"{what} the footprint {does}, required {required[k]:.4f} m"
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 

@@ -50,9 +50,9 @@ def test_commands_that_are_all_late_by_the_same_are_late_by_that():
 def test_without_slip_the_scales_are_those_of_the_wheels():
     hidden = hidden_robot(0)
     known = truths(with_drive(hidden, drive=dataclasses.replace(hidden.world.drive, slip_rate=1e-9)), 50.0)
-    assert known["left wheel's radius beyond what is believed"] == pytest.approx(hidden.radii[0] / 0.1 - 1.0)
-    assert known["scale of the way"] == pytest.approx(np.mean(hidden.radii) / 0.1 - 1.0)
-    assert known["track width beyond what is believed"] == pytest.approx(hidden.track_width / 0.4 - 1.0)
+    assert known["left wheel's radius outside the plausible range"] == pytest.approx(hidden.radii[0] / 0.1 - 1.0)
+    assert known["scale of the distance"] == pytest.approx(np.mean(hidden.radii) / 0.1 - 1.0)
+    assert known["track width outside the plausible range"] == pytest.approx(hidden.track_width / 0.4 - 1.0)
 
 
 def test_every_truth_is_one_of_a_quantity():

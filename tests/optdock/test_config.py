@@ -213,7 +213,7 @@ def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path):
 WRONG_STEERING = [
     (
         "drive: ackermann, limits: {max_steering_angle: 0.6}",
-        ".limits.max_steering_angle: 0.6 rad means nothing without wheelbase > 0 m",
+        ".limits.max_steering_angle: 0.6 rad has no effect without wheelbase > 0 m",
     ),
     (
         "drive: ackermann, limits: {wheelbase: 2.8, max_steering_angle: 35}",
@@ -252,7 +252,7 @@ WRONG_OUTLINES = [
     ("footprint: [[0, 0], [1, 0], [.nan, 1]]", ".footprint: must be finite, got nan at index [2, 0]"),
     ("footprint: [[0, 0], [1, 0], [a, 1]]", ".footprint: must be numbers, got "),
     ("footprint: '[[0, 0], [1, 0]'", ".footprint: must look like [[x, y], [x, y], [x, y], ...], got "),
-    ("footprint: 3", ".footprint: must be a list of points [x, y], a text like it, or {radius: r}, got 3"),
+    ("footprint: 3", ".footprint: must be a list of points [x, y], the same as text, or {radius: r}, got 3"),
     ("radius: -0.3", ".radius: must be finite and > 0 m, got -0.3"),
     ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius, got both"),
     ("drive: differential", ": needs either footprint or radius, got neither"),

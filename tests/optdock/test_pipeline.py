@@ -181,7 +181,7 @@ def test_goal_closer_than_required_at_the_dock():
 )
 def test_message_suggests_a_clearance_that_allows_contact_with_the_station(rule, in_file, in_python):
     said = str(failure(problem(clearance=rule)))
-    assert f"clearance holds at the dock too; give {in_file} (in Python: {in_python})" in said
+    assert f"the clearance also holds at the dock; to reduce it there set {in_file} (in Python: {in_python})" in said
     asked = eval(in_python, {"ClearanceRule": ClearanceRule})  # the advice as it stands
     assert plan_dock(problem(clearance=asked)).certificate.certified
 

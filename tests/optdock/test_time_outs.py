@@ -106,8 +106,8 @@ def test_planner_that_ran_out_of_time_makes_it_a_time_out_whatever_the_guesses_f
     found = refusal(Offers(AHEAD, end=PlannerTimedOut("after 27.1 ms")), Says(blocked()))
     assert type(found) is PlannerTimedOut
     assert str(found) == (
-        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; that no way exists is not "
-        "proven); until then FailedToSmoothPath: approach_blocked: on the final straight"
+        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; it is not proven that no motion "
+        "exists); best attempt: FailedToSmoothPath: approach_blocked: on the final straight"
     )
     assert found.partial.raw_path.digest == AHEAD.digest
 
@@ -121,14 +121,14 @@ def test_planner_that_gave_up_says_nothing_about_time():
 def test_guesses_that_all_ended_for_good_are_refused_by_the_bound_in_the_way():
     found = refusal(Offers(AHEAD, AHEAD), Says(shut()))
     assert type(found) is FailedToSmoothPath
-    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; that no way exists is not proven)")
+    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; it is not proven that no motion exists)")
 
 
 def test_one_guess_that_ran_out_of_time_makes_it_a_time_out():
     found = refusal(Offers(AHEAD, AROUND), Says(late(), shut(), late()))
     assert type(found) is SmootherTimedOut
     assert str(found).startswith("Says ran out of time; raise time_budget, which is 37 s (2 attempts failed")
-    assert str(found).endswith("until then FailedToSmoothPath: clearance: 0.01 m from a rock")
+    assert str(found).endswith("best attempt: FailedToSmoothPath: clearance: 0.01 m from a rock")
     assert found.where == {"iterations": 3}
     assert [attempt.stage for attempt in found.partial.tried] == ["offer 0", "offer 1", "offer 0"]
 
@@ -184,7 +184,7 @@ def test_guesses_not_made_in_time_give_a_time_out():
     found = refusal((Offers(AHEAD), Offers(AROUND)), Slow(shut()), budget=0.05)
     assert isinstance(found, TimedOut)
     assert "the search for other guesses ran out of time; raise time_budget, which is 0.05 s" in str(found)
-    assert str(found).endswith("until then FailedToSmoothPath: clearance: 0.01 m from a rock")
+    assert str(found).endswith("best attempt: FailedToSmoothPath: clearance: 0.01 m from a rock")
 
 
 def test_planner_whose_share_is_used_up_between_two_guesses_ran_out_of_time(monkeypatch):
@@ -204,4 +204,4 @@ class Odd(FailedToSmoothPath):
 def test_error_of_a_class_of_the_smoothers_own_comes_out_as_it_is():
     found = refusal(Offers(AHEAD, AROUND), Says(Odd("this", "that")))
     assert type(found) is Odd
-    assert str(found) == "this and that (2 attempts failed; that no way exists is not proven)"
+    assert str(found) == "this and that (2 attempts failed; it is not proven that no motion exists)"

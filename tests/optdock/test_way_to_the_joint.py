@@ -17,7 +17,7 @@ from optdock.planning.pipeline import plan_dock
 from optdock.planning.replanning import DriveState, ReplanOutcome, replan
 
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0))
-NOT_CLEAR = "the way until a new plan could take over is not clear"
+NOT_CLEAR = "the path until the takeover of a new plan is not clear"
 
 
 def straight_past(gap, rule):

@@ -33,7 +33,7 @@ class LayerParameters(PluginParameters):
     parameter file can be used unchanged.
     """
 
-    enabled: bool = Field(default=True, description="whether the layer takes part")
+    enabled: bool = Field(default=True, description="whether the layer is used")
 
     graph_names: ClassVar[frozenset[str]] = frozenset()
 

@@ -24,11 +24,17 @@ __all__ = ["StaticLayer", "StaticLayerParameters"]
 class StaticLayerParameters(LayerParameters):
     """Nav2's parameters of the StaticLayer; the default of `track_unknown_space` is True instead of False."""
 
-    track_unknown_space: bool = Field(default=True, description="unknown stays unknown; False makes it free")
+    track_unknown_space: bool = Field(default=True, description="keep unknown cells unknown; False makes them free")
     lethal_cost_threshold: int = Field(default=100, ge=1, le=100, description="occupancy from which a cell is lethal")
-    trinary_costmap: bool = Field(default=True, description="below the threshold is free; False scales")
-    unknown_cost_value: int = Field(default=255, ge=0, le=255, description="occupancy, as a byte, that is unknown")
-    inscribed_obstacle_cost_value: int = Field(default=99, ge=0, le=255, description="occupancy that is inscribed")
+    trinary_costmap: bool = Field(
+        default=True, description="occupancies below the threshold are free; False scales them to costs"
+    )
+    unknown_cost_value: int = Field(
+        default=255, ge=0, le=255, description="occupancy value, as a byte, of unknown cells"
+    )
+    inscribed_obstacle_cost_value: int = Field(
+        default=99, ge=0, le=255, description="occupancy value of inscribed cells"
+    )
     use_maximum: bool = Field(default=False, description="keep higher costs of the layers below")
     footprint_clearing_enabled: bool = Field(default=False, description="clear the cells under the robot")
 

@@ -131,7 +131,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         def _poll() -> None:
             if cancel_checker():
-                raise PlannerCancelled("cancelled while a manoeuvre was searched for")
+                raise PlannerCancelled("cancelled during the search for a manoeuvre")
 
         _poll()
         count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, _poll, better_than)
@@ -155,10 +155,10 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
     if all(runs[gear] < dock.final_straight for gear in wanted):
         sides = " and ".join(f"{runs[gear]:.2f} m {gear}" for gear in wanted)
         other = [gear for gear in runs if gear not in wanted and runs[gear] >= dock.final_straight]
-        hint = f"; {other[0]} it can be entered" if other else ""
+        hint = f"; it can be entered {other[0]}" if other else ""
         return (
-            f"the dock asks for {dock.direction.value} with a final straight of {dock.final_straight:.2f} m, of which "
-            f"the clearance leaves {sides}{hint}"
+            f"the dock requires direction {dock.direction.value} with a final straight of {dock.final_straight:.2f} m; "
+            f"free are only {sides}{hint}"
         )
     return (
         f"no free manoeuvre found from {problem.start.brief} to {problem.goal.brief}; that is not a proof, there may "

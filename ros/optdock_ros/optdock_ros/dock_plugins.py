@@ -49,35 +49,49 @@ class SimpleNonChargingDockParameters(PluginParameters):
     """Parameters of a dock without a charger."""
 
     dock_direction: Literal["forward", "backward"] = Field(
-        "forward", description="gear into the dock; its pose points inward either way"
+        "forward", description="gear into the dock; the x axis of the dock's pose points into the dock for both"
     )
-    rotate_to_dock: bool = Field(default=False, description="detect the dock ahead, turn round, back in")
-    staging_x_offset: float = Field(-0.7, description="of the staging pose along the dock's x [m]")
-    staging_yaw_offset: float = Field(0.0, description="added to the dock's yaw there [rad]")
-    docking_threshold: float = Field(0.05, gt=0, description="contact is only accepted nearer than this [m]")
+    rotate_to_dock: bool = Field(default=False, description="detect the dock in front, turn around, and dock backward")
+    staging_x_offset: float = Field(-0.7, description="offset of the staging pose along the dock's x axis [m]")
+    staging_yaw_offset: float = Field(0.0, description="offset of the staging pose's yaw from the dock's [rad]")
+    docking_threshold: float = Field(
+        0.05, gt=0, description="largest distance from the dock at which contact is accepted [m]"
+    )
 
-    use_external_detection_pose: bool = Field(default=False, description="the dock's pose is detected, not stored")
-    external_detection_timeout: float = Field(1.0, gt=0, description="older detections are not used [s]")
-    external_detection_translation_x: float = Field(-0.2, description="detection to docked robot, along its x [m]")
-    external_detection_translation_y: float = Field(0.0, description="as above, along its y [m]")
-    external_detection_rotation_roll: float = Field(-1.57, description="detection to dock: z up, x inward [rad]")
-    external_detection_rotation_pitch: float = Field(1.57, description="as above; after the roll [rad]")
-    external_detection_rotation_yaw: float = Field(0.0, description="as above; after the pitch [rad]")
-    filter_coef: float = Field(0.1, description="not read: the estimate weights detections by their sigmas")
-    detection_position_sigma: float = Field(0.005, gt=0, description="of a detection's x and y, each; ours [m]")
-    detection_yaw_sigma: float = Field(0.01, gt=0, description="as above, of its yaw; ours [rad]")
+    use_external_detection_pose: bool = Field(
+        default=False, description="use the detected pose of the dock; false: the stored pose"
+    )
+    external_detection_timeout: float = Field(1.0, gt=0, description="largest age of a detection [s]")
+    external_detection_translation_x: float = Field(
+        -0.2, description="offset from the detection to the docked robot, along the dock's x axis [m]"
+    )
+    external_detection_translation_y: float = Field(0.0, description="as above, along the y axis [m]")
+    external_detection_rotation_roll: float = Field(
+        -1.57, description="rotation from the detection to the dock (z up, x into the dock): roll [rad]"
+    )
+    external_detection_rotation_pitch: float = Field(1.57, description="as above: pitch, after the roll [rad]")
+    external_detection_rotation_yaw: float = Field(0.0, description="as above: yaw, after the pitch [rad]")
+    filter_coef: float = Field(0.1, description="without effect: the estimate weights detections by their sigmas")
+    detection_position_sigma: float = Field(
+        0.005, gt=0, description="standard deviation of a detection's x and y, each; not in Nav2 [m]"
+    )
+    detection_yaw_sigma: float = Field(
+        0.01, gt=0, description="standard deviation of a detection's yaw; not in Nav2 [rad]"
+    )
 
     contact: Literal["", "distance", "touch"] = Field(
-        "", description="by distance or touch; empty: touch with stall detection; ours"
+        "", description="docked by distance or by touch; empty: by touch if stall detection is used; not in Nav2"
     )
-    use_stall_detection: bool = Field(default=False, description="contact by joints that push without turning")
-    stall_joint_names: list[str] = Field([], description="these joints; their mean counts")
-    stall_velocity_threshold: float = Field(1.0, ge=0, description="slower is a stall [rad/s]")
-    stall_effort_threshold: float = Field(1.0, ge=0, description="and a larger effort [Nm]")
+    use_stall_detection: bool = Field(default=False, description="detect contact by stalled joints")
+    stall_joint_names: list[str] = Field([], description="names of the joints, whose mean is used")
+    stall_velocity_threshold: float = Field(1.0, ge=0, description="velocity below which a joint stalls [rad/s]")
+    stall_effort_threshold: float = Field(1.0, ge=0, description="effort above which a joint stalls [Nm]")
 
-    detector_service_name: str = Field("", description="std_srvs/Trigger that switches the detector")
-    detector_service_timeout: float = Field(5.0, gt=0, description="for its answer [s]")
-    subscribe_toggle: bool = Field(default=False, description="subscribe to detections while docking only")
+    detector_service_name: str = Field(
+        "", description="service std_srvs/Trigger that switches the detector on and off; empty: none"
+    )
+    detector_service_timeout: float = Field(5.0, gt=0, description="timeout of the service [s]")
+    subscribe_toggle: bool = Field(default=False, description="subscribe to detections only while docking")
 
     @model_validator(mode="after")
     def _fits(self) -> SimpleNonChargingDockParameters:
@@ -91,8 +105,8 @@ class SimpleNonChargingDockParameters(PluginParameters):
 class SimpleChargingDockParameters(SimpleNonChargingDockParameters):
     """Parameters of a dock that charges."""
 
-    use_battery_status: bool = Field(default=True, description="charging is read from battery_state; else from contact")
-    charging_threshold: float = Field(0.5, description="a larger current charges [A]")
+    use_battery_status: bool = Field(default=True, description="detect charging by battery_state; false: by contact")
+    charging_threshold: float = Field(0.5, description="current above which the battery charges [A]")
 
 
 class Received(NamedTuple):
@@ -278,13 +292,13 @@ class OwnDockParameters(SimpleNonChargingDockParameters):
 
     use_battery_status: bool = Field(default=False, description="pass the current of battery_state to the dock type")
 
-    contact_topic: str = Field("", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
-    contact_timeout: float = Field(0.5, gt=0, description="older messages of it are not used [s]")
+    contact_topic: str = Field("", description="topic std_msgs/Bool of a switch, such as a photocell; empty: none")
+    contact_timeout: float = Field(0.5, gt=0, description="largest age of a message of that topic [s]")
 
     @model_validator(mode="after")
     def _has_no_contact(self) -> OwnDockParameters:
         if self.contact:
-            raise ValueError("contact is for the dock type to say")
+            raise ValueError("contact: is defined by the dock type and must not be set")
         return self
 
 

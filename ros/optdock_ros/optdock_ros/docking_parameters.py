@@ -49,31 +49,35 @@ class DockingParameters(ServerParameters):
     """The parameters at the top."""
 
     controller_frequency: float = Field(
-        50.0, ge=_SLOWEST, le=_FASTEST, description="of the control loop and of cmd_vel [Hz]"
+        50.0, ge=_SLOWEST, le=_FASTEST, description="rate of the control loop and of cmd_vel [Hz]"
     )
-    initial_perception_timeout: float = Field(5.0, gt=0, description="for the first detections [s]")
-    wait_charge_timeout: float = Field(5.0, gt=0, description="in contact, for the charge to begin [s]")
+    initial_perception_timeout: float = Field(5.0, gt=0, description="timeout of the first detections [s]")
+    wait_charge_timeout: float = Field(5.0, gt=0, description="timeout of the wait for charging in contact [s]")
     dock_approach_timeout: float = Field(30.0, gt=0, description="largest delay of an approach behind its plan [s]")
     max_retries: int = Field(3, ge=0, description="approaches after the first one")
-    base_frame: str = Field("base_link", min_length=1, description="of the robot")
-    fixed_frame: str = Field("odom", min_length=1, description="of planning and driving; it must not jump")
-    dock_prestaging_tolerance: float = Field(0.5, gt=0, description="no staging if closer, as a norm of m, m, rad")
-    odom_topic: str = Field("odom", min_length=1, description="nav_msgs/Odometry with the robot's velocity")
-    odom_duration: float = Field(0.3, gt=0, description="an older velocity is not used [s]")
-    navigator_bt_xml: str = Field("", description="behaviour tree of the way to the staging pose")
+    base_frame: str = Field("base_link", min_length=1, description="frame of the robot")
+    fixed_frame: str = Field("odom", min_length=1, description="frame of planning and driving, without jumps")
+    dock_prestaging_tolerance: float = Field(
+        0.5, gt=0, description="no staging within this norm over m, m, rad of the staging pose"
+    )
+    odom_topic: str = Field("odom", min_length=1, description="topic nav_msgs/Odometry with the robot's velocity")
+    odom_duration: float = Field(0.3, gt=0, description="largest age of the velocity [s]")
+    navigator_bt_xml: str = Field("", description="behaviour tree for the drive to the staging pose")
     dock_plugins: list[str] = Field([], description="names of the dock types; each has a block")
-    dock_database: str = Field("", description="file with the docks; else they are in the parameters")
+    dock_database: str = Field("", description="file with the docks; empty: docks in the parameters")
     docks: list[str] = Field([], description="names of the docks; each has a block")
-    enable_stamped_cmd_vel: bool = Field(default=True, description="TwistStamped, as Nav2 since Kilted; else Twist")
+    enable_stamped_cmd_vel: bool = Field(
+        default=True, description="publish TwistStamped, as Nav2 since Kilted; false: Twist"
+    )
 
     use_realtime_priority: bool = Field(default=False, description="real-time scheduling during tasks; needs rtprio")
 
     stage_by_executor: bool = Field(
-        default=False, description="certified drive to the staging pose, no navigate_to_pose"
+        default=False, description="drive to the staging pose on a certified path instead of by navigate_to_pose"
     )
-    footprint: str = Field("", description="'[[x, y], ...]', if there is no topic [m]")
-    robot_radius: float = Field(0.1, gt=0, description="of a round robot, if nothing else is given [m]")
-    footprint_padding: float = Field(0.01, ge=0, description="outward offset of that outline [m]")
+    footprint: str = Field("", description="footprint '[[x, y], ...]' used without a footprint topic [m]")
+    robot_radius: float = Field(0.1, gt=0, description="radius of a round robot, used without another footprint [m]")
+    footprint_padding: float = Field(0.01, ge=0, description="padding of that footprint [m]")
 
 
 class ControllerParameters(PluginParameters):
@@ -81,30 +85,36 @@ class ControllerParameters(PluginParameters):
 
     v_linear_max: float = Field(0.25, gt=0, description="default of robot.limits.max_speed [m/s]")
     v_angular_max: float = Field(0.75, gt=0, description="default of robot.limits.max_yaw_rate [rad/s]")
-    use_collision_detection: bool = Field(default=True, description="false: the station is the only obstacle")
-    costmap_topic: str = Field("local_costmap/costmap_raw", min_length=1, description="the local costmap")
-    footprint_topic: str = Field("local_costmap/published_footprint", min_length=1, description="the robot's outline")
-    transform_tolerance: float = Field(0.1, gt=0, description="an older pose of the robot is not used [s]")
-    map_topic: str = Field("", description="larger map, merged with the local costmap; empty: none")
-    costmap_timeout: float = Field(1.0, gt=0, description="an older costmap stops the robot [s]")
+    use_collision_detection: bool = Field(
+        default=True, description="check for obstacles; false: the station is the only obstacle"
+    )
+    costmap_topic: str = Field("local_costmap/costmap_raw", min_length=1, description="topic of the local costmap")
+    footprint_topic: str = Field(
+        "local_costmap/published_footprint", min_length=1, description="topic of the robot's footprint"
+    )
+    transform_tolerance: float = Field(0.1, gt=0, description="largest age of the robot's pose [s]")
+    map_topic: str = Field("", description="topic of a larger map, merged with the local costmap; empty: none")
+    costmap_timeout: float = Field(1.0, gt=0, description="age of the costmap at which the robot stops [s]")
 
 
 class TolerancesParameters(PluginParameters):
     """The block `dock.tolerances`: accepted errors of a docked robot."""
 
     along: float = Field(default=0.01, gt=0, description="accepted error along the heading [m]")
-    cross: float = Field(default=0.02, gt=0, description="accepted error across it [m]")
+    cross: float = Field(default=0.02, gt=0, description="accepted error across the heading [m]")
     yaw: float = Field(default=0.05, gt=0, description="accepted heading error [rad]")
 
 
 class DockParameters(PluginParameters):
     """The block `dock` for all docks and `<type>.dock` for one type, in the names of the scenario format."""
 
-    footprint: str = Field("", description="station's outline in the docked robot's frame, '[[x, y], ...]' [m]")
-    final_straight: float = Field(0.0, ge=0, description="straight run at the end of the path [m]")
+    footprint: str = Field("", description="footprint of the station in the docked robot's frame, '[[x, y], ...]' [m]")
+    final_straight: float = Field(0.0, ge=0, description="length of the straight end of the path [m]")
     approach_speed: float = Field(0.1, gt=0, description="largest speed within approach_distance [m/s]")
-    approach_distance: float = Field(0.15, ge=0, description="length of the slow stretch [m]")
-    contact_margin: float = Field(0.05, ge=0, description="cells this close to the docked front are freed [m]")
+    approach_distance: float = Field(0.15, ge=0, description="length of the speed zone at the end of the path [m]")
+    contact_margin: float = Field(
+        0.05, ge=0, description="distance from the docked robot's front within which costmap cells are freed [m]"
+    )
     tolerances: TolerancesParameters = Field(
         default=TolerancesParameters(), description="accepted errors of a docked robot"
     )

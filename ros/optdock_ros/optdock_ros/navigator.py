@@ -62,11 +62,11 @@ class Navigator:
             return "it does not answer"
         handle = sent.result()
         if handle is None or not handle.accepted:
-            return "it does not accept the goal"
+            return "the goal was rejected"
         ended = handle.get_result_async()
         if not _waited(ended.done, until, is_over):
             handle.cancel_goal_async()
-            return "the robot is not there in time"
+            return "the staging pose was not reached in time"
         found = ended.result()
         assert found is not None
         code = getattr(found.result, "error_code", 0)

@@ -53,7 +53,9 @@ class ServerParameters(PluginParameters):
     """Parameters of every server, at the top of a node's parameters."""
 
     autostart: bool = Field(default=False, description="configure and activate at once, without a lifecycle manager")
-    bond_heartbeat_period: float = Field(0.1, ge=0, description="to the lifecycle manager; 0: no bond [s]")
+    bond_heartbeat_period: float = Field(
+        0.1, ge=0, description="period of the heartbeat to the lifecycle manager; 0: no bond [s]"
+    )
 
 
 # Names that rclpy declares, or that every Nav2 node has and that have no effect in a Python process.

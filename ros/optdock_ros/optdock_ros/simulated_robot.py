@@ -354,7 +354,7 @@ class SimulatedRobotNode:
     def _on_command(self, twist: Twist) -> None:
         command = (twist.linear.x, twist.angular.z)
         if not all(math.isfinite(value) for value in command):
-            self.node.get_logger().error(f"cmd_vel: not finite, {command}: taken for a stop", throttle_duration_sec=1.0)
+            self.node.get_logger().error(f"cmd_vel: not finite, {command}; used as a stop", throttle_duration_sec=1.0)
             command = (0.0, 0.0)
         with self._lock:
             self._command, self._commanded = Twist2(*command), self._now

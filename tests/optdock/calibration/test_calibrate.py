@@ -104,7 +104,7 @@ def test_dead_bands_are_found_wheel_by_wheel():
 @pytest.mark.parametrize(
     ("hidden", "name"),
     [
-        ("scale", "scale of the way"),
+        ("scale", "scale of the distance"),
         ("drift", "turn per metre"),
         ("turn_scale", "scale of turns"),
         ("late", "detections late by"),
@@ -117,12 +117,12 @@ def test_errors_of_the_odometry_are_found(found, drives, hidden, name):
 
 def test_wheels_follow_from_way_and_turns(found):
     scale, drift, turns = (
-        found.quantity(name).value for name in ("scale of the way", "turn per metre", "scale of turns")
+        found.quantity(name).value for name in ("scale of the distance", "turn per metre", "scale of turns")
     )
-    radii = [found.quantity(f"{side} wheel's radius beyond what is believed").value for side in ("left", "right")]
+    radii = [found.quantity(f"{side} wheel's radius outside the plausible range").value for side in ("left", "right")]
     assert np.mean(radii) == pytest.approx(scale)
     assert radii[1] - radii[0] == pytest.approx(drift * ROBOT.limits.track_width)
-    assert found.quantity("track width beyond what is believed").value == pytest.approx(scale - turns)
+    assert found.quantity("track width outside the plausible range").value == pytest.approx(scale - turns)
 
 
 def test_the_noise_of_detections_is_found(found, drives):
@@ -176,16 +176,22 @@ def reasons(quantities):
 def test_a_robot_that_never_turned():
     one = drive(turning=0.0, seed=3)
     answer, wheels = reasons(drive_response([one]).quantities), reasons(odometry_quantities(smoothed([one]), 0.4))
-    assert "no commands to turn" in answer["command latency, angular"]
+    assert "no turning commands" in answer["command latency, angular"]
     assert "command latency, linear" not in answer
     assert "turned by" in wheels["scale of turns"]
-    assert "scale of the way" not in wheels
+    assert "scale of the distance" not in wheels
 
 
 def test_a_robot_that_never_moved():
     found = reasons(calibrate([drive(speed=0.0, turning=0.0)]).quantities)
-    for name in ("command latency, linear", "drive lag, angular", "twist window", "scale of the way", "turn per metre"):
-        assert re.search("no commands|never|only", found[name])
+    for name in (
+        "command latency, linear",
+        "drive lag, angular",
+        "twist window",
+        "scale of the distance",
+        "turn per metre",
+    ):
+        assert re.search("contain no|never|only", found[name])
 
 
 def test_no_detections_no_track_width_and_no_odometry_pose():
@@ -193,7 +199,7 @@ def test_no_detections_no_track_width_and_no_odometry_pose():
     one = drive(robot=bare, detections=False)
     one = one._replace(odometry=np.zeros((0, 4)), odometry_twists=np.zeros((0, 2)), odometry_ages=np.zeros(0))
     found = calibrate([one])
-    assert found.quantity("scale of the way").reason == found.quantity("stored dock, x").reason
+    assert found.quantity("scale of the distance").reason == found.quantity("stored dock, x").reason
     assert "not detected" in found.quantity("stored dock, x").reason
     assert "track_width" in found.quantity("dead band, left wheel").reason
     assert "no poses" in found.quantity("twist window").reason
@@ -222,7 +228,7 @@ def test_a_short_recording_is_no_error(cycles):
     for name in ("command latency, linear", "dead band, left wheel", "drive lag, angular", "twist window"):
         assert any(
             part in found.quantity(name).reason
-            for part in ("less than 4 s", "no poses", "there are no commands", "no command was")
+            for part in ("less than 4 s", "no poses", "the recordings contain no", "no command was")
         )
     as_text(found)
 
@@ -239,7 +245,7 @@ def test_robots_and_docks_that_differ_are_refused():
     long = dataclasses.replace(ROBOT, footprint=Footprint.rectangle(0.3, 0.3, 0.6))
     for change, message in (
         ({"robot": wide}, "track width of 0.5 m"),
-        ({"robot": long}, "outline"),
+        ({"robot": long}, "footprint"),
         ({"stored": Pose2(0.0, 0.0, 0.0)}, "one dock at a time"),
     ):
         with pytest.raises(InvalidValue, match=message):
@@ -250,7 +256,7 @@ def test_robots_and_docks_that_differ_are_refused():
 def test_no_drive_and_a_drive_that_is_given_twice_are_refused():
     with pytest.raises(InvalidValue, match="at least one recording"):
         calibrate([])
-    with pytest.raises(InvalidValue, match=r"copy\.jsonl: is the same drive as drive-0"):
+    with pytest.raises(InvalidValue, match=r"copy\.jsonl: contains the same drive as drive-0"):
         calibrate([short(), short()._replace(source="copy.jsonl")])
 
 
@@ -283,7 +289,7 @@ def test_the_tube_needs_enough_dockings_and_an_outline():
     assert conformal_tube([(0.01, 0.01)] * 99, 0.4, 0.99).tube is not None
     outlineless = conformal_tube([(0.01, 0.01)] * 99, 0.0, 0.99)  # as run files are
     assert outlineless.tube is None
-    assert "outline" in outlineless.quantities[0].reason
+    assert "footprint" in outlineless.quantities[0].reason
 
 
 # Reports and files.
@@ -333,7 +339,7 @@ def test_a_run_file_is_calibrated_by_the_command(tmp_path):
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "command latency, linear" in result.output
-    assert "no commands to turn" in result.output
+    assert "no turning commands" in result.output
     assert all(one.exists() for one in (target, report))
     assert CliRunner().invoke(app, ["calibrate", str(source), "--write", str(source)]).exit_code == 2
     assert CliRunner().invoke(app, ["calibrate", str(source), "--coverage", "100"]).exit_code == 2

@@ -119,8 +119,8 @@ def test_text_of_another_encoding_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('{"a": 1e999}', "1e999 is beyond all numbers"),
-        ("[1" + "0" * 400 + ".0]", "is beyond all numbers"),
+        ('{"a": 1e999}', "1e999 is too large"),
+        ("[1" + "0" * 400 + ".0]", "is too large"),
         ("[NaN]", "NaN is not JSON"),
         ("[1" + "0" * 5000 + "]", "4300"),
         ("[" * 1_000_000, "nested too deeply"),
@@ -128,8 +128,8 @@ def test_text_of_another_encoding_is_named(tmp_path):
         ("[" + "{}," * 200_001 + "0]", "or 200000 objects"),
         ('{"path": 1, "a": {"path": 2}, "path": 3}', "key 'path' is repeated"),
         ('[{"a": {"b": 1, "b": 1}}]', "key 'b' is repeated"),
-        ('["\\ud800"]', "half a character"),
-        ('{"\\uDFFF": 1}', "half a character"),
+        ('["\\ud800"]', "unpaired surrogate"),
+        ('{"\\uDFFF": 1}', "unpaired surrogate"),
     ],
 )
 def test_json_that_would_expand_is_refused(text, said):

@@ -212,7 +212,7 @@ def test_obstacles_of_real_maps_cover_their_cells(real_data, name):
 def test_a_picture_in_the_place_of_its_yaml_file_is_refused_with_that_file(map_file, tmp_path):
     described = map_file()
     picture = tmp_path / "map.pgm"
-    assert faults_of(picture) == [f"{picture}: is a picture; name the YAML file next to it, map.yaml"]
+    assert faults_of(picture) == [f"{picture}: is an image; give the YAML file next to it, map.yaml"]
     described.rename(tmp_path / "hall.yaml")
-    assert faults_of(picture) == [f"{picture}: is a picture; name the YAML file that describes it, such as map.yaml"]
+    assert faults_of(picture) == [f"{picture}: is an image; give the YAML file that describes it, such as map.yaml"]
     assert "cannot be read: No such file" in faults_of(tmp_path / "none.pgm")[0]

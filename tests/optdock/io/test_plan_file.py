@@ -348,7 +348,7 @@ def test_samples_within_the_tolerance_pass(tmp_path):
         (lambda d: d["path"].update(direction=[1] * len(d["path"]["x"])), "path.direction: differs from that of the"),
         (
             lambda d: d["path"].update(direction=[1] * len(d["path"]["x"]), segments=None),
-            "path.direction: 1 at sample 52, but the robot moves the other way there",
+            "path.direction: 1 at sample 52, but the robot moves in the other gear there",
         ),
         (
             lambda d: d["path"].update(direction=[0] * len(d["path"]["x"]), segments=None),

@@ -250,7 +250,7 @@ def test_a_grid_is_a_costmap():
         (np.array([[0, 255]], dtype=np.uint8), {}, "occupancy: must be -1 .* got 255"),
         (GRID[0], {}, r"must have shape \(rows, columns\)"),
         (np.zeros((0, 3), dtype=int), {}, "at least one cell"),
-        ((GRID > 0).astype(int), {}, "give a mask as booleans, or occupied_from = 1"),
+        ((GRID > 0).astype(int), {}, "pass a mask as booleans, or set occupied_from = 1"),
         (np.ma.masked_equal(GRID, 0), {}, "must not be masked"),
         ([[0, 100], [0]], {}, "every row must have as many cells"),
         (GRID, {"occupied_from": 0}, "occupied_from: must be an integer in 1..100"),

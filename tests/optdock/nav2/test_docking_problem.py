@@ -73,7 +73,7 @@ def test_the_problem_has_the_values_of_the_files(files):
 def test_a_dock_of_an_unknown_type_is_refused(files):
     with pytest.raises(DockNotValid) as caught:
         scenario(files, docks_source=files / "docks.yaml", dock_name="right")
-    text = "params.yaml: has no dock type 'chargr', which right is of; did you mean charger?; its dock types: charger"
+    text = "params.yaml: has no dock type 'chargr', the type of right; did you mean charger?; its dock types: charger"
     assert str(caught.value).endswith(text)
 
 

@@ -215,4 +215,4 @@ def test_the_first_of_several_namespaces_is_used(tmp_path):
 def test_padding_that_turns_the_outline_inside_out_is_refused(tmp_path):
     text = "a_costmap:\n  a_costmap:\n    ros__parameters: {robot_radius: 0.2, footprint_padding: -1.0}\n"
     (line,) = faults(tmp_path, text)
-    assert line.startswith("p.yaml:3: a_costmap.a_costmap.ros__parameters.footprint_padding: leaves no outline: ")
+    assert line.startswith("p.yaml:3: a_costmap.a_costmap.ros__parameters.footprint_padding: leaves no footprint: ")

@@ -201,7 +201,10 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("plan.json", "folder"), "folder: exists, and a recording replaces no folder; choose another name"),
+        (
+            ("plan.json", "folder"),
+            "folder: is an existing folder, which a recording does not replace; choose another name",
+        ),
         (("plan.json", "plan.db3"), "plan.db3: must end in .mcap, or name a folder without a suffix, got .db3"),
         (("plan.json", "plan.json"), "plan.json: is the file to read, and would be overwritten; choose another name"),
         (("none.json", "a.mcap"), "none.json: cannot be read: No such file or directory"),

@@ -42,7 +42,7 @@ def test_without_a_tube_the_clearance_decides():
     spare = plan().certificate.min_clearance
     assert spare == pytest.approx(0.0, abs=1e-6)  # at the plate
     assert left(plan(), (1.5, (0.0, -0.3, 0.0))) == ""  # far off the path, and of every obstacle
-    assert "0.1400 m from obstacles[0] 1.501 m before the dock, required are 0.1500 m" in left(
+    assert "0.1400 m from obstacles[0] 1.501 m before the dock, required 0.1500 m" in left(
         plan(), (1.5, (0.0, 0.06, 0.0))
     )
 

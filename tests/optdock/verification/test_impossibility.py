@@ -313,7 +313,7 @@ def without_a_tile(proof):
         (lambda proof: flipped(proof, inside=True), "not blocked"),
         (lambda proof: dataclasses.replace(proof, end="start"), "set"),
         (without_a_tile, ""),
-        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles[:0], inside=()), "does not hold the end"),
+        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles[:0], inside=()), "does not contain its end pose"),
         (lambda proof: dataclasses.replace(proof, discs=proof.discs * 1.05), "not within the footprint"),
         (
             lambda proof: dataclasses.replace(proof, discs=proof.discs + np.array([0.3, 0.0, 0.0])),

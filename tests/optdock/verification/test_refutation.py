@@ -208,7 +208,7 @@ def test_a_rest_on_the_way_refutes_nothing():
     columns[0] = np.concatenate((first.t, second.t + first.t[-1] + 7.3))
     both = curve([0.0, 3.0], [0.0, 0.0])
     assert messages(TrajectoryColumns(*columns), both, problem_of(both, zone=SpeedZone())) == [
-        "samples up to 7.3 s apart leave the motion between them open by 3.65 m; sample it finer"
+        "samples up to 7.3 s apart leave the motion between them uncertain by 3.65 m; sample it finer"
     ]
     wait = np.linspace(first.t[-1], columns[0][first.t.size], 300)[1:-1]
     still = first._replace(jerk=0.0 * first.t)
@@ -239,7 +239,7 @@ def test_a_robot_that_waits_at_a_cusp_does_not_accelerate(decimals, period):
 def test_samples_too_far_apart_are_called_so_and_nothing_else():
     path = two_gears(0.5)
     (fault,) = messages(motion_of(path, 3.0), path, problem_of(path))
-    assert fault == "samples up to 3 s apart leave the motion between them open by 1.35 m; sample it finer"
+    assert fault == "samples up to 3 s apart leave the motion between them uncertain by 1.35 m; sample it finer"
 
 
 def test_a_turn_in_place_cannot_be_judged():

@@ -257,7 +257,9 @@ def test_the_certificate_names_the_place_the_value_and_the_limit():
     certificate = certify_path(path, asked(path, camera, (4.0, 0.9), visible=1.0))
     (violation,) = certificate.violations
     assert violation.kind == "view"
-    assert violation.message == ("the dock leaves the camera's view at s = 3.000 m: bearing 42.0 of 30.0 degrees")
+    assert violation.message == (
+        "the dock leaves the camera's view at s = 3.000 m: bearing 42.0 degrees, at most 30.0 degrees"
+    )
     where = violation.where
     assert (where["quantity"], where["unit"]) == ("bearing", "rad")
     assert where["value"] == pytest.approx(math.atan2(0.9, 1.0))

@@ -61,7 +61,7 @@ def test_cells_that_no_layer_writes_are_unknown_or_free(track, fill):
 @pytest.mark.parametrize("box", [(0.3, 0.3, 0.2, 0.2), (math.nan, -math.inf, math.inf, math.inf)])
 def test_a_layer_that_shrinks_the_bounds_is_refused_by_name(box):
     bad = Stamp(bounds=Bounds(*box))
-    with pytest.raises(PluginError, match="layer bad: update_bounds must grow"):
+    with pytest.raises(PluginError, match="layer bad: update_bounds must extend"):
         layered_costmap(PLACE, {"good": Stamp(), "bad": bad}, HERE)
     assert bad.state is LifecycleState.UNCONFIGURED
 
