@@ -1,9 +1,9 @@
-"""Experiment 3: what the TrackingController leaves, on four drives in eleven worlds, and what it commands.
+"""Experiment 3: tracking errors and commands of the TrackingController, for four drives in eleven worlds.
 
-Every drive runs from rest to rest until the DockGoalChecker (5 mm, 10 mm, 0.02 rad, at rest) says docked; noisy worlds
-with several seeds, of which the worst counts. Errors on the way are against the trajectory as late as the drive
-answers, which is how late the reference is. Commands are differentiated as they are given, one per period; 1 is the
-robot's limit. Writes results/03_tracking_errors/.
+Every drive runs from rest to rest until the DockGoalChecker (5 mm, 10 mm, 0.02 rad, at rest) reports success. Noisy
+worlds run with several seeds, and the worst seed counts. Errors along the path are measured against the trajectory
+delayed by the response time of the drive. Accelerations and jerks are differences of the commands of successive
+periods, relative to the robot's limits. Writes results/03_tracking_errors/.
 
     python experiments/03_tracking_errors.py [--seeds N]
 """
@@ -52,7 +52,7 @@ DEAD = replace(SLUGGISH, linear_dead_band=0.03, angular_dead_band=0.05)
 
 
 class World(NamedTuple):
-    """A name, what the drive and the localization are like, the controller's `preview` (None: identified), the rate."""
+    """Simulated world: name, drive, localization, the controller's `preview` (None: identified), control rate [Hz]."""
 
     name: str
     actuation: Actuation
@@ -77,7 +77,7 @@ WORLDS = (
 
 
 def runs(drive: Trajectory, world: World, seeds: int) -> list[Run]:
-    """The drive in the world, once per seed."""
+    """Return the runs of the drive in the world, one per seed."""
     found = []
     for seed in range(seeds if world.noise else 1):
         settings = SimulationSettings(
@@ -95,14 +95,14 @@ def runs(drive: Trajectory, world: World, seeds: int) -> list[Run]:
 
 
 def overshoot(drive: Trajectory, run: Run) -> float:
-    """How far the robot went beyond the goal in the last two seconds [m]."""
+    """Return the largest distance beyond the goal within the last two seconds [m]."""
     gear = int(drive.path.segments[-1].direction)
     poses = run.poses[run.times >= run.duration - 2.0]
     return float(np.max(gear * pose_errors(poses, np.tile(run.goal.as_array(), (len(poses), 1)))[:, 0]))
 
 
 def on_the_way(drive: Trajectory, run: Run, delay: float) -> np.ndarray:
-    """Largest errors along, across and in yaw against the trajectory that is `delay` seconds late."""
+    """Return the largest errors along, across and in yaw against the trajectory delayed by `delay` [s]."""
     then = drive.sample_at(run.times - delay)
     errors = pose_errors(run.poses, np.column_stack((then.x, then.y, then.yaw)))
     largest: np.ndarray = np.abs(errors).max(axis=0)
@@ -110,7 +110,7 @@ def on_the_way(drive: Trajectory, run: Run, delay: float) -> np.ndarray:
 
 
 def exertion(run: Run, rate: float) -> tuple[float, float]:
-    """Largest acceleration and jerk of the commands, in units of their limits."""
+    """Return the largest acceleration and jerk of the commands, relative to their limits."""
     acceleration = np.diff(run.commands[:-1, 0], prepend=0.0) * rate
     jerk = np.diff(acceleration, prepend=0.0) * rate
     most = max(LIMITS.max_acceleration, LIMITS.max_deceleration)
@@ -118,7 +118,7 @@ def exertion(run: Run, rate: float) -> tuple[float, float]:
 
 
 def row(name: str, drive: Trajectory, world: World, seeds: int) -> list[str]:
-    """The worst of every number over the seeds."""
+    """Return one row of the table: the worst value of every quantity over the seeds."""
     found = runs(drive, world, seeds)
     final = np.max([np.abs(run.final_error.as_array()) for run in found], axis=0)
     delay = 0.0 if world.preview == 0.0 else world.actuation.linear_lag + world.actuation.latency
@@ -138,9 +138,11 @@ def row(name: str, drive: Trajectory, world: World, seeds: int) -> list[str]:
 
 
 def main() -> None:
-    """Drive everything; print and write the table."""
+    """Run all drives; print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10, help="runs in every noisy world (default: %(default)s)")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="number of runs in every noisy world (default: %(default)s)"
+    )
     seeds = parser.parse_args().seeds
     head = [
         "drive",

@@ -1,7 +1,7 @@
-"""The smooth control law of Nav2's Graceful controller and docking server ([Park2011]), as pure functions.
+"""Smooth control law of Nav2's Graceful controller and docking server ([Park2011]), as pure functions.
 
-It steers by the pose error in polar coordinates and knows neither a largest curvature nor an acceleration; here it is
-the baseline to beat.
+The law steers by the pose error in polar coordinates, without limits of curvature or acceleration. It is the baseline
+of the experiments.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["EgocentricPose", "GracefulLaw", "egocentric"]
 
-_ARRIVED = 1e-9  # [m]: the line of sight to a target this near has no direction
+_ARRIVED = 1e-9  # [m]: the line of sight to a target at a smaller distance has no defined direction
 
 
 class EgocentricPose(NamedTuple):
-    """A target in polar coordinates.
+    """Target pose in polar coordinates.
 
     `r`: distance [m]. `phi`, `delta`: headings of the target and of the robot, relative to the line of sight [rad].
     """
@@ -33,7 +33,7 @@ class EgocentricPose(NamedTuple):
 
 
 def egocentric(target: Pose2, robot: Pose2, direction: Direction = Direction.FORWARD) -> EgocentricPose:
-    """The target seen along the line of sight; in reverse the line of sight is looked along backwards."""
+    """Return the target relative to the line of sight, which is reversed for backward motion."""
     dx, dy = target.x - robot.x, target.y - robot.y
     sight = math.atan2(direction * dy, direction * dx)
     return EgocentricPose(math.hypot(dx, dy), normalize_angle(target.yaw - sight), normalize_angle(robot.yaw - sight))
@@ -41,18 +41,18 @@ def egocentric(target: Pose2, robot: Pose2, direction: Direction = Direction.FOR
 
 @dataclass(frozen=True)
 class GracefulLaw:
-    """Curvature and speed from an egocentric pose.
+    """Graceful control law: curvature and speed from an egocentric pose.
 
-    curvature = -(k_delta (delta - atan(-k_phi phi)) + (1 + k_phi / (1 + (k_phi phi)^2)) sin(delta)) / r,
-    speed = v_max / (1 + beta |curvature|^lambda), at most v_max r / slowdown_radius and sqrt(2 r deceleration_max),
-    at least v_min; the yaw rate is cut to v_angular_max and the speed with it.
+    curvature = -(k_delta (delta - atan(-k_phi phi)) + (1 + k_phi / (1 + (k_phi phi)^2)) sin(delta)) / r, speed = v_max
+    / (1 + beta |curvature|^lambda), at most v_max r / slowdown_radius and sqrt(2 r deceleration_max), at least v_min;
+    the yaw rate is limited to v_angular_max, and the speed is scaled with it.
 
     Args:
         k_phi: Ratio of the rates of phi and r.
-        k_delta: Convergence of the heading to the slow manifold.
-        beta: How much curvature slows down.
-        lambda_: Exponent of the same.
-        slowdown_radius: Distance below which the speed falls linearly [m].
+        k_delta: Gain of the convergence of the heading to the slow manifold.
+        beta: Gain of the slowdown with curvature.
+        lambda_: Exponent of the slowdown with curvature.
+        slowdown_radius: Distance below which the speed decreases linearly [m].
         deceleration_max: [m/s^2].
         v_linear_min: [m/s].
         v_linear_max: [m/s].
@@ -70,7 +70,7 @@ class GracefulLaw:
     v_angular_max: float = 1.0
 
     def curvature(self, pose: EgocentricPose) -> float:
-        """Curvature [1/m] along the travel; 0 at the target itself."""
+        """Return the curvature along the direction of travel [1/m]; 0 at the target."""
         if pose.r < _ARRIVED:
             return 0.0
         manifold = math.atan(-self.k_phi * pose.phi)
@@ -78,7 +78,7 @@ class GracefulLaw:
         return -(self.k_delta * (pose.delta - manifold) + slope * math.sin(pose.delta)) / pose.r
 
     def command(self, target: Pose2, robot: Pose2, direction: Direction = Direction.FORWARD) -> Twist2:
-        """The velocity towards `target`; linear is negative in reverse."""
+        """Return the velocity command towards `target`; the linear velocity is negative in reverse."""
         pose = egocentric(target, robot, direction)
         curvature = self.curvature(pose)
         speed = self.v_linear_max / (1.0 + self.beta * abs(curvature) ** self.lambda_)
