@@ -1,4 +1,4 @@
-"""The table of faults: what goes wrong on the way, and how the executor ends."""
+"""Table of faults: faults injected during docking, and how the executor ends."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ if TYPE_CHECKING:
 
 __all__ = ["FAULTS", "Told", "fault_table"]
 
-COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each; [Hz]; [s]
+COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each fault; [Hz]; [s]
 TRACK = 0.4  # [m]
-BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], put on the path
+BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], obstacle on the path
 STAGING = 1.4  # [m]: far enough from the dock for an obstacle 0.5 m ahead
-FRONT = 0.3  # [m]: of the robot in either gear
+FRONT = 0.3  # [m]: distance of the robot's front from its origin in either gear
 DRIVING = (State.STAGING, State.APPROACHING, State.RETURNING, State.BACKING_OUT, State.PRESSING, State.UNDOCKING)
 STILL = 1e-3  # [m/s], [rad/s]
-LONGEST_STILL = 5.0  # [s]: to stand longer than this in a state that drives is standing without a name
-OVERLAP = -0.0075  # [m] with the station, which is touched: the front corners of a robot turned by 1.5 degrees
+LONGEST_STILL = 5.0  # [s]: longest allowed standstill in a driving state
+OVERLAP = -0.0075  # [m]: allowed overlap with the touched station: the front corners of a robot turned by 1.5 degrees
 
 
 class Told(NamedTuple):
-    """How a run with a fault ended.
+    """Result of one run with a fault.
 
     Attributes:
-        outcome: As in the study.
-        standing: Longest time without motion in a state that drives [s].
+        outcome: Outcome as in the docking study.
+        standing: Longest time without motion in a driving state [s].
         station: Smallest clearance to the station [m].
         at_rest: Whether the robot stands at the end.
-        struck: Whether the fault came at all.
+        struck: Whether the fault occurred.
     """
 
     outcome: Outcome
@@ -77,7 +77,7 @@ class Told(NamedTuple):
 
 @dataclass
 class Run:
-    """One run, as a fault sees it before every cycle."""
+    """State of one run that a fault can modify before every cycle."""
 
     case: Case
     robot: SimulatedRobot
@@ -88,7 +88,8 @@ class Run:
     clock: float = 0.0  # [s] added to every stamp
     struck: bool = False
     blind: bool = False
-    change: Callable[[Measurements], Measurements] | None = None  # of what is measured, as long as the fault lasts
+    # modification of the measurements while the fault is active
+    change: Callable[[Measurements], Measurements] | None = None
     lost_commands: bool = False
     box: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     memory: dict[str, float] = field(default_factory=dict)
@@ -99,14 +100,14 @@ class Run:
         return math.hypot(self.robot.error.x, self.robot.error.y)
 
     def once(self, *, when: bool) -> bool:
-        """True the first time that `when` is."""
+        """Return True the first time that the condition `when` holds."""
         if self.struck or not when:
             return False
         self.struck = True
         return True
 
     def nearer_than(self, distance: float) -> bool:
-        """Whether the approach has come so near, the first time."""
+        """Return True the first time that the approach is within the distance."""
         approaching = self.step is not None and self.step.state is State.APPROACHING
         return self.once(when=approaching and self.to_go < distance)
 
@@ -117,19 +118,19 @@ def nothing(run: Run) -> None:
 
 
 def lost(run: Run) -> None:
-    """Nothing is detected for 2 s."""
+    """Lose all detections for 2 s."""
     if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(run.robot.time + 2.0)
 
 
 def outlier(run: Run) -> None:
-    """One detection 30 cm aside."""
+    """Shift one detection by 30 cm laterally."""
     if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.displace_next(Pose2(0.0, 0.3, 0.1))
 
 
 def jump(distance: float, off: float) -> Callable[[Run], None]:
-    """Localization jumps sideways."""
+    """Let the localization jump laterally."""
 
     def fault(run: Run) -> None:
         if run.nearer_than(distance):
@@ -140,20 +141,20 @@ def jump(distance: float, off: float) -> Callable[[Run], None]:
 
 
 def late(run: Run) -> None:
-    """Every second a cycle comes 100 ms late."""
+    """Delay one cycle per second by 100 ms."""
     run.struck = True
     run.period = 0.1 + 1.0 / RATE if math.floor(run.robot.time) > run.memory.get("late", 0.0) else 1.0 / RATE
     run.memory["late"] = float(math.floor(run.robot.time))
 
 
 def clock_back(run: Run) -> None:
-    """The clock goes back by half a second."""
+    """Set the clock back by half a second."""
     if run.nearer_than(0.4):
         run.clock -= 0.5
 
 
 def obstacle(stays: float) -> Callable[[Run], None]:
-    """A box stands on the path, 0.5 m ahead of the robot's front; it is seen at once, and goes after a while."""
+    """Place a box on the path, 0.5 m ahead of the front; the robot detects it at once, and it disappears later."""
 
     def fault(run: Run) -> None:
         if run.step is not None and run.step.state is State.APPROACHING and not run.struck:
@@ -174,7 +175,7 @@ def obstacle(stays: float) -> Callable[[Run], None]:
 
 
 def _grid(case: Case, box: np.ndarray | None) -> Costmap:
-    """What a local costmap shows: 2 cm cells, 3 m around the dock, only the box in it."""
+    """Return a local costmap: 2 cm cells, 3 m around the dock, containing only the box."""
     side, cell = 300, 0.02
     origin = case.true_dock.x - 0.5 * side * cell, case.true_dock.y - 0.5 * side * cell
     data = np.zeros((side, side), dtype=np.uint8)
@@ -187,13 +188,13 @@ def _grid(case: Case, box: np.ndarray | None) -> Costmap:
 
 
 def pose_lost(run: Run) -> None:
-    """Localization has no pose any more."""
+    """Lose the localization."""
     if run.nearer_than(0.6):
         run.blind = True
 
 
 def seen_no_more(run: Run) -> None:
-    """The dock is not seen any more."""
+    """Lose the dock detections."""
     if run.nearer_than(0.6) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(math.inf)
 
@@ -201,7 +202,7 @@ def seen_no_more(run: Run) -> None:
 def told_otherwise(
     distance: float, lasts: float, change: Callable[[Run], Callable[[Measurements], Measurements]]
 ) -> Callable[[Run], None]:
-    """What is measured is changed, from so near to the dock [m] and for so long [s]."""
+    """Return a fault that changes the measurements from a distance to the dock [m], for a duration [s]."""
 
     def fault(run: Run) -> None:
         if run.nearer_than(distance):
@@ -214,42 +215,42 @@ def told_otherwise(
 
 
 def no_number(_: Run) -> Callable[[Measurements], Measurements]:
-    """Localization and odometry tell what is not a number."""
+    """Let localization and odometry return NaN."""
     return lambda now: now._replace(pose=math.nan, twist=math.nan)  # type: ignore[arg-type]  # on purpose
 
 
 def same_stamp(run: Run) -> Callable[[Measurements], Measurements]:
-    """The clock stands still."""
+    """Stop the clock."""
     stamp = run.robot.time + run.clock
     return lambda now: now._replace(stamp=stamp)
 
 
 def held(_: Run) -> Callable[[Measurements], Measurements]:
-    """An emergency stop."""
+    """Engage the emergency stop."""
     return lambda now: now._replace(held=True)
 
 
 def other_dock(_: Run) -> Callable[[Measurements], Measurements]:
-    """Every detection is that of another dock, 30 cm to the left."""
+    """Report another dock, 30 cm to the left, in every detection."""
     return lambda now: now._replace(
         detections=tuple(one._replace(pose=one.pose @ Pose2(0.0, 0.3, 0.0)) for one in now.detections)
     )
 
 
 def late_stamps(_: Run) -> Callable[[Measurements], Measurements]:
-    """Detections are stamped 150 ms after the picture."""
+    """Stamp detections 150 ms after the picture."""
     return lambda now: now._replace(detections=tuple(one._replace(stamp=one.stamp + 0.15) for one in now.detections))
 
 
 def glare(run: Run) -> Callable[[Measurements], Measurements]:
-    """The costmap is lethal everywhere for 1 s, and empty afterwards."""
+    """Make the costmap lethal everywhere for 1 s, and empty afterwards."""
     empty, until = _grid(run.case, None), run.robot.time + 1.0
     full = Costmap(np.full_like(empty.data, LETHAL), empty.resolution, empty.origin)
     return lambda now: now._replace(costmap=full if run.robot.time < until else empty)
 
 
 def signal(*, flickers: bool) -> Callable[[Run], Callable[[Measurements], Measurements]]:
-    """The switch says contact, all the time or in every other cycle."""
+    """Report contact by the switch, all the time or in every other cycle."""
 
     def change(_: Run) -> Callable[[Measurements], Measurements]:
         count = itertools.count()
@@ -259,12 +260,12 @@ def signal(*, flickers: bool) -> Callable[[Run], Callable[[Measurements], Measur
 
 
 def no_twist(_: Run) -> Callable[[Measurements], Measurements]:
-    """The odometry tells no velocity."""
+    """Remove the velocity from the odometry."""
     return lambda now: now._replace(twist=None)  # type: ignore[arg-type]  # as a driver that has stopped
 
 
 def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
-    """The pose of the odometry, which is perfect but for that, begins anew."""
+    """Restart the pose of an otherwise perfect odometry at its origin."""
     begins = run.robot.time
     origin = run.robot.state.pose
 
@@ -277,13 +278,13 @@ def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
 
 
 def pushed(run: Run) -> None:
-    """Somebody pushes the robot 3 cm to its left."""
+    """Push the robot 3 cm to its left."""
     if run.nearer_than(0.4):
         run.robot.state = run.robot.state._replace(pose=run.robot.state.pose @ Pose2(0.0, 0.03, 0.0))
 
 
 def commands_lost(run: Run) -> None:
-    """The base gets no commands for 0.6 s and stops."""
+    """Lose all commands for 0.6 s; the base stops."""
     if run.nearer_than(0.4):
         run.memory["until"] = run.robot.time + 0.6
         run.lost_commands = True
@@ -292,7 +293,7 @@ def commands_lost(run: Run) -> None:
 
 
 def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Callable[[Run], None]:
-    """Cancelled in the first cycle of a state, which a fault may bring about."""
+    """Cancel in the first cycle of a state, which a fault may cause."""
 
     def fault(run: Run) -> None:
         if provoked is not None:
@@ -338,13 +339,13 @@ PROVOKED: dict[State, Callable[[Run], None]] = {
     State.WAITING_FOR_POSE: pose_lost,
     State.HELD: told_otherwise(0.4, 3.0, held),
 }
-UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached where no signal comes
+UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached if no charging signal arrives
 CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
 FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
 
 
 def run_fault(name: str, number: int, world_name: str) -> Told:
-    """One docking with a fault."""
+    """Run one docking with a fault."""
     world, state = WORLDS[world_name], CANCELLED.get(name)
     case = case_of(number, SPREADS["wider"], world, seed=2)
     planning = WatchedPlanning()
@@ -381,7 +382,7 @@ def run_fault(name: str, number: int, world_name: str) -> Told:
 
 
 def _measured(run: Run) -> Measurements:
-    """What the executor is told, with the faults of clock and localization."""
+    """Return the measurements of the executor, with the faults of clock and localization applied."""
     now = run.robot.measurements
     seen = tuple(one._replace(stamp=one.stamp + run.clock) for one in now.detections)
     found = now._replace(stamp=now.stamp + run.clock, detections=seen, pose=None if run.blind else now.pose)
@@ -414,18 +415,18 @@ def _told(run: Run, name: str, longest: float) -> Told:
 
 
 def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
-    """The robot; docked where it is to undock, with a wheel that sticks for 4 s, or at a station without a switch."""
+    """Return the robot: docked for undocking tasks, with a wheel that sticks for 4 s, or without a switch."""
     start = case.true_dock if name == f"cancel while {State.UNDOCKING.value}" else case.problem.start
     stuck = (StuckWheel(Wheel.LEFT, 2.0, 6.0),) if name == "stuck wheel" else ()
     plant = DifferentialDrive(case.problem.robot, world.actuation, wheels=Wheels(TRACK, stuck=stuck))
-    deeper = 0.02 if State.PRESSING.value in name else 0.0  # than planned: it has to be felt
+    deeper = 0.02 if State.PRESSING.value in name else 0.0  # pressed deeper than planned, so that contact is detected
     station = None if CANCELLED.get(name) in UNCHARGED else Station(direction=case.direction, depth=deeper)
     sensors = Sensors(pose=world.pose, dock=world.dock)
     return SimulatedRobot(plant, start, case.true_dock, sensors, case.obstacles(), station=station, seed=case.seed)
 
 
 def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
-    """The table, and whether all is well: no collision, nothing stood still without a name, every robot at rest."""
+    """Return the table and whether all runs are safe: no collision, no unnamed standstill, every robot at rest."""
     todo = [(name, number, "detected") for name in FAULTS for number in range(count)]
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))

@@ -1,4 +1,4 @@
-"""The ways of docking that are compared; each drives a case in a world and tells what happened."""
+"""The compared docking methods; each runs a case in a world and returns its outcome."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "executed"]
 
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
-PROJECTION = 0.25  # [m]: how far behind the dock Nav2 aims
+LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # defaults of the docking server
+PROJECTION = 0.25  # [m]: distance of Nav2's target behind the dock
 FILTER = 0.1  # Nav2's filter_coef of detected poses
-STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
+STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: stall that counts as contact
 TIMEOUT = 60.0  # [s]
 CHECKER = {"along_tolerance": 0.01}
 
 
 def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
-    """Nav2's docking law towards the dock as it detects it, until contact or stall: it has no other end on its own."""
+    """Run Nav2's docking law towards the detected dock until contact or stall, its only end conditions."""
     robot = case.world(world)
     now, goal, cycles = robot.measurements, case.problem.goal, Cycles()
     gear = Direction.FORWARD if case.direction is DockDirection.FORWARD else Direction.REVERSE
@@ -67,7 +67,7 @@ def _filtered(before: Pose2, seen: Pose2) -> Pose2:
 
 
 def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:
-    """The defaults, but for the localization's noise, which is known."""
+    """Return the default settings with the known noise of the localization."""
     return ExecutorSettings(
         use_detections=use_detections,
         position_sigma=max(world.pose.position_sigma, 1e-4),
@@ -76,7 +76,7 @@ def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:
 
 
 def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: bool) -> Outcome:
-    """One plan to the dock as stored, tracked to its end; its path raw or smoothed and certified."""
+    """Track one plan to the stored dock to its end, with the raw path or the smoothed and certified path."""
     names = (f"{'smoothed' if smoothed else 'raw'} + tracker", world.name, spread, rate)
     plan = plan_dock(case.problem)
     trajectory: Trajectory = (
@@ -117,7 +117,7 @@ def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: M
 
 
 class Executed(NamedTuple):
-    """What a run of the executor leaves behind; `told`: how often it said that the tube was left."""
+    """Record of an executor run; `told`: how often it reported that the tube was left."""
 
     robot: SimulatedRobot
     executor: DockingExecutor
@@ -152,7 +152,7 @@ def executed(case: Case, world: World, rate: float, controller: str = "TrackingC
 def by_executor(
     case: Case, world: World, spread: str, rate: float, *, name: str, controller: str = "TrackingController"
 ) -> Outcome:
-    """The outcome of the executor."""
+    """Return the outcome of the executor."""
     run = executed(case, world, rate, controller)
     ended = run.executor.ending
     ending = "never ended" if ended is None else "" if ended.kind.succeeded else f"{ended.kind.value}: {ended.reason}"

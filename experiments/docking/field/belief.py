@@ -1,4 +1,4 @@
-"""How far what the executor believes is from the truth: at the end, and for how long after the dock was pushed."""
+"""Error of the executor's dock estimate: at the end, and its recovery time after the dock was pushed."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["Belief"]
 
 
 class Belief:
-    """The robot seen from the dock as an executor believes it, against the truth.
+    """Error of the executor's estimate of the robot pose in the dock frame.
 
     Attributes:
-        off: Distance of the two, last [m]; NaN before the robot is located.
-        turned_off: Angle between them, likewise [rad].
-        recovered_after: Detections of the pushed dock that were told until the belief was within 10 mm, 10 mm and 1.5
-            degrees of the truth; infinite where it never was, NaN where nothing was pushed.
+        off: Last distance between estimate and truth [m]; NaN before the robot is located.
+        turned_off: Last angle between estimate and truth [rad].
+        recovered_after: Number of detections of the pushed dock until the estimate was within 10 mm, 10 mm and 1.5
+            degrees of the truth; infinite if it never was, NaN if nothing was pushed.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class Belief:
         self._is_waiting = True
 
     def compare(self, executor: DockingExecutor, robot: FieldRobot) -> None:
-        """After a control cycle."""
+        """Update the errors after a control cycle."""
         if executor.robot is None:
             return
         seen = executor.robot.in_frame_of(executor.dock)
@@ -41,7 +41,7 @@ class Belief:
             self._wait(gap, robot)
 
     def _wait(self, gap: Pose2, robot: FieldRobot) -> None:
-        """The dock was pushed: has it been found again?"""
+        """Count detections of a pushed dock until the estimate has recovered."""
         values = abs(gap.x), abs(gap.y), abs(gap.yaw)
         if all(value <= most for value, most in zip(values, ACCEPTED, strict=True)):
             since = robot.docks[-1][0]

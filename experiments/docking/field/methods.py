@@ -1,4 +1,4 @@
-"""The executor in the field world, at its defaults; and what is compared with it, by name."""
+"""The executor in the field world with default settings, and the registry of compared methods."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["FIELD_METHODS", "by_executor"]
 
-TIMEOUT = 180.0  # [s]: no task is to take so long; it is counted as one that never ended
-SETTLING = 1.0  # [s] after the end, until what was commanded has arrived and the wheels stand
-SAME_GOAL = 0.3  # [m]: a plan that ends nearer to the stored dock than this is one into the dock
+TIMEOUT = 180.0  # [s]: time limit of a task; a task that exceeds it counts as not ended
+SETTLING = 1.0  # [s] after the end, until pending commands have arrived and the wheels stand
+SAME_GOAL = 0.3  # [m]: a plan whose end is within this distance of the stored dock is a plan into the dock
 
 
 def by_executor(  # noqa: PLR0913 - what may be chosen
@@ -44,13 +44,13 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     """Dock or undock by the executor.
 
     Args:
-        layout: Where everything stands.
-        robot: At its start.
+        layout: Problem and true dock pose.
+        robot: Robot at its start.
         rate: Control cycles per second [Hz].
-        task: Which of the two.
-        controller: By name, or with parameters; None: the default one.
-        settings: None: the default ones, but for what the world tells.
-        log: Takes the docking down.
+        task: Docking or undocking.
+        controller: Name, or name with parameters; None: the default.
+        settings: None: the defaults plus the calibrated settings of the world.
+        log: Recorder of the docking.
     """
     if settings is None and robot.world.told:
         settings = ExecutorSettings(**robot.world.told)
@@ -71,7 +71,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
         planned_before, began = sum(planning.spent), time.thread_time()
         try:
             step = executor.step(robot.measurements)
-        except Exception as error:  # whatever it is, it is a result: the run has failed by it
+        except Exception as error:  # any exception is a result: the run has failed
             raised = error
             break
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
@@ -105,7 +105,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
 
 
 def _planned(layout: Layout, followed: list[Followed]) -> float:
-    """How long the first plan into the dock takes, and the first one to the staging pose where that came before it."""
+    """Return the planning time of the first plan into the dock, plus that of a preceding plan to the staging pose."""
     total, staged = 0.0, False
     for _, plan in followed:
         if plan is None:
@@ -122,4 +122,4 @@ FIELD_METHODS: dict[str, tuple[Callable[[Layout, FieldRobot, float], Steered], s
     "executor with the MPC": (partial(by_executor, controller="MpcController"), "wider"),
     "Nav2's law": (by_nav2, "nav2"),
 }
-"""What drives, and from which starts where none are asked for: Nav2's law has no way to a staging pose of its own."""
+"""Methods with their default distribution of starts: Nav2's law has no planner to the staging pose."""

@@ -1,4 +1,4 @@
-"""A picture of one run in the field world: where the robot truly drove, and what it was told of itself and the dock."""
+"""Picture of one run in the field world: the true path, the reported poses and the reported dock."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_run"]
 
-_OUTLINES = 0.5  # [s] between two outlines of the robot
-_AROUND = 1.0  # [m] about the way that is shown
-_NEAR = 0.12  # [m] about the docked pose, in the right half
+_OUTLINES = 0.5  # [s] between two drawn outlines of the robot
+_AROUND = 1.0  # [m], margin around the path
+_NEAR = 0.12  # [m] around the docked pose, in the right half
 
 
 def draw_run(target: Path, task: FieldTask) -> None:
-    """Drive a task again and draw it, the whole on the left and about the docked pose on the right, axes in metres.
+    """Repeat a task and draw it: whole run on the left, close-up of the docked pose on the right, axes in metres.
 
     Args:
         target: Picture file.
-        task: What to drive.
+        task: Task to run.
     """
     import matplotlib as mpl
 
@@ -67,7 +67,7 @@ def draw_run(target: Path, task: FieldTask) -> None:
 
 
 def _draw_surroundings(axes: Axes, layout: Layout, rows: FloatArray) -> None:
-    """Obstacles, and the outline of the robot along its true path."""
+    """Draw obstacles, and the outline of the robot along its true path."""
     for piece in layout.problem.obstacles.vertices:
         axes.fill(*piece.T, color="0.6")
     step = max(1, round(_OUTLINES / (rows[1, 0] - rows[0, 0])))
@@ -79,7 +79,7 @@ def _draw_surroundings(axes: Axes, layout: Layout, rows: FloatArray) -> None:
 
 
 def _draw_paths(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray, size: int) -> None:
-    """Stations, the true path, and what was told; `size`: of the dots [points]."""
+    """Draw stations, the true path, and reported poses; `size`: size of the dots [points]."""
     problem = layout.problem
     assert problem.dock.footprint is not None
     for pose, style, mark, name in ((robot.dock, "-", "k+", "true"), (problem.goal, "--", "C2x", "stored")):
@@ -94,7 +94,7 @@ def _draw_paths(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray,
 
 
 def _placed(rows: FloatArray, told: float, stamp: float, seen: Pose2) -> tuple[float, float]:
-    """Where a detection puts the docked pose, seen from the robot's true pose at its stamp."""
+    """Return the docked pose given by a detection, relative to the robot's true pose at its stamp."""
     row = int(np.searchsorted(rows[:, 0], min(stamp, told)))
     placed = Pose2.from_sequence(rows[min(row, len(rows) - 1), 1:]) @ seen
     return placed.x, placed.y

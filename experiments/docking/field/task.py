@@ -1,4 +1,4 @@
-"""One docking in the field world, by names."""
+"""Task of the field study."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["FieldTask"]
 
 
 class FieldTask(NamedTuple):
-    """One docking to be driven, by names, so that any process can; `seed` draws everything in it."""
+    """One docking in the field world, given by names so that any process can run it; `seed` seeds everything."""
 
     method: str
     world: str
