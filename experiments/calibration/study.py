@@ -1,4 +1,4 @@
-"""What the study drives and counts: recordings of hidden robots, truths inside intervals, fresh dockings by pairs."""
+"""Calibration study: recordings of hidden robots, coverage of the intervals, paired fresh dockings."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 __all__ = ["RATE", "Judged", "Paired", "RobotTask", "Studied", "studied"]
 
 RATE = 50.0  # [Hz]
-_FRESH = 1000  # number of the first run that nothing was calibrated with
+_FRESH = 1000  # number of the first run that is not used for calibration
 
 
 class RobotTask(NamedTuple):
-    """One robot: its number, how many recordings it is calibrated with, how many fresh dockings, and where logs go."""
+    """Task of one robot: its number, number of recordings, number of fresh dockings, and directory of the logs."""
 
     number: int
     recordings: int
@@ -37,7 +37,7 @@ class RobotTask(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """One quantity of one robot: the truth, the estimate, its interval, and why there is none."""
+    """One quantity of one robot: truth, estimate, interval, and the reason of a missing interval."""
 
     robot: int
     name: str
@@ -54,14 +54,14 @@ class Judged(NamedTuple):
 
 
 class Paired(NamedTuple):
-    """A fresh docking of one robot, with the defaults and with what the calibration wrote.
+    """A fresh docking of one robot, with the defaults and with the calibrated settings.
 
     Attributes:
-        robot: Which.
-        run: From which start, with which noise.
-        before: With the defaults.
-        after: With what was written.
-        deviation: How far the one with the defaults was off its path, see `ReadFile`.
+        robot: Number of the robot.
+        run: Number of the run, which determines start and noise.
+        before: Outcome with the defaults.
+        after: Outcome with the calibrated settings.
+        deviation: Deviation from the path with the defaults, see `ReadFile`.
     """
 
     robot: int
@@ -72,16 +72,16 @@ class Paired(NamedTuple):
 
     @property
     def outcomes(self) -> tuple[tuple[str, FieldOutcome], tuple[str, FieldOutcome]]:
-        """Both, by the names of their settings."""
+        """Both outcomes, by the names of their settings."""
         return ("defaults", self.before), ("calibrated", self.after)
 
 
 class Studied(NamedTuple):
-    """What came of one robot.
+    """Result of one robot.
 
     Attributes:
-        deviations: Of its recordings, see `ReadFile`; of fewer where one could not be driven again.
-        judged: All quantities whose truth is known.
+        deviations: Deviations of its recordings, see `ReadFile`; recordings that could not be repeated are missing.
+        judged: All quantities with known truth.
         pairs: Its fresh dockings.
     """
 
@@ -91,7 +91,7 @@ class Studied(NamedTuple):
 
 
 def studied(task: RobotTask) -> Studied:
-    """Drive what is not recorded yet, calibrate, compare with what is true, and dock by pairs."""
+    """Record missing runs, calibrate, compare with the truth, and run paired dockings."""
     hidden, read = hidden_robot(task.number), [_recorded(task, run) for run in range(task.recordings)]
     deviations = [one.deviation for one in read if one.deviation is not None]
     found = calibrate([one.recording for one in read], deviations)
@@ -124,7 +124,7 @@ def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
 
 
 def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:
-    """A fresh docking: with what a calibration has written, or with the defaults and the dock as stored."""
+    """Run a fresh docking: with calibrated settings, or with the defaults and the stored dock."""
     layout, robot = set_down(hidden_robot(number), run)
     settings, controller = None, None
     if found is not None:

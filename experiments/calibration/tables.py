@@ -1,4 +1,4 @@
-"""The tables of the study."""
+"""Tables of the calibration study."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["coverage_table", "paired_table", "tube_table"]
 
 
 def coverage_table(judged: Sequence[Judged]) -> str:
-    """Of each quantity: how many intervals contain the truth, how wide they are, how far the estimates are off."""
+    """Return coverage and width of the intervals and errors of the estimates, per quantity."""
     names = list(dict.fromkeys(one.name for one in judged))
     rows = [("quantity", "truths inside", "cannot tell", "mean half interval", "mean error", "rms error")]
     told = [one for one in judged if not one.reason]
@@ -45,7 +45,7 @@ def coverage_table(judged: Sequence[Judged]) -> str:
 
 
 def paired_table(pairs: Sequence[Paired]) -> str:
-    """The same fresh dockings with the defaults and with what the calibration wrote."""
+    """Return the same fresh dockings with the defaults and with the calibrated settings."""
     head = (
         "",
         "good",
@@ -87,14 +87,14 @@ def _row(name: str, found: Sequence[FieldOutcome]) -> tuple[str, ...]:
 def tube_table(
     deviations: Sequence[Sequence[tuple[float, float]]], fresh: Sequence[tuple[float, float]], radius: float
 ) -> str:
-    """How often dockings stay in the tube that others have shown, for several coverages.
+    """Return how often dockings stay in the tube estimated from other dockings, for several coverages.
 
-    Fresh dockings are of the robots that have shown the tube with all of their recordings. The second check is harder:
-    half of the robots show a tube, and the recordings of the other half are held against it.
+    Fresh dockings are of the robots whose recordings determined the tube. The second check is harder: half of the
+    robots determine a tube, and the recordings of the other half are tested against it.
 
     Args:
-        deviations: Of each robot, of each of its recordings: largest distance across [m] and turn [rad].
-        fresh: Likewise of fresh dockings of all robots.
+        deviations: Per robot and recording: largest lateral distance [m] and rotation [rad].
+        fresh: The same for fresh dockings of all robots.
         radius: Circumscribed radius of the footprint [m].
     """
     every, half = ([one for robot in part for one in robot] for part in (deviations, deviations[::2]))
