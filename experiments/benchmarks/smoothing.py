@@ -1,4 +1,4 @@
-"""The smoothing benchmark: CasadiSmoother on random instances of every family, and Nav2's smoothers beside it.
+"""Smoothing benchmark: CasadiSmoother on random instances of every family, compared with Nav2's smoothers.
 
 python -m experiments.benchmarks smoothing --seeds 30
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-# Few obstacles, so that one program of ipopt's takes about a second.
+# Few obstacles, so that one program of ipopt takes about a second.
 REFERENCE_FAMILIES = ("open_s", "alcove", "u_dock", "reverse_cusp", "pillar", "parallel", "collision", "narrow_gap")
 SECTIONS = ("families", "infeasible", "warm", "budgets", "baselines")
 
@@ -55,12 +55,14 @@ def main(arguments: list[str]) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks smoothing")
-    parser.add_argument("--seeds", type=int, default=30, help="instances per family")
+    parser.add_argument("--seeds", type=int, default=30, help="number of instances per family")
     parser.add_argument("--families", type=_families, default=list(FAMILIES), help="comma-separated names")
-    parser.add_argument("--sections", type=_sections, default=list(SECTIONS), help=f"of {','.join(SECTIONS)}")
-    parser.add_argument("--repeats", type=int, default=3, help="calls per instance; the fastest counts")
-    parser.add_argument("--calls", type=int, default=2000, help="calls with a time budget, over all budgets")
-    parser.add_argument("--budgets", type=_milliseconds, default=[5.0, 10.0, 20.0, 50.0], help="milliseconds")
+    parser.add_argument(
+        "--sections", type=_sections, default=list(SECTIONS), help=f"comma-separated, from {','.join(SECTIONS)}"
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="number of calls per instance; the fastest counts")
+    parser.add_argument("--calls", type=int, default=2000, help="number of calls with a time budget, over all budgets")
+    parser.add_argument("--budgets", type=_milliseconds, default=[5.0, 10.0, 20.0, 50.0], help="budgets [ms]")
     parser.add_argument("--reference", type=int, default=0, metavar="SEEDS", help="also compare costs with ipopt's")
     parser.add_argument("--smoother", default="CasadiSmoother", help="plugin to measure")
     parser.add_argument("--out", type=FilePath, default=None, help="JSON file to write")
@@ -108,7 +110,7 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
 
 
 def _hasty(asked: argparse.Namespace) -> Smoother | None:
-    """The smoother that stops at the first certified path, where it can and is asked for."""
+    """Return the smoother with early termination at the first certified path, if supported and selected."""
     able = "stop_at_first" in load_plugin(Smoother, asked.smoother).Parameters.model_fields
     wanted = able and "families" in asked.sections
     return create_plugin(Smoother, asked.smoother, {"stop_at_first": True}) if wanted else None

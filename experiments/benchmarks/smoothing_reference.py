@@ -1,8 +1,8 @@
-"""How far from a local optimum the smoother stops: the same cost minimized by ipopt, from the smoother's own result.
+"""Distance of the smoother's results from a local optimum: the same cost minimized by ipopt, from the same result.
 
-A separate formulation: every robot outline and every near obstacle at every node are held apart by a free line, in one
-nonlinear program with exact derivatives. Clearance is held at the nodes only, with no reserve, so the reference is a
-little better than any answer that is safe between them. Costs are those of `CasadiSmoother` without tracking.
+A separate formulation: a free line separates every robot outline from every near obstacle at every node, in one
+nonlinear program with exact derivatives. Clearance is constrained at the nodes only, without reserve, so the reference
+is slightly better than any path that is safe between them. Costs are those of `CasadiSmoother` without tracking.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ __all__ = ["reference_table"]
 
 WEIGHTS = (1.0, 0.4, 0.15)  # CasadiSmoother's defaults: length, curvature, curvature rate
 IPOPT: dict[str, float | str] = {"print_level": 0, "sb": "yes", "mu_init": 1e-3, "max_iter": 500}
-_NEAR = 0.4  # obstacles farther than this from the outline at a node get no line [m]
+_NEAR = 0.4  # obstacles farther than this from the outline at a node have no line [m]
 _INTERVALS = 4  # per knot span
-_ROUNDS = 2  # the required clearance depends on the poses: it is updated between rounds
-_MIN_LENGTH = 0.02  # [m], as the smoother's
+_ROUNDS = 2  # the required clearance depends on the poses and is updated between rounds
+_MIN_LENGTH = 0.02  # [m], as in the smoother
 _GAUSS = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 
 
@@ -48,7 +48,7 @@ class _Gear(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """What must be held apart: node, obstacle, direction of the line's normal [rad], its offset [m]; Shape (m,)."""
+    """Separated pairs: node, obstacle, direction of the line's normal [rad], its offset [m]; Shape (m,)."""
 
     node: IntArray
     obstacle: IntArray
@@ -63,7 +63,7 @@ class _Optimum(NamedTuple):
 
 
 def path_cost(gears: tuple[_Gear, ...], problem: DockingProblem) -> float:
-    """Weighted length, squared curvature and squared curvature rate, exact for piecewise linear curvature."""
+    """Return the weighted length, squared curvature and squared curvature rate, for piecewise linear curvature."""
     limits, total = problem.robot.limits, 0.0
     for gear in gears:
         k, h = gear.curvature, gear.length / (len(gear.curvature) - 1)
@@ -75,7 +75,7 @@ def path_cost(gears: tuple[_Gear, ...], problem: DockingProblem) -> float:
 
 
 def gears_of(path: Path, problem: DockingProblem) -> tuple[_Gear, ...]:
-    """The smoother's variables, read from its result."""
+    """Return the smoother's variables of its result."""
     gears = []
     for i, segment in enumerate(path.segments):
         straight = problem.dock.final_straight if i == len(path.segments) - 1 else 0.0
@@ -86,7 +86,7 @@ def gears_of(path: Path, problem: DockingProblem) -> tuple[_Gear, ...]:
 
 
 def reference_table(smoother: Smoother, families: Iterable[str], seeds: int) -> Table:
-    """Costs of the smoother's results against ipopt's; `smoother` must not weigh tracking."""
+    """Return the costs of the smoother's results and of ipopt; `smoother` must not weigh tracking."""
     header = ("family", "compared", "of", "cost gap % p50", "p90", "max", "ipopt ms p50", "smoother ms p50")
     rows = [_row(smoother, family, seeds) for family in families]
     note = "ipopt starts from the smoother's result, holds clearance at the nodes only and keeps no reserve"
@@ -118,7 +118,7 @@ def _optimum(gears: tuple[_Gear, ...], problem: DockingProblem) -> _Optimum:
 
 
 def _improved(gears: tuple[_Gear, ...], problem: DockingProblem) -> tuple[tuple[_Gear, ...], bool]:
-    """One nonlinear program: the gears at its solution, and whether ipopt calls it solved."""
+    """Solve one nonlinear program; return the gears at its solution, and whether ipopt converged."""
     import casadi as ca
 
     start = np.concatenate([*(gear.curvature for gear in gears), [gear.length for gear in gears]])
@@ -153,7 +153,7 @@ def _unpacked(gears: tuple[_Gear, ...], values: FloatArray) -> tuple[_Gear, ...]
 
 
 def _split(gears: tuple[_Gear, ...], x: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
-    """Symbolic knot curvatures and length of every gear."""
+    """Return symbolic knot curvatures and length of every gear."""
     out, at, knots = [], 0, sum(len(gear.curvature) for gear in gears)
     for i, gear in enumerate(gears):
         out.append((x[at : at + len(gear.curvature)], x[knots + i]))
@@ -175,7 +175,7 @@ def _symbolic_cost(gears: tuple[_Gear, ...], problem: DockingProblem, x: ca.SX) 
 
 
 def _node_poses(gears: tuple[_Gear, ...], problem: DockingProblem, x: ca.SX) -> ca.SX:
-    """Poses at the ends of all intervals, two-point Gauss sums. Shape (nodes, 3)."""
+    """Return poses at the ends of all intervals, by two-point Gauss sums. Shape (nodes, 3)."""
     import casadi as ca
 
     px, py, yaw = (ca.SX(value) for value in problem.start.as_array())
@@ -200,7 +200,7 @@ def _turned(first: ca.SX, second: ca.SX, share: float) -> ca.SX:
 def _path_bounds(
     gears: tuple[_Gear, ...], problem: DockingProblem, x: ca.SX, poses: ca.SX
 ) -> tuple[list[ca.SX], FloatArray, FloatArray]:
-    """Goal and curvature rate: expressions, lower and upper bounds."""
+    """Return goal and curvature rate: expressions, lower and upper bounds."""
     import casadi as ca
 
     goal, sign = problem.goal, gears[-1].sign
@@ -224,7 +224,7 @@ def _end_yaw(gears: tuple[_Gear, ...], problem: DockingProblem) -> float:
 
 
 def _box(gears: tuple[_Gear, ...], problem: DockingProblem, lines: int) -> tuple[FloatArray, FloatArray]:
-    """Bounds on curvatures, the last of them zero, on lengths, and none on lines."""
+    """Return bounds: curvatures (the last of them zero) and lengths; none on lines."""
     knots = sum(len(gear.curvature) for gear in gears)
     limit = np.full(knots, problem.robot.limits.max_curvature)
     limit[-1] = 0.0
@@ -233,7 +233,7 @@ def _box(gears: tuple[_Gear, ...], problem: DockingProblem, lines: int) -> tuple
 
 
 def _near_pairs(poses: FloatArray, problem: DockingProblem) -> _Pairs:
-    """Pairs of node and obstacle, with lines that separate them now as well as any."""
+    """Return pairs of node and obstacle, with the lines that currently separate them best."""
     obstacles, found = problem.all_obstacles, []
     for body in problem.robot.footprint.bodies:
         node, row = (index.ravel() for index in np.indices((len(poses), len(obstacles))))
@@ -247,7 +247,7 @@ def _near_pairs(poses: FloatArray, problem: DockingProblem) -> _Pairs:
 
 
 def _held_apart(poses: ca.SX, now: FloatArray, pairs: _Pairs, lines: ca.SX, problem: DockingProblem) -> list[ca.SX]:
-    """Robot corners above their line, obstacle corners below it by the required clearance: each >= 0."""
+    """Return distances of robot corners above, and obstacle corners below their line: each must be >= 0."""
     import casadi as ca
 
     required, count, rows = _required(now, problem), len(pairs.node), []
