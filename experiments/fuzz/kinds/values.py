@@ -1,4 +1,4 @@
-"""Hostile values through public constructors: a typed error, or a value that behaves and cannot be changed."""
+"""Hostile values through public constructors: a typed error, or an immutable value that works."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class _ForeignSegment:
 
 
 def _hostile() -> tuple[Any, ...]:
-    """New hostile values on every call, as some of them are mutable."""
+    """Return new hostile values on every call, because some of them are mutable."""
     return (
         math.nan, math.inf, -math.inf, 1e308, -1e308, 1e200, 5e-324, -5e-324, -0.0, 0, -1, 10**400, True, None, "",
         "abc", "0.5", b"x", [], {}, object(), 1j, np.float32(0.1), np.array(0.5), np.array([]), np.array([[]]),
@@ -73,7 +73,7 @@ def _hostile() -> tuple[Any, ...]:
 
 
 class _Door(NamedTuple):
-    """A public constructor with honest arguments, and what its value must be able to do."""
+    """A public constructor with valid arguments, and the checks of its value."""
 
     call: Callable[..., Any]
     arguments: Callable[[], dict[str, Any]]
@@ -248,7 +248,7 @@ def _plugin_doors() -> Iterator[tuple[str, str]]:
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A door, one of its arguments, and what goes in there."""
+    """Draw a constructor, one of its arguments, and the value to insert."""
     hostile = int(rng.integers(len(_hostile())))
     if rng.uniform() < 0.25:
         slots = list(_plugin_doors())
@@ -266,10 +266,10 @@ def draw(rng: np.random.Generator) -> Case:
 
 
 def judge(case: Case) -> Verdict:
-    """Call the door; then look whether what it made can be changed.
+    """Call the constructor; then test whether the result can be changed.
 
-    A value of the right sort (a number, an array of numbers, a word) must be refused by name or taken. One of another
-    sort breaks the types that the library declares: any exception will do, and what is made of it is nobody's concern.
+    A value of the right type (a number, an array of numbers, a string) must be refused with a named error or accepted.
+    A value of another type violates the declared types: any exception is allowed, and the result is not checked.
     """
     value = _hostile()[case["hostile"]]
     where = f"{case['door']}({case['argument']}={case['is']})"
@@ -287,9 +287,9 @@ def judge(case: Case) -> Verdict:
 
 
 def _is_right_sort(case: Case, value: object) -> bool:
-    """Whether a value is of the sort that the argument takes."""
+    """Whether a value is of the type of the argument."""
     if "/" in case["door"]:
-        return True  # parameters come from files: they are checked whatever they are
+        return True  # parameters come from files and are checked for any type
     honest = _DOORS[case["door"]].arguments()[case["argument"]]
     return _sort(value) == ("number" if honest is None else _sort(honest))
 
@@ -314,7 +314,7 @@ def _called(case: Case, value: object) -> object:
 
 
 def _changeable(made: object, given: object, where: str) -> Verdict | None:
-    """Arrays that can be written to, or that are the caller's own."""
+    """Return arrays that are writable, or shared with the caller."""
     for name, array in _arrays(made, ""):
         if _can_be_written_to(array):
             return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: can be written to")
@@ -324,7 +324,7 @@ def _changeable(made: object, given: object, where: str) -> Verdict | None:
 
 
 def _can_be_written_to(array: np.ndarray) -> bool:
-    """Whether its flag, or that of a view of it, can be taken back."""
+    """Whether an array, or a view of it, can be made writable."""
     for one in (array, array.view(), array.base):
         if isinstance(one, np.ndarray):
             with contextlib.suppress(ValueError):
@@ -334,7 +334,7 @@ def _can_be_written_to(array: np.ndarray) -> bool:
 
 
 def _arrays(value: object, name: str, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
-    """Every array that a value shows, with the way to it."""
+    """Yield every reachable array of a value, with its access path."""
     if isinstance(value, np.ndarray):
         yield name, value
     elif depth < 4 and dataclasses.is_dataclass(value) and not isinstance(value, type):
