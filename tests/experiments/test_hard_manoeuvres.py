@@ -1,6 +1,7 @@
-"""The hard families of the manoeuvre benchmark: drawn from seeds, free where they say so, with true truths."""
+"""Hard families of the manoeuvre benchmark: seeds, clearances of starts and docks, known truths."""
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -29,6 +30,11 @@ TOUCHING = {"along a wall": hard_cases.BESIDE, "contact": (0.0, 0.001)}  # [m]: 
 ROUNDING = 1e-9  # [m]
 
 
+@functools.cache
+def drawn(family):
+    return DRAWN[family](11)
+
+
 def clearances(problem, poses):
     return pose_clearances(np.asarray(poses), problem.robot.footprint, problem.all_obstacles)[0]
 
@@ -43,7 +49,7 @@ def straight_poses(problem):
 
 @pytest.mark.parametrize("family", DRAWN)
 def test_seeds_decide_and_names_are_unique(family):
-    first, again, other = (DRAWN[family](seed) for seed in (11, 11, 12))
+    first, again, other = drawn(family), DRAWN[family](11), DRAWN[family](12)
     assert [one.problem.fingerprint for one in first] == [one.problem.fingerprint for one in again]
     assert all(a.problem.fingerprint != b.problem.fingerprint for a, b in zip(first, other, strict=True))
     assert len({one.name for one in first}) == len(first)
@@ -52,8 +58,8 @@ def test_seeds_decide_and_names_are_unique(family):
 
 @pytest.mark.parametrize("family", DRAWN)
 def test_starts_and_docks_are_free(family):
-    """By the required clearance at the start and that of the dock, and at walls by as little as the family says."""
-    for case in DRAWN[family](11):
+    """By the required clearances, and at walls by the clearance of the family."""
+    for case in drawn(family):
         problem = case.problem
         rule = problem.clearance
         start, goal = clearances(problem, [problem.start.as_array(), problem.goal.as_array()])
@@ -66,7 +72,7 @@ def test_starts_and_docks_are_free(family):
 
 
 def test_every_hall_holds_a_dock_of_each_kind_and_starts_are_in_other_aisles():
-    for case in hard_cases.rack_halls(3):
+    for case in drawn("rack halls"):
         problem = case.problem
         apart = problem.start.in_frame_of(problem.goal)
         assert math.hypot(apart.x, apart.y) > 2.0
@@ -90,7 +96,7 @@ def test_past_the_end_of_the_wall_straight_on_is_a_way():
 
 
 def test_what_is_missing_or_to_spare_on_the_straight_is_what_the_truth_says():
-    for case in (*hard_cases.blocked_straight(2), *hard_cases.open_straight(2)):
+    for case in (*drawn("blocked straight"), *drawn("open straight")):
         problem, truth = case.problem, case.truth
         ways, poses = straight_poses(problem)
         station = len(problem.all_obstacles) - 1

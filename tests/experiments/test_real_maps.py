@@ -1,5 +1,6 @@
-"""The scenarios on maps: raw paths break the rules, smoothed ones are certified, and two judges agree."""
+"""Scenarios on maps: raw paths violate bounds, smoothed ones are certified, and two independent checks agree."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -60,16 +61,11 @@ def test_our_maps_are_those_that_the_script_draws():
     assert min(np.mean(costs == cost) for cost in (FREE_SPACE, LETHAL, NO_INFORMATION)) > 0.02
 
 
-def run_experiment(folder, *options, **variables):
-    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"} | variables
-    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
-    script = ROOT / "experiments" / "01_docking_on_maps.py"
-    command = [sys.executable, script, *options]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=environment)
-
-
 def test_the_experiment_runs_from_a_clone(tmp_path):
-    done = run_experiment(tmp_path, "--only", "hall north wall")
+    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"}
+    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
+    command = [sys.executable, ROOT / "experiments" / "01_docking_on_maps.py", "--only", "hall north wall"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     assert "1 of 1 certified, 1 docked" in done.stdout
     made = {path.name for path in (tmp_path / "results" / "01_docking_on_maps").iterdir()}
@@ -78,12 +74,18 @@ def test_the_experiment_runs_from_a_clone(tmp_path):
 
 
 @pytest.mark.parametrize("given", ["option", "variable"])
-def test_maps_that_are_asked_for_and_missing_are_said_with_where_to_get_them(tmp_path, given):
+def test_requested_maps_that_are_missing_are_reported_with_their_source(tmp_path, given, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "argv", ["01_docking_on_maps", *(["--maps", "nowhere"] if given == "option" else [])])
     if given == "option":
-        done = run_experiment(tmp_path, "--maps", "nowhere")
+        monkeypatch.delenv("OPTDOCK_DATA", raising=False)
     else:
-        done = run_experiment(tmp_path, OPTDOCK_DATA="nowhere")
-    assert done.returncode == 2
-    assert "holds no depot.yaml and no warehouse.yaml; " in done.stderr
-    assert "https://github.com/ros-navigation/navigation2" in done.stderr
+        monkeypatch.setenv("OPTDOCK_DATA", "nowhere")
+    with pytest.raises(SystemExit) as left:
+        importlib.import_module("experiments.01_docking_on_maps").main()
+    assert left.value.code == 2
+    told = capsys.readouterr().err
+    assert "holds no depot.yaml and no warehouse.yaml; " in told
+    assert "https://github.com/ros-navigation/navigation2" in told
     assert not (tmp_path / "results").exists()
