@@ -23,7 +23,7 @@ class Done(NamedTuple):
 
 @pytest.fixture
 def run(capsys, monkeypatch):
-    """A run of the benchmarks in this process."""
+    """Run the benchmarks in this process."""
     monkeypatch.syspath_prepend(str(ROOT))
     from experiments.benchmarks import __main__ as benchmarks
 

@@ -1,4 +1,4 @@
-"""The calibration study: what is hidden stays hidden in every run, truths are those of the plant, tables count."""
+"""Calibration study: constant hidden properties, true values of the plant, tables."""
 
 import dataclasses
 
@@ -42,7 +42,7 @@ def test_commands_that_are_all_late_by_the_same_are_late_by_that():
     assert truths(with_drive(hidden, drive=even), 50.0)["command latency, linear"] == pytest.approx(
         0.05 + stamped, abs=1e-3
     )
-    # Commands wait for the late ones before them, so that a spread makes them later in the mean.
+    # Commands wait for late predecessors, so a spread of the latency increases the mean.
     spread = dataclasses.replace(even, latency=(0.0, 0.1))
     assert truths(with_drive(hidden, drive=spread), 50.0)["command latency, linear"] > 0.06
 

@@ -1,4 +1,4 @@
-"""Experiment 5: the certified plan meets the station straight and softly, the law several times as hard."""
+"""Experiment 5: contact of the certified plan is straight and soft, that of the law several times as hard."""
 
 import importlib
 
@@ -27,7 +27,7 @@ def test_a_certified_plan_docks_and_the_law_strikes(station):
 
 
 def documented(column):
-    """The figures of a column of the table, by station, world and method."""
+    """Return the figures of a column of the documented table, by station, world and method."""
     tables = measured.measured_in(ROOT / "docs" / "benchmark.md")
     (rows,) = (one.rows for one in tables if one.command.endswith("05_contact_forces.py"))
     return {tuple(row[:3]): [float(value) for value in row[rows[0].index(column)].split(" / ")] for row in rows[1:]}
@@ -35,7 +35,7 @@ def documented(column):
 
 @pytest.mark.parametrize("station", ["plate", "V"])
 def test_no_start_ends_farther_aside_than_the_documentation_says_of_all(station):
-    """A sample of what `make figures` drives whole: one of the starts that end farthest aside."""
+    """Run one of the starts with the largest lateral error, as a sample of the full run of `make figures`."""
     robot, place = experiment.stations()[station]
     world, method, seed = experiment.WORLDS[experiment.NOISY], "executor", 6
     drive = MujocoDrive(robot, place, actuation=world.actuation)

@@ -41,7 +41,7 @@ def box(x0, y0, x1, y1):
 
 
 def bend(peak=0.8, ramp=0.5):
-    """To the left and to the right again, 4 m forward in all."""
+    """Return a left and a right bend, 4 m forward in total."""
     knots = np.cumsum([0.0, ramp, ramp, ramp, ramp, 2.0])
     return ClothoidSpline(START, knots, np.array([0.0, peak, 0.0, -peak, 0.0, 0.0]))
 
@@ -165,7 +165,7 @@ FAMILIES = ("alcove", "parallel", "clutter", "corridor", "angled_hexagon", "car_
 
 
 def held_requirement(drawn, step):
-    """The largest required clearance that the dense check finds held along the witness, within 1e-9 m."""
+    """Return the largest required clearance accepted by the dense check along the witness, within 1e-9 m."""
     low, high = 0.0, 1.0
     while high - low > 1e-9:
         middle = 0.5 * (low + high)
@@ -223,7 +223,7 @@ def test_the_marker_must_be_in_view_where_it_is_asked_for(camera, broken):
 
 @pytest.mark.parametrize(("gap", "ok"), [(0.049, True), (0.0505, False)])
 def test_a_start_that_has_what_is_required_has_no_relief(gap, ok):
-    """A post 4.6 cm beside the way: near enough to a start that is itself too close, and to no other."""
+    """A post 4.6 cm next to the path: too close, except with the relief of a start that is itself too close."""
     leaving = Path((ClothoidSegment(ClothoidSpline(START, np.array([0.0, 4.0]), np.zeros(2))),))
     beside = box(-0.6, 0.3 + gap, -0.2, 0.5), box(0.6, -0.5, 0.62, -0.346)
     assert dense_check(leaving, problem_with(*beside)).ok is ok

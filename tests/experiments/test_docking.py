@@ -1,4 +1,4 @@
-"""The docking study: it measures right, and the executor docks where the law does not, at a dock that is pushed."""
+"""Docking study: measurements, and docking at a pushed dock by the executor and by the law."""
 
 import math
 

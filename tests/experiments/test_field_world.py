@@ -1,4 +1,4 @@
-"""The field world: each of its traits by a law of its own."""
+"""Field world: one test per imperfection, and whole runs."""
 
 import argparse
 import ast
@@ -67,7 +67,7 @@ def driven(drive, command, duration, seed=0):
     return state
 
 
-# The drive.
+# Drive
 
 
 def test_without_faults_it_follows_the_circle_of_the_unicycle():
@@ -144,13 +144,13 @@ def test_slip_takes_way_and_no_ticks():
         state.advance()
         way += math.hypot(state.x - x, state.y - y)
     assert (state.left, state.right) == pytest.approx((0.1 * duration / RADIUS,) * 2)
-    # In a burst one wheel slips, or the other, or both: the robot loses a half, a half, or the whole of their share.
+    # In a burst the left, the right or both wheels slip: the robot loses half, half, or all of their share.
     in_bursts = rate * share / (1.0 + rate * share)
     assert 1.0 - way / (0.1 * duration) == pytest.approx(lost * in_bursts * 2.0 / 3.0, rel=0.15)
     assert abs(state.yaw) > 0.01
 
 
-# Odometry.
+# Odometry
 
 
 @given(st.floats(-1e4, 1e4))
@@ -208,11 +208,11 @@ def test_odometry_comes_late_in_order_and_twice():
     assert len({round(stamp % 0.01, 6) for stamp in stamps}) > 100
 
 
-# Localization.
+# Localization
 
 
 def localized(localization, count, seed=0):
-    """Errors of so many estimates of a robot that stands, as they are told one period later."""
+    """Return the errors of estimates of a standing robot, as reported one period later."""
     state = LocalizationState(dataclasses.replace(localization, composed=False, latency=0.0), random(seed))
     found = []
     for index in range(count):
@@ -275,11 +275,11 @@ def test_lost_localization_tells_nothing_for_so_long():
     assert 200 <= silent.index(True) <= 800
 
 
-# The camera.
+# Camera
 
 
 def seen(camera, count=2500, robot=ORIGIN, dock=None, seed=0):
-    """What is told of a dock by so many pictures: (arrival, detection)."""
+    """Return the detections of a dock in a number of pictures: (arrival, detection)."""
     state = CameraState(camera, Pose2(0.45, 0.0, 0.0), random(seed))
     told = []
     for index in range(20 * count):
@@ -363,7 +363,7 @@ def test_a_second_tag_is_taken_for_the_dock_now_and_then_and_while_that_is_hidde
     assert hidden
 
 
-# The station.
+# Station
 
 BOX = [(0.3, 0.225), (-0.3, 0.225), (-0.3, -0.225), (0.3, -0.225)]
 
@@ -400,7 +400,7 @@ def test_a_costmap_shows_the_outline_and_nothing_else(x, y, yaw):
         assert outside <= 0.5 * math.sqrt(2.0) * 0.05 + 1e-9
 
 
-# The whole.
+# Whole world
 
 
 def placed(world, seed=1, spread="nav2"):
@@ -409,7 +409,7 @@ def placed(world, seed=1, spread="nav2"):
 
 
 def before_the_dock(world, off, seed=1):
-    """A robot that stands so many metres before the true dock, facing it."""
+    """Return a robot that stands at a distance [m] before the true dock, facing it."""
     layout, _ = placed(world, seed)
     gear = 1.0 if world.direction is DockDirection.FORWARD else -1.0
     start = layout.true_dock @ Pose2(-gear * off, 0.0, 0.0)
@@ -499,7 +499,7 @@ def test_detections_told_late_still_fit_where_the_robot_was():
         assert abs(off.yaw) < 5.0 * one.yaw_sigma
 
 
-# Who drives in it.
+# Methods
 
 
 def test_a_velocity_smoother_bounds_each_step():
@@ -533,7 +533,7 @@ def test_the_executor_docks_and_the_law_says_so_too(outcomes):
 
 
 def test_wheels_that_stand_below_their_dead_bands_are_moved_into_the_dock():
-    """One wheel stops a centimetre before the other; without short motions counted by wheel it never gets there."""
+    """One wheel stops a centimetre before the other; short motions per wheel are needed to finish."""
     outcome = driven_in_field(FieldTask("executor", "field, dead band", "wider", 10.0, 3000015))
     assert outcome.good
     assert outcome.retries == 0
@@ -580,11 +580,11 @@ def test_a_belief_recovers_when_it_is_near_the_truth_again():
     belief.compare(executor, robot)
     assert math.isnan(belief.off)
     for _ in range(60):
-        executor.robot = robot.pose  # believes where it is, and the dock where it was
+        executor.robot = robot.pose  # localized exactly, with the dock at its old pose
         belief.compare(executor, robot)
         robot.advance(Twist2(0.1, 0.0), 50.0)
     assert belief.recovered_after == math.inf
-    assert belief.off == pytest.approx(0.03, abs=0.02 * 0.6)  # and what its turn is at the robot
+    assert belief.off == pytest.approx(0.03, abs=0.02 * 0.6)  # and the effect of the rotation at the robot
     assert belief.turned_off == pytest.approx(abs(robot.docks[1][1].yaw - robot.docks[0][1].yaw))
     executor.robot, executor.dock = robot.pose, robot.dock
     belief.compare(executor, robot)

@@ -54,7 +54,7 @@ def clearance(case, pose):
     return float(World.of(case).clearances(np.array([pose]))[0])
 
 
-# the oracle's curves
+# curves of the oracle
 
 
 @pytest.mark.parametrize("gear", [1, -1])
@@ -78,7 +78,7 @@ def test_a_polyline_turns_the_short_way_and_has_the_length_of_its_arcs():
     assert motion.length == pytest.approx((turn / 2.0) / math.sin(turn / 2.0))
 
 
-# the oracle's world
+# obstacles of the oracle
 
 
 def test_clearances_are_those_of_closed_forms():
@@ -146,11 +146,11 @@ def test_the_oracle_shares_no_code_with_the_library():
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
-# the oracle's view
+# views of the oracle
 
 
 def seen(gears, marker, camera, visible=1e3, blind=0.0):
-    """What the oracle says of a path whose end is the origin."""
+    """Return the oracle's view of a path that ends at the origin."""
     whole = {"mount": [0.0, 0.0, 0.0], "field_of_view": 1.0, "min_range": 0.0, "max_range": None, **camera}
     case = {"path": gears, "camera": whole, "marker": marker, "visible_distance": visible, "blind_distance": blind}
     motion = motion_of(gears)
@@ -178,7 +178,7 @@ def test_views_are_of_the_stretch_alone():
     assert not seen(gears, [1.0, 0.0], {}, visible=4.0, blind=3.5).s.size
 
 
-# the oracle's rules
+# rules of the oracle
 
 
 def broken(case):
@@ -219,7 +219,7 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
     assert found.structure["start_state"] == 0.0
 
 
-# the cases
+# cases and campaigns
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -239,12 +239,12 @@ def test_planted_mistakes_are_found(name):
     kinds = {**dict.fromkeys(motions, "trajectories"), "dropped_new_obstacle": "replans"}
     kind = (kinds | {"dropped_measured_pose": "measured"}).get(name, "views" if name.startswith("view_") else "paths")
     cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
-    quick = (case for case in cases if "path" in case or "question" not in case)  # others plan first
+    quick = (case for case in cases if "path" in case or "question" not in case)  # the others plan first
     assert any(judge_once(case, name).is_fault for case in quick)
 
 
 def test_the_oracle_sees_wheels_turn_fastest_where_the_path_is_straight():
-    """Nowhere near a knot or a middle: at a third of the way the curvature changes its sign."""
+    """Away from knots and middles: the curvature changes its sign at a third of the distance."""
     case = {
         "path": [clothoid([0.0, 0.3], [-20.0, 40.0])],
         "law": {"durations": [3.0], "jerks": [0.0], "start_speed": 0.1, "start_acceleration": 0.0},
@@ -293,7 +293,7 @@ def test_shrinking_keeps_the_fault_and_drops_the_rest():
 
 
 def test_a_saved_case_can_be_replayed(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("experiments.fuzz.campaign.prepare", lambda: None)  # no limits of the process of the tests
+    monkeypatch.setattr("experiments.fuzz.campaign.prepare", lambda: None)  # no limits for the process of the tests
     plant = "dropped_obstacle"
     drawn = (KINDS["paths"].draw(rng_of("paths", SEEDS[plant], number)) for number in range(12))
     target = tmp_path / "found.json"
@@ -316,7 +316,7 @@ def test_unknown_kinds_are_refused(capsys):
     assert "pathes" in capsys.readouterr().err
 
 
-# Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
+# Chosen so that a mistake is found within a dozen cases; `--plant NAME` finds it from any seed.
 SEEDS = {
     "tolerance_x5": 0,
     "always_true": 0,
@@ -338,7 +338,7 @@ SEEDS = {
 
 
 def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
-    """A case of a run that stopped there: its last gear has neither poses nor knots."""
+    """Regression: its last gear has neither poses nor knots."""
     case = KINDS["paths"].draw(rng_of("paths", 991, 14515))
     assert case["path"][-1]["type"] == "turn"
     smaller = minimised(case, Verdict("false refusal"), lambda one: Verdict("false refusal"))
@@ -347,7 +347,7 @@ def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
 
 @pytest.mark.parametrize("rule", [[0.2, 0.0, 0.0], [0.05, 0.0, 0.3], [0.2, 0.05, 0.3, 0.4, 0.1]])
 def test_a_witness_keeps_within_its_steps_what_is_required_there(rule):
-    # A step that begins where little is asked for because of the start, and ends where little is because of the goal.
+    # A step that begins with a low requirement near the start, and ends with a low requirement near the goal.
     poses = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.6, 0.0, 0.0], [2.8, 0.0, 0.0]])
     enough = required_between(rule, poses, 0.005, SQUARE)
     case = {"clearance": rule, "footprint": {"polygon": SQUARE}, "start": [0.0] * 3, "dock": {"pose": [2.8, 0.0, 0.0]}}

@@ -50,4 +50,4 @@ def test_more_expensive_plan_is_reported(monkeypatch, found, outcome):
     monkeypatch.setattr("experiments.fuzz.kinds.prices.plan_dock", planned)
     verdict = prices.judge(cases("clearance")[0])
     assert verdict.outcome == outcome
-    assert not verdict.is_fault  # a search may miss a way: it is counted
+    assert not verdict.is_fault  # the search is not exhaustive: only counted

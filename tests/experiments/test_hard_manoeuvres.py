@@ -133,7 +133,7 @@ def full_lock(start, gear, curvature):
 
 
 def test_full_lock_to_and_fro_leads_out_of_a_bay_of_1_2_lengths():
-    """Forward to the left and back to the right, each as far as the required clearance lets, until it is turned out."""
+    """Forward to the left and back to the right, each up to the required clearance, until the car has turned out."""
     case = next(case for case in hard_cases.bays(1) if case.tag == "out of 1.2")
     limits, pose, gear = hard_cases.CAR.limits, case.problem.start.as_array(), 1.0
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""The manoeuvre benchmark: its cases are what they say, its check sees faults, its tables count."""
+"""Manoeuvre benchmark: cases, independent check, tables."""
 
 import csv
 import dataclasses
@@ -78,7 +78,7 @@ def test_the_gap_of_a_blocked_scene_is_where_and_as_narrow_as_its_truth_says():
 
 
 def test_no_disc_as_wide_as_the_robot_gets_from_start_to_dock_where_it_is_blocked_for_the_body():
-    """Free space shrunk by half the least width of the body falls apart between them."""
+    """Free space shrunk by half the least width of the body is disconnected between start and dock."""
     half = 0.5 * cases.ROBOT.footprint.width
     for case in cases.blocked(draws=1):
         if case.truth.is_body and not case.tag.startswith("bay"):
@@ -122,7 +122,7 @@ def test_a_certified_plan_is_confirmed(planned):
 
 
 def test_the_check_knows_both_rules_near_a_start_along_a_wall():
-    """A straight drive, 2 cm beside a wall all along: kept by the weaker rule, broken by the strict one."""
+    """A straight motion, 2 cm along a wall: satisfies the weaker rule, violates the strict one."""
     case = next(case for case in cases.near_dock() if case.name == "0 cm aside, 1.00 m before")
     plan = plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
     outline = case.problem.robot.footprint

@@ -1,4 +1,4 @@
-"""Contact in MuJoCo keeps the balances of mechanics, and free driving is what the kinematic plant does."""
+"""MuJoCo plant: contact satisfies the balances of mechanics, and free driving equals the kinematic plant."""
 
 import dataclasses
 import math
@@ -101,7 +101,9 @@ class TestDriving:
         ids=["straight", "arc", "turn", "back"],
     )
     def test_free_driving_is_that_of_the_kinematic_plant(self, twist):
-        """Within half a percent of the way and 1.5 % of the turn (resistance of the casters), and the servos' 10 ms."""
+        """Within half a percent of the distance and 1.5 % of the turn (resistance of the casters), and the servos' 10
+        ms.
+        """
         start, late = Pose2(-5.0, 2.0, 3.0), Actuation(linear_lag=0.1, angular_lag=0.05, latency=0.07)
         found = [
             driven(drive, drive.at_rest(start), twist, 3.0)
@@ -150,7 +152,7 @@ class TestDriving:
 class TestContact:
     @pytest.mark.parametrize(("mass", "speed", "restitution"), [(None, 0.05, 0.3), (80.0, 0.2, 0.6)])
     def test_an_impact_takes_the_momentum_and_gives_back_its_share(self, mass, speed, restitution):
-        """Momentum with that of wheels and rotors, 1.1 times the robot's; weak motors, casters without resistance."""
+        """Momentum with wheels and rotors, 1.1 times the robot's; weak motors, casters without resistance."""
         chassis = Chassis(mass=mass, restitution=restitution, wheel_torque=1e-3, caster_friction=0.0)
         drive = MujocoDrive(BOX, PLATE, chassis)
         start = drive.moving(Pose2(-0.3 * speed, 0.0, 0.0), Twist2(speed))
@@ -173,7 +175,7 @@ class TestContact:
         assert end.contact
 
     def test_a_v_centres_the_nose_and_not_the_axle(self):
-        """The wings push the nose to the apex; the tyres hold the axle, so that an error across becomes one of yaw."""
+        """The wings push the nose to the apex; the tyres hold the axle, so a lateral error becomes a yaw error."""
         drive = MujocoDrive(NOSED, WINGS)
         end = driven(drive, drive.moving(Pose2(-0.1, 0.03, 0.0), Twist2(0.1)), Twist2(0.1), 4.0)[-1]
         nose = end.pose @ Pose2(0.46, 0.0, 0.0)
@@ -182,7 +184,7 @@ class TestContact:
         assert end.pose.yaw == pytest.approx(-end.pose.y / 0.35, rel=0.1)
 
     def test_a_dock_may_stand_anywhere_and_be_entered_backward(self):
-        """The same drive seen from the dock; backward it is the mirror image."""
+        """The same motion in the frame of the dock; backward it is mirrored."""
         place, found = Pose2(2.0, -1.0, 2.0), []
         symmetric = dataclasses.replace(BOX, footprint=Footprint.rectangle(0.3, 0.3, 0.5))
         for pose, gear, direction in ((ORIGIN, 1.0, "FORWARD"), (place, 1.0, "FORWARD"), (ORIGIN, -1.0, "BACKWARD")):

@@ -16,7 +16,7 @@ from optdock.model.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.planning.pipeline import plan_dock
 from optdock.verification import certify_path
 
-BUDGET = 20.0  # [s]: about verdicts, not about time
+BUDGET = 20.0  # [s]: the test is of verdicts, not of time
 ROOT = DRAWN_MAPS.parents[1]
 
 
@@ -52,7 +52,7 @@ def test_the_set_is_what_it_promises():
 
 
 def test_our_maps_are_those_that_the_script_draws():
-    """One of them, to the cell; but for the cells whose beam another processor's sine moves over an edge."""
+    """One of the maps, except for cells at which rounding of another processor's sine moves a beam over an edge."""
     place = PLACES["corridor"]
     drawn = scanned(solid(place), place.tour, np.random.default_rng(1))
     costs = load_map(DRAWN_MAPS / "corridor.yaml").costmap.data

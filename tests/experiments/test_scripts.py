@@ -1,4 +1,4 @@
-"""Every script says what it does, and does nothing else, when it is asked for help."""
+"""Every script prints its help without running anything."""
 
 import pkgutil
 import runpy
@@ -25,7 +25,7 @@ def test_there_is_something_to_ask():
 
 @pytest.fixture
 def as_before(monkeypatch, tmp_path):
-    """An empty folder to run in; what a script changes of the process is put back."""
+    """Run in an empty folder, and restore the process state changed by a script."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
