@@ -65,7 +65,7 @@ class Start(NamedTuple):
     wheels: float
 
 
-class Drove(NamedTuple):
+class DockingRun(NamedTuple):
     """Result of one docking: largest deviation in `PLACE` and `TURN`, time relative to the plan, failure."""
 
     off: float
@@ -73,7 +73,7 @@ class Drove(NamedTuple):
     is_lost: bool
 
 
-class Watched(InlinePlanning):
+class MotionRecorder(InlinePlanning):
     """Planning that records the planned motions in order."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ def starts(count: int, direction: DockDirection, seed: int = 1) -> list[Start]:
 
 def docked(
     name: str, direction: DockDirection, start: Start, lag: float, latency: float, controller: str | Controller
-) -> Drove:
+) -> DockingRun:
     """Run one docking; the station signals contact 3 mm before the end."""
     robot, at_rest = ROBOTS[name]
     dock = Dock(GOAL, direction=direction, final_straight=0.2, footprint=PLATES[direction])
@@ -110,7 +110,7 @@ def docked(
     actuation = Actuation(linear_lag=lag, angular_lag=0.0 if steering else lag, latency=latency)
     plant = plant_of(robot, actuation, steering=steering)
     world = SimulatedRobot(plant, start.pose, GOAL, station=Station(direction))
-    planning = Watched()
+    planning = MotionRecorder()
     settings = ExecutorSettings(use_detections=False, navigate_to_staging_pose=False, time_budget=3.0)
     executor = DockingExecutor(problem, settings, controller=controller, planning=planning)
     driven: list[tuple[int, Pose2]] = []
@@ -124,11 +124,11 @@ def docked(
     ending = executor.ending
     is_lost = ending is None or "docked by" not in ending.kind.value or ending.num_retries > 0
     if not planning.motions:
-        return Drove(math.inf, math.inf, is_lost)
+        return DockingRun(math.inf, math.inf, is_lost)
     paths = [motion.trajectory.path for motion in planning.motions]
     # A motion planned while driving becomes active slightly later.
     off = max(min(off_path(path, pose) for path in paths[max(0, k - 1) : k + 1]) for k, pose in driven)
-    return Drove(off, (now.stamp - begun) / planning.motions[0].trajectory.duration, is_lost)
+    return DockingRun(off, (now.stamp - begun) / planning.motions[0].trajectory.duration, is_lost)
 
 
 @functools.lru_cache(maxsize=8)

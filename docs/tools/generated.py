@@ -55,15 +55,15 @@ def _map(package: str) -> str:
 
 def _map_row(path: Path) -> Iterator[str]:
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
-    says = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
-    if path.name == "__init__.py" and len(tree.body) <= 1 and not says:
+    description = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
+    if path.name == "__init__.py" and len(tree.body) <= 1 and not description:
         return
     where = path.as_posix()
     names = [] if path.name == "__init__.py" else public_names(tree)
     linked = (f'<a href="{link_to_source(where, name, "map.html")}">{name}</a>' for name in names)
     listed = f' <span class="names">{", ".join(linked)}</span>' if names else ""
     head = f'<dt id="{where.replace("/", "-")}"><a href="{link_to_source(where, "", "map.html")}">{where}</a></dt>'
-    yield f"{head}<dd>{_inline(says)}{listed}</dd>"
+    yield f"{head}<dd>{_inline(description)}{listed}</dd>"
 
 
 def public_names(tree: ast.Module) -> list[str]:
@@ -141,11 +141,10 @@ def _plugin(kind: str, name: str) -> str:
     from optdock.plugins.registry import INTERFACES, load_plugin
 
     cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
-    says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    description = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     where = Path(inspect.getfile(cls)).relative_to(ROOT).as_posix()
-    return (
-        f"### {name}\n\n{says} (`{where}`: `{cls.__name__}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
-    )
+    parameters = _table(rows) if rows else "It has no parameters."
+    return f"### {name}\n\n{description} (`{where}`: `{cls.__name__}`)\n\n{parameters}\n"
 
 
 def _settings(dotted: str) -> str:
@@ -213,15 +212,15 @@ def _ros_defaults(names: str) -> str:
 def _ros_table(dotted: str) -> str:
     """Return a table from a mapping of names to default and description."""
     module, _, name = dotted.partition(".")
-    rows = [_told(key, default, says) for key, (default, says) in ros_models(module)[name].items()]
+    rows = [_ros_row(key, default, description) for key, (default, description) in ros_models(module)[name].items()]
     return "| parameter | what it is | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
 
 
-def _told(key: str, default: object, says: str) -> str:
+def _ros_row(key: str, default: object, description: str) -> str:
     from optdock.config.reference import _UNIT
 
-    unit = _UNIT.search(says)
-    words = (says[: unit.start()] + says[unit.end() :]).strip(" ;") if unit else says
+    unit = _UNIT.search(description)
+    words = (description[: unit.start()] + description[unit.end() :]).strip(" ;") if unit else description
     return f"| `{key}` | {words} | {unit[1] if unit else ''} | `{json.dumps(default)}` |"
 
 
@@ -326,8 +325,8 @@ def _member(name: str, member: Any) -> str:
         if call is not getattr(member, "fget", getattr(member, "func", None))
         else name
     )
-    says = inspect.cleandoc(call.__doc__).split("\n\n")[0].replace("\n", " ")
-    return f"- `{spelled}`: {says}"
+    description = inspect.cleandoc(call.__doc__).split("\n\n")[0].replace("\n", " ")
+    return f"- `{spelled}`: {description}"
 
 
 # Commands.

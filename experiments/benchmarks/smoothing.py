@@ -93,7 +93,7 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
     smoother = create_plugin(Smoother, asked.smoother)
     feasible = [name for name in asked.families if name in FEASIBLE_FAMILIES]
     infeasible = [name for name in asked.families if name in INFEASIBLE_FAMILIES]
-    runs = solved(smoother, feasible, asked.seeds, asked.repeats, _hasty(asked))
+    runs = solved(smoother, feasible, asked.seeds, asked.repeats, _stopping_early(asked))
     if "families" in asked.sections and feasible:
         yield family_table(runs, unit)
     if "infeasible" in asked.sections and infeasible:
@@ -109,7 +109,7 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
         yield reference_table(create_plugin(Smoother, asked.smoother, {"tracking_weight": 0.0}), few, asked.reference)
 
 
-def _hasty(asked: argparse.Namespace) -> Smoother | None:
+def _stopping_early(asked: argparse.Namespace) -> Smoother | None:
     """Return the smoother with early termination at the first certified path, if supported and selected."""
     able = "stop_at_first" in load_plugin(Smoother, asked.smoother).Parameters.model_fields
     wanted = able and "families" in asked.sections

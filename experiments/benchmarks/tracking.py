@@ -144,7 +144,7 @@ class _Observed(Controller):
         self.inner.reset()
 
 
-class Driven(NamedTuple):
+class TrackedRun(NamedTuple):
     """A run, the CPU time of every call [s], and the time from which it counts."""
 
     run: Run
@@ -163,7 +163,7 @@ def controller_of(method: str, world: World, *, known: bool, **parameters: objec
     return create_plugin(Controller, method, given)
 
 
-def drive(case: Case, world: World, period: float, controller: Controller, seed: int) -> Driven:
+def drive(case: Case, world: World, period: float, controller: Controller, seed: int) -> TrackedRun:
     """Return one run."""
     controller.configure(case.context)
     observed = _Observed(controller, case.trajectory.path.end, world.jump)
@@ -178,7 +178,7 @@ def drive(case: Case, world: World, period: float, controller: Controller, seed:
     )
     checker = create_plugin(GoalChecker, "DockGoalChecker", _ACCEPTED)
     run = run_closed_loop(case.trajectory, case.robot, case.trajectory.path.end, observed, checker, settings)
-    return Driven(run, observed.cpu, max(observed.jumped_at, 0))
+    return TrackedRun(run, observed.cpu, max(observed.jumped_at, 0))
 
 
 def _off_path(trajectory: Trajectory, run: Run, first: int) -> tuple[float, float]:
@@ -197,7 +197,7 @@ def _off_path(trajectory: Trajectory, run: Run, first: int) -> tuple[float, floa
     return across, turned
 
 
-def _row(method: str, world: World, rate: int, driven: Sequence[tuple[Case, Driven]]) -> tuple[object, ...]:
+def _row(method: str, world: World, rate: int, driven: Sequence[tuple[Case, TrackedRun]]) -> tuple[object, ...]:
     period = 1.0 / rate
     final = np.abs([d.run.final_error.as_array() for _, d in driven]) * (1e3, 1e3, 180.0 / math.pi)
     off = [_off_path(case.trajectory, d.run, d.since + round(_SETTLED / period)) for case, d in driven]

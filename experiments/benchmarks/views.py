@@ -51,7 +51,7 @@ MOUNT, MARKER = (
 SAME_SIGHT = 1e-5  # [rad]: effect of rounding and of the certificate's tolerance on a bearing at these distances
 
 
-class Asked(NamedTuple):
+class ViewResult(NamedTuple):
     """One start: dock, start in its frame, results, and the duration of planning with the view [s].
 
     `free`, `seeing`: lengths of the plans without and with the view [m]; None: no plan. `shortest`: length of the
@@ -124,7 +124,7 @@ def by_stages(problem: DockingProblem) -> Iterator[Path]:
             yield Path((*there.path.segments, ClothoidSegment(line)), problem.frame)
 
 
-def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> Asked:
+def plan_start(name: str, problem: DockingProblem, degrees: float, visible: float) -> ViewResult:
     """Plan one start in all ways."""
     wanted = seeing(problem, degrees, visible)
     free, _ = planned(problem, DEFAULT_TIME_BUDGET)
@@ -139,7 +139,7 @@ def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> A
     lengths = [path.driven for path in known if sees(path, problem, degrees, visible)]
     if plan is not None and not sees(plan.path, problem, degrees, visible):
         raise AssertionError(f"{name}: certified, and the marker is out of view")
-    return Asked(
+    return ViewResult(
         name,
         side_of(problem.dock, problem.start),
         None if free is None else free.path.driven,
@@ -150,7 +150,7 @@ def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> A
     )
 
 
-def row(side: str, some: list[Asked]) -> tuple[object, ...]:
+def row(side: str, some: list[ViewResult]) -> tuple[object, ...]:
     """Return one row: results of some of the starts."""
     existing = [one for one in some if one.exists]
     hit = sum(one.seeing is not None for one in existing)
@@ -185,7 +185,8 @@ def main(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     warm_up()
     found = [
-        ask(name, problem, options.degrees, options.visible) for name, problem in starts(options.count, options.seed)
+        plan_start(name, problem, options.degrees, options.visible)
+        for name, problem in starts(options.count, options.seed)
     ]
     sides = ("before", "oblique", "beside or behind")
     table = tuple(row(side, [one for one in found if one.side == side]) for side in sides)

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before NumPy is imported
         os.environ.setdefault(name, "1")
     from experiments.calibration.robots import hidden_robot
-    from experiments.calibration.study import Judged, RobotTask, studied
+    from experiments.calibration.study import QuantityResult, RobotTask, studied
     from experiments.calibration.tables import coverage_table, paired_table, tube_table
     from experiments.docking.field.outcome import FieldOutcome
 
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr.write(f"\r{len(found)} of {len(tasks)} robots")
     judged, pairs = [one for robot in found for one in robot.judged], [one for robot in found for one in robot.pairs]
     deviations = [robot.deviations for robot in found]
-    _write(options.out / "intervals.csv", Judged._fields, judged)
+    _write(options.out / "intervals.csv", QuantityResult._fields, judged)
     rows = [(one.robot, one.run, name, *outcome) for one in pairs for name, outcome in one.outcomes]
     _write(options.out / "pairs.csv", ("robot", "run", "settings", *FieldOutcome._fields), rows)
     radius = hidden_robot(0).layout.problem.robot.footprint.circumscribed_radius

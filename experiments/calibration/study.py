@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
     from optdock.calibration import Calibration, ReadFile
 
-__all__ = ["RATE", "Judged", "Paired", "RobotTask", "Studied", "studied"]
+__all__ = ["RATE", "PairedDocking", "QuantityResult", "RobotResult", "RobotTask", "studied"]
 
 RATE = 50.0  # [Hz]
 _FRESH = 1000  # number of the first run that is not used for calibration
@@ -36,7 +36,7 @@ class RobotTask(NamedTuple):
     folder: str
 
 
-class Judged(NamedTuple):
+class QuantityResult(NamedTuple):
     """One quantity of one robot: truth, estimate, interval, and the reason of a missing interval."""
 
     robot: int
@@ -53,7 +53,7 @@ class Judged(NamedTuple):
         return self.low <= self.truth <= self.high
 
 
-class Paired(NamedTuple):
+class PairedDocking(NamedTuple):
     """A fresh docking of one robot, with the defaults and with the calibrated settings.
 
     Attributes:
@@ -76,7 +76,7 @@ class Paired(NamedTuple):
         return ("defaults", self.before), ("calibrated", self.after)
 
 
-class Studied(NamedTuple):
+class RobotResult(NamedTuple):
     """Result of one robot.
 
     Attributes:
@@ -86,22 +86,22 @@ class Studied(NamedTuple):
     """
 
     deviations: list[tuple[float, float]]
-    judged: list[Judged]
-    pairs: list[Paired]
+    judged: list[QuantityResult]
+    pairs: list[PairedDocking]
 
 
-def studied(task: RobotTask) -> Studied:
+def studied(task: RobotTask) -> RobotResult:
     """Record missing runs, calibrate, compare with the truth, and run paired dockings."""
     hidden, read = hidden_robot(task.number), [_recorded(task, run) for run in range(task.recordings)]
     deviations = [one.deviation for one in read if one.deviation is not None]
     found = calibrate([one.recording for one in read], deviations)
     known = truths(hidden, RATE)
     judged = [
-        Judged(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
+        QuantityResult(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
         for one in found.quantities
         if one.name in known
     ]
-    return Studied(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
+    return RobotResult(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
 
 
 def _recorded(task: RobotTask, run: int) -> ReadFile:
@@ -115,12 +115,12 @@ def _recorded(task: RobotTask, run: int) -> ReadFile:
     return read_recording(file)
 
 
-def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
+def _paired(task: RobotTask, run: int, found: Calibration) -> PairedDocking:
     file = Path(task.folder) / f"fresh-{task.number:03d}-{run:02d}.jsonl"
     with LogWriter(file) as log:
         before = _docked(task.number, run, None, log)
     after = _docked(task.number, run, found)
-    return Paired(task.number, run, before, after, read_recording(file).deviation)
+    return PairedDocking(task.number, run, before, after, read_recording(file).deviation)
 
 
 def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:

@@ -13,13 +13,13 @@ from optdock.reports.report import table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from experiments.calibration.study import Judged, Paired
+    from experiments.calibration.study import PairedDocking, QuantityResult
     from experiments.docking.field.outcome import FieldOutcome
 
 __all__ = ["coverage_table", "paired_table", "tube_table"]
 
 
-def coverage_table(judged: Sequence[Judged]) -> str:
+def coverage_table(judged: Sequence[QuantityResult]) -> str:
     """Return coverage and width of the intervals and errors of the estimates, per quantity."""
     names = list(dict.fromkeys(one.name for one in judged))
     rows = [("quantity", "truths inside", "cannot tell", "mean half interval", "mean error", "rms error")]
@@ -44,7 +44,7 @@ def coverage_table(judged: Sequence[Judged]) -> str:
     return table(rows)
 
 
-def paired_table(pairs: Sequence[Paired]) -> str:
+def paired_table(pairs: Sequence[PairedDocking]) -> str:
     """Return the same fresh dockings with the defaults and with the calibrated settings."""
     head = (
         "",

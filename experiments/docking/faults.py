@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from optdock.executor import Step
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FAULTS", "Told", "fault_table"]
+__all__ = ["FAULTS", "FaultOutcome", "fault_table"]
 
 COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each fault; [Hz]; [s]
 TRACK = 0.4  # [m]
@@ -57,7 +57,7 @@ LONGEST_STILL = 5.0  # [s]: longest allowed standstill in a driving state
 OVERLAP = -0.0075  # [m]: allowed overlap with the touched station: the front corners of a robot turned by 1.5 degrees
 
 
-class Told(NamedTuple):
+class FaultOutcome(NamedTuple):
     """Result of one run with a fault.
 
     Attributes:
@@ -106,26 +106,26 @@ class Run:
         self.struck = True
         return True
 
-    def nearer_than(self, distance: float) -> bool:
+    def is_within(self, distance: float) -> bool:
         """Return True the first time that the approach is within the distance."""
         approaching = self.step is not None and self.step.state is State.APPROACHING
         return self.once(when=approaching and self.to_go < distance)
 
 
-def nothing(run: Run) -> None:
+def no_fault(run: Run) -> None:
     """No fault, for comparison."""
     run.struck = True
 
 
 def lost(run: Run) -> None:
     """Lose all detections for 2 s."""
-    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+    if run.is_within(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(run.robot.time + 2.0)
 
 
 def outlier(run: Run) -> None:
     """Shift one detection by 30 cm laterally."""
-    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+    if run.is_within(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.displace_next(Pose2(0.0, 0.3, 0.1))
 
 
@@ -133,7 +133,7 @@ def jump(distance: float, off: float) -> Callable[[Run], None]:
     """Let the localization jump laterally."""
 
     def fault(run: Run) -> None:
-        if run.nearer_than(distance):
+        if run.is_within(distance):
             yaw = run.robot.state.pose.yaw
             run.robot.pose_sensor.jump(Pose2(-off * math.sin(yaw), off * math.cos(yaw), 0.0))
 
@@ -149,7 +149,7 @@ def late(run: Run) -> None:
 
 def clock_back(run: Run) -> None:
     """Set the clock back by half a second."""
-    if run.nearer_than(0.4):
+    if run.is_within(0.4):
         run.clock -= 0.5
 
 
@@ -189,23 +189,23 @@ def _grid(case: Case, box: np.ndarray | None) -> Costmap:
 
 def pose_lost(run: Run) -> None:
     """Lose the localization."""
-    if run.nearer_than(0.6):
+    if run.is_within(0.6):
         run.blind = True
 
 
-def seen_no_more(run: Run) -> None:
+def detections_lost(run: Run) -> None:
     """Lose the dock detections."""
-    if run.nearer_than(0.6) and run.robot.dock_sensor is not None:
+    if run.is_within(0.6) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(math.inf)
 
 
-def told_otherwise(
+def changed_measurements(
     distance: float, lasts: float, change: Callable[[Run], Callable[[Measurements], Measurements]]
 ) -> Callable[[Run], None]:
     """Return a fault that changes the measurements from a distance to the dock [m], for a duration [s]."""
 
     def fault(run: Run) -> None:
-        if run.nearer_than(distance):
+        if run.is_within(distance):
             run.memory["until"] = run.robot.time + lasts
             run.change = change(run)
         elif run.change is not None and run.robot.time >= run.memory["until"]:
@@ -264,7 +264,7 @@ def no_twist(_: Run) -> Callable[[Measurements], Measurements]:
     return lambda now: now._replace(twist=None)  # type: ignore[arg-type]  # as a driver that has stopped
 
 
-def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
+def odometry_restarted(run: Run) -> Callable[[Measurements], Measurements]:
     """Restart the pose of an otherwise perfect odometry at its origin."""
     begins = run.robot.time
     origin = run.robot.state.pose
@@ -279,13 +279,13 @@ def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
 
 def pushed(run: Run) -> None:
     """Push the robot 3 cm to its left."""
-    if run.nearer_than(0.4):
+    if run.is_within(0.4):
         run.robot.state = run.robot.state._replace(pose=run.robot.state.pose @ Pose2(0.0, 0.03, 0.0))
 
 
 def commands_lost(run: Run) -> None:
     """Lose all commands for 0.6 s; the base stops."""
-    if run.nearer_than(0.4):
+    if run.is_within(0.4):
         run.memory["until"] = run.robot.time + 0.6
         run.lost_commands = True
     elif run.lost_commands and run.robot.time >= run.memory["until"]:
@@ -306,12 +306,12 @@ def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Ca
 
 
 FAULTS: dict[str, Callable[[Run], None]] = {
-    "none": nothing,
+    "none": no_fault,
     "detection lost for 2 s": lost,
     "outlier of 30 cm": outlier,
     "obstacle at 0.5 m, goes after 3 s": obstacle(3.0),
     "obstacle at 0.5 m, stays": obstacle(math.inf),
-    "stuck wheel": nothing,
+    "stuck wheel": no_fault,
     "cycles late by 100 ms": late,
     "pose jumps by 3 cm, 0.6 m before the dock": jump(0.6, 0.03),
     "pose jumps by 5 cm, 0.6 m before the dock": jump(0.6, 0.05),
@@ -319,32 +319,32 @@ FAULTS: dict[str, Callable[[Run], None]] = {
     "pose jumps by 5 cm, 0.27 m before the dock": jump(0.27, 0.05),
     "clock goes back by 0.5 s": clock_back,
     "pose lost": pose_lost,
-    "dock not seen any more": seen_no_more,
-    "pose and velocity no numbers for 1 s": told_otherwise(0.5, 1.0, no_number),
-    "velocity missing for 2 s": told_otherwise(0.5, 2.0, no_twist),
-    "stamps stand still for 1 s": told_otherwise(0.5, 1.0, same_stamp),
-    "held for 3 s": told_otherwise(0.4, 3.0, held),
-    "another dock is seen for 2 s": told_otherwise(0.5, 2.0, other_dock),
-    "detections stamped 150 ms late": told_otherwise(2.0, math.inf, late_stamps),
-    "costmap lethal everywhere for 1 s": told_otherwise(0.6, math.inf, glare),
-    "switch closed 0.6 m before the dock": told_otherwise(0.6, 1.0, signal(flickers=False)),
-    "switch flickers 0.1 m before the dock": told_otherwise(0.1, math.inf, signal(flickers=True)),
-    "odometry begins anew": told_otherwise(0.6, math.inf, began_anew),
+    "dock not seen any more": detections_lost,
+    "pose and velocity no numbers for 1 s": changed_measurements(0.5, 1.0, no_number),
+    "velocity missing for 2 s": changed_measurements(0.5, 2.0, no_twist),
+    "stamps stand still for 1 s": changed_measurements(0.5, 1.0, same_stamp),
+    "held for 3 s": changed_measurements(0.4, 3.0, held),
+    "another dock is seen for 2 s": changed_measurements(0.5, 2.0, other_dock),
+    "detections stamped 150 ms late": changed_measurements(2.0, math.inf, late_stamps),
+    "costmap lethal everywhere for 1 s": changed_measurements(0.6, math.inf, glare),
+    "switch closed 0.6 m before the dock": changed_measurements(0.6, 1.0, signal(flickers=False)),
+    "switch flickers 0.1 m before the dock": changed_measurements(0.1, math.inf, signal(flickers=True)),
+    "odometry begins anew": changed_measurements(0.6, math.inf, odometry_restarted),
     "robot pushed by 3 cm": pushed,
     "commands lost for 0.6 s": commands_lost,
 }
 PROVOKED: dict[State, Callable[[Run], None]] = {
-    State.WAITING_FOR_DETECTION: seen_no_more,
+    State.WAITING_FOR_DETECTION: detections_lost,
     State.WAITING_FOR_OBSTACLE: obstacle(math.inf),
     State.WAITING_FOR_POSE: pose_lost,
-    State.HELD: told_otherwise(0.4, 3.0, held),
+    State.HELD: changed_measurements(0.4, 3.0, held),
 }
 UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached if no charging signal arrives
 CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
 FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
 
 
-def run_fault(name: str, number: int, world_name: str) -> Told:
+def run_fault(name: str, number: int, world_name: str) -> FaultOutcome:
     """Run one docking with a fault."""
     world, state = WORLDS[world_name], CANCELLED.get(name)
     case = case_of(number, SPREADS["wider"], world, seed=2)
@@ -378,7 +378,7 @@ def run_fault(name: str, number: int, world_name: str) -> Told:
         run.robot.advance(Twist2() if run.lost_commands else command, run.period)
     for _ in range(25):
         run.robot.advance(Twist2(), run.period)
-    return _told(run, name, longest)
+    return _outcome(run, name, longest)
 
 
 def _measured(run: Run) -> Measurements:
@@ -389,13 +389,13 @@ def _measured(run: Run) -> Measurements:
     return found if run.change is None else run.change(found)
 
 
-def _told(run: Run, name: str, longest: float) -> Told:
+def _outcome(run: Run, name: str, longest: float) -> FaultOutcome:
     ended, record, case = run.executor.ending, run.robot.record(), run.case
-    said = "never ended" if ended is None else ended.kind.value
+    ending = "never ended" if ended is None else ended.kind.value
     counts = run.planning.replans, 0 if ended is None else ended.num_retries, 0
     followed = [] if run.clock else run.planning.followed
     names = ("executor", "detected", name, RATE)
-    outcome = outcome_of(case, record, followed, names=names, ending=said, counts=counts, busy=0.0)
+    outcome = outcome_of(case, record, followed, names=names, ending=ending, counts=counts, busy=0.0)
     footprint = case.problem.robot.footprint
     assert case.problem.dock.footprint is not None
     station = ObstacleSet.from_footprint(case.problem.dock.footprint, case.true_dock, "dock")
@@ -405,7 +405,7 @@ def _told(run: Run, name: str, longest: float) -> Told:
         box = ObstacleSet.from_polygons([run.box])
         closest = min(closest, executed_clearance(footprint, record.poses[there], box))
     twist = run.robot.state.twist
-    return Told(
+    return FaultOutcome(
         outcome._replace(clearance=closest),
         longest,
         executed_clearance(footprint, record.poses, station),
@@ -430,7 +430,7 @@ def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
     todo = [(name, number, "detected") for name in FAULTS for number in range(count)]
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
-    by_name: dict[str, list[Told]] = {}
+    by_name: dict[str, list[FaultOutcome]] = {}
     for (name, _, _), told in zip(todo, found, strict=True):
         by_name.setdefault(name, []).append(told)
     head = [
@@ -449,7 +449,7 @@ def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
     return table([head, *(_row(name, runs) for name, runs in by_name.items())]), is_sound
 
 
-def _row(name: str, runs: list[Told]) -> list[str]:
+def _row(name: str, runs: list[FaultOutcome]) -> list[str]:
     endings = collections.Counter(told.outcome.ending for told in runs)
     exact = sum(told.outcome._replace(docked=True).succeeded for told in runs)
     return [

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.docking.outcome import Followed, Outcome, outcome_of
+from experiments.docking.outcome import FollowedPlan, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
 from experiments.graceful_law import GracefulLaw
 from optdock.errors import ControllerException
@@ -108,7 +108,7 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
             break
         now = robot.advance(command, 1.0 / rate)
         case.push(robot, world)
-    followed = [Followed(0.0, plan)] if smoothed else []
+    followed = [FollowedPlan(0.0, plan)] if smoothed else []
     return outcome_of(case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
 
@@ -116,7 +116,7 @@ def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: M
     return controller.compute_velocity_commands(pose, now.twist, checker, stamp=now.stamp)
 
 
-class Executed(NamedTuple):
+class ExecutorRun(NamedTuple):
     """Record of an executor run; `told`: how often it reported that the tube was left."""
 
     robot: SimulatedRobot
@@ -126,7 +126,7 @@ class Executed(NamedTuple):
     told: int
 
 
-def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> Executed:
+def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> ExecutorRun:
     """Dock by the executor: detections, replanning in motion, contact, retries."""
     robot, cycles, planning = case.world(world, has_switch=world.dock is not None), Cycles(), WatchedPlanning()
     executor = DockingExecutor(
@@ -146,7 +146,7 @@ def executed(case: Case, world: World, rate: float, controller: str = "TrackingC
             break
         now = robot.advance(step.command, 1.0 / rate)
         case.push(robot, world)
-    return Executed(robot, executor, planning, cycles, told)
+    return ExecutorRun(robot, executor, planning, cycles, told)
 
 
 def by_executor(

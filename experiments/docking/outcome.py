@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.simulation import Record
 
-__all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of", "worst_ratio"]
+__all__ = ["ACCEPTED", "FollowedPlan", "Outcome", "outcome_of", "worst_ratio"]
 
 # along, cross [m], yaw [rad] relative to the true dock: tolerances of success
 ACCEPTED = 0.010, 0.010, math.radians(1.5)
@@ -28,7 +28,7 @@ _MOVING = 0.02  # [m/s]: below this speed the commanded curvature is noise
 _ROUNDING = 1e-6  # relative tolerance of limits
 
 
-class Followed(NamedTuple):
+class FollowedPlan(NamedTuple):
     """A certified plan and the time from which it was followed [s]; None: no plan from then on."""
 
     since: float
@@ -98,7 +98,7 @@ class Outcome(NamedTuple):
 def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     case: Case,
     record: Record,
-    followed: Sequence[Followed],
+    followed: Sequence[FollowedPlan],
     *,
     names: tuple[str, str, str, float],
     ending: str,
@@ -170,7 +170,7 @@ def worst_ratio(commands: FloatArray, periods: FloatArray, limits: MotionLimits)
     return float(np.max(ratios[worst], initial=0.0)), worst
 
 
-def _tube(record: Record, followed: Sequence[Followed], clearances: FloatArray) -> tuple[float, float, int]:
+def _tube(record: Record, followed: Sequence[FollowedPlan], clearances: FloatArray) -> tuple[float, float, int]:
     """Return the largest shortfall within the tube, the largest displacement, and the number of exits."""
     short, displacement, left = -math.inf, 0.0, 0
     ends = [*(one.since for one in followed[1:]), math.inf]

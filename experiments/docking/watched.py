@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.docking.outcome import Followed
+from experiments.docking.outcome import FollowedPlan
 from optdock.executor.planning import InlinePlanning
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class WatchedPlanning(InlinePlanning):
 
     def __init__(self) -> None:
         super().__init__()
-        self.followed: list[Followed] = []
+        self.followed: list[FollowedPlan] = []
         self.replans = 0
         self.spent: list[float] = []
         self._job: Job | None = None
@@ -62,5 +62,5 @@ class WatchedPlanning(InlinePlanning):
             in_motion = self._job.running is not None
             self.replans += in_motion
             since = self._job.stamp + self._job.lead if in_motion else stamp
-            self.followed.append(Followed(since, result.motion.plan))
+            self.followed.append(FollowedPlan(since, result.motion.plan))
         return result

@@ -132,13 +132,13 @@ def _give_up(_signal: int, _frame: FrameType | None) -> NoReturn:
 def judge_once(case: Case, plant: str | None = None) -> Verdict:
     """Return the verdict on a case, for any behaviour of the library; with a plant, only faults caused by it count."""
     with planted(plant):
-        verdict = _judged(case)
-    if plant is not None and verdict.is_fault and _judged(case).is_fault:
+        verdict = _verdict(case)
+    if plant is not None and verdict.is_fault and _verdict(case).is_fault:
         return Verdict("fails without the plant too")
     return verdict
 
 
-def _judged(case: Case) -> Verdict:
+def _verdict(case: Case) -> Verdict:
     try:
         signal.alarm(_HANG)
         return KINDS[case["kind"]].judge(case)

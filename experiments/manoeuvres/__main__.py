@@ -84,11 +84,11 @@ def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
 
 def measured(options: argparse.Namespace, cases: Sequence[Case], budget: float | None) -> list[Record]:
     """Return all records; print progress on stderr."""
-    from experiments.manoeuvres.run import ask_all
+    from experiments.manoeuvres.run import run_cases
 
     records = []
     figures = options.out / "figures" if options.figures else None
-    for record in ask_all(cases, budget, figures, options.jobs):
+    for record in run_cases(cases, budget, figures, options.jobs):
         records.append(record)
         if len(records) % 50 == 0:
             print(f"{len(records)} of {len(cases)}: {record.family}", file=sys.stderr, flush=True)

@@ -20,7 +20,7 @@ from experiments.fuzz.doors import law_spec, path_spec, problem_spec
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, start_run
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.oracle.world import placed
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) 
         "start_speed": abs(spec["start_speed"]),
         "wheels": "unknown" if spec.get("start_curvature") is None else "known",
     }
-    verdict = judged(timed, motion)
+    verdict = judge_timing(timed, motion)
     values = {**verdict.ratios, **verdict.structure}
     yield from (f"{name}, {values[name]:.6g} x" for name in verdict.broken)
     samples = plan.trajectory.sample(PERIOD)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from experiments.manoeuvres.cases import Case, Truth
     from optdock.planning.plan import DockPlan
 
-__all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "ask_all", "csv_text", "versions"]
+__all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "csv_text", "run_case", "run_cases", "versions"]
 
 # Budgets [s] of wall clock, fixed before any run: acceptable waiting times of each family. Nothing else is set: every
 # case is `plan_dock(problem, time_budget=...)` with its defaults.
@@ -88,22 +88,22 @@ class Record(NamedTuple):
     cause: str = ""
 
 
-def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
+def run_case(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
     """Plan a case with `budget` [s], by default that of its family; check the result and draw it."""
     budget = BUDGETS[case.family] if budget is None else budget
-    return _held_against(_asked(case, budget, figure), case.truth)
+    return _compared_with_truth(_unchecked(case, budget, figure), case.truth)
 
 
-def _held_against(record: Record, truth: Truth | None) -> Record:
+def _compared_with_truth(record: Record, truth: Truth | None) -> Record:
     """Report a plan for a blocked scene, or an impossibility proof for an open scene, as a fault."""
     denied = IMPOSSIBLE if truth is not None and truth.missing < 0.0 else CERTIFIED
     if truth is None or record.outcome != denied:
         return record
-    told = f"{record.outcome}, but {1e3 * truth.missing:g} mm are missing"
-    return record._replace(faults="; ".join(filter(None, (record.faults, told))))
+    contradiction = f"{record.outcome}, but {1e3 * truth.missing:g} mm are missing"
+    return record._replace(faults="; ".join(filter(None, (record.faults, contradiction))))
 
 
-def _asked(case: Case, budget: float, figure: Path | None) -> Record:
+def _unchecked(case: Case, budget: float, figure: Path | None) -> Record:
     timer = Timer()
     try:
         plan = plan_dock(case.problem, time_budget=budget)
@@ -161,10 +161,10 @@ def _refused(record: Record, case: Case, error: Exception, figure: Path | None) 
     reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
     record = record._replace(error=reason, tried=_tried(left))
     proof = getattr(error, "proof", None)
-    return record if proof is None else _judged(record, case, proof)
+    return record if proof is None else _proof_checked(record, case, proof)
 
 
-def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
+def _proof_checked(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
     """Compare a proof with the truth, and check it with the independent checker."""
     from optdock.impossibility import check_impossibility
 
@@ -220,7 +220,7 @@ def _draw(
     )
 
 
-def ask_all(
+def run_cases(
     cases: Sequence[Case], budget: float | None = None, figures: Path | None = None, jobs: int = 1
 ) -> Iterator[Record]:
     """Yield every record, in order, from `jobs` single-thread processes (times are comparable only with one)."""
@@ -231,18 +231,18 @@ def ask_all(
         for number, task in enumerate(tasks):
             if number % 20 == 0:
                 gc.collect()
-            yield ask(*task)
+            yield run_case(*task)
         return
     with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_prepare) as pool:
-        yield from pool.map(_ask_one, tasks, chunksize=4)
+        yield from pool.map(_run_task, tasks, chunksize=4)
 
 
 def _prepare() -> None:
     warm_up()
 
 
-def _ask_one(task: tuple[Case, float | None, Path | None]) -> Record:
-    return ask(*task)
+def _run_task(task: tuple[Case, float | None, Path | None]) -> Record:
+    return run_case(*task)
 
 
 def _file_name(case: Case) -> str:

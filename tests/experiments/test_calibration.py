@@ -7,7 +7,7 @@ import pytest
 
 from experiments.calibration import truths as module
 from experiments.calibration.robots import hidden_robot, set_down
-from experiments.calibration.study import Judged
+from experiments.calibration.study import QuantityResult
 from experiments.calibration.tables import coverage_table, tube_table
 from experiments.calibration.truths import truths
 from optdock.calibration import calibrate
@@ -62,9 +62,9 @@ def test_every_truth_is_one_of_a_quantity():
 
 def test_the_tables_count():
     rows = [
-        Judged(0, "a", 1.0, 1.1, 0.9, 1.3, ""),
-        Judged(1, "a", 1.0, 1.4, 1.2, 1.6, ""),
-        Judged(2, "a", 1.0, np.nan, np.nan, np.nan, "never turned"),
+        QuantityResult(0, "a", 1.0, 1.1, 0.9, 1.3, ""),
+        QuantityResult(1, "a", 1.0, 1.4, 1.2, 1.6, ""),
+        QuantityResult(2, "a", 1.0, np.nan, np.nan, np.nan, "never turned"),
     ]
     text = coverage_table(rows)
     assert "1/2" in text

@@ -9,7 +9,7 @@ from experiments.docking import outcome, tables
 from experiments.docking.cases import SPREADS
 from experiments.docking.faults import run_fault
 from experiments.docking.methods import executed
-from experiments.docking.outcome import Followed
+from experiments.docking.outcome import FollowedPlan
 from experiments.docking.run import Task, driven
 from experiments.docking.worlds import WORLDS, case_of
 from optdock.verification import pose_clearances
@@ -49,7 +49,7 @@ def test_an_obstacle_nearer_than_proven_is_seen_within_the_tube_only():
     assert displacement < 1e-3
     short, _, _ = outcome._tube(record, run.planning.followed, np.full(clearances.shape, 0.03))
     assert short == pytest.approx(0.02, abs=1e-3)
-    elsewhere = [Followed(since, plan) for since, plan in run.planning.followed]
+    elsewhere = [FollowedPlan(since, plan) for since, plan in run.planning.followed]
     aside = record.poses + np.array([0.0, 0.0, 0.2])
     beside = type(record)(**{**vars(record), "poses": aside})
     short, displacement, left = outcome._tube(beside, elsewhere, np.full(clearances.shape, 0.03))

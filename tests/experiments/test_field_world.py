@@ -23,14 +23,14 @@ from experiments.docking.field.drive import SUBSTEP, Drive, DriveState
 from experiments.docking.field.localization import Localization, LocalizationState
 from experiments.docking.field.nav2 import VelocitySmoother
 from experiments.docking.field.odometry import Odometry, OdometryState
-from experiments.docking.field.outcome import Steered
+from experiments.docking.field.outcome import SteeringResult
 from experiments.docking.field.picture import draw_run
 from experiments.docking.field.run import driven_in_field, field_tasks
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
 from experiments.docking.field.tables import field_table
 from experiments.docking.field.task import FieldTask
 from experiments.docking.field.undocking import (
-    asked_in_contact,
+    commanded_in_contact,
     turned_in_contact,
     undocked_in_field,
     undocking_table,
@@ -570,8 +570,10 @@ def test_a_turn_in_contact_is_told_apart_from_what_was_asked_for():
     assert turned_in_contact(rows) == pytest.approx(0.049)
     stamps = np.array([0.0, 0.5, 1.5])
     commands = np.array([[-0.1, 0.02], [-0.1, -0.06], [-0.1, 9.0]])
-    by = Steered("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, commands, stamps)
-    assert asked_in_contact(rows, by) == pytest.approx(0.06 * 0.55 - 0.02 * 0.5)  # out of contact at 0.105 m, 1.05 s
+    by = SteeringResult("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, commands, stamps)
+    assert commanded_in_contact(rows, by) == pytest.approx(
+        0.06 * 0.55 - 0.02 * 0.5
+    )  # out of contact at 0.105 m, 1.05 s
 
 
 def test_a_belief_recovers_when_it_is_near_the_truth_again():

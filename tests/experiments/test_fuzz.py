@@ -19,7 +19,7 @@ from experiments.fuzz.minimise import minimised
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, sweep
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.oracle.views import views
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.planted import PLANTS
@@ -208,7 +208,7 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
         "zone": [0.2, 0.5],
         "start_speed": 0.4,
     }  # fmt: skip
-    found = judged(case, motion_of(path))
+    found = judge_timing(case, motion_of(path))
     assert found.ratios["speed"] == pytest.approx(2.0)
     assert found.ratios["yaw_rate"] == pytest.approx(1.2)
     assert found.ratios["lateral_acceleration"] == pytest.approx(0.48)
@@ -252,7 +252,7 @@ def test_the_oracle_sees_wheels_turn_fastest_where_the_path_is_straight():
         "zone": [None, 0.0],
         "start_speed": 0.1,
     }
-    assert judged(case, motion_of(case["path"])).ratios["steering_rate"] == pytest.approx(2.0 * 200.0 * 0.1)
+    assert judge_timing(case, motion_of(case["path"])).ratios["steering_rate"] == pytest.approx(2.0 * 200.0 * 0.1)
 
 
 def test_tightened_limits_are_seen_to_bind_and_a_mistaken_quantity_is_found():

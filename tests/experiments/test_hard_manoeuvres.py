@@ -9,7 +9,7 @@ import pytest
 
 from experiments.manoeuvres import cases, hard_cases, run
 from experiments.manoeuvres.cases import RULE, Truth
-from experiments.manoeuvres.run import CERTIFIED, IMPOSSIBLE, ask
+from experiments.manoeuvres.run import CERTIFIED, IMPOSSIBLE, run_case
 from optdock.errors import GoalOccupied
 from optdock.geometry.pose import Pose2
 from optdock.verification import pose_clearances
@@ -162,12 +162,12 @@ def test_a_proof_that_an_open_scene_has_no_way_is_a_fault(monkeypatch):
 
     monkeypatch.setattr(run, "plan_dock", refuse)
     for truth, fault in ((Truth(-0.002), "impossible (proven), but -2 mm are missing"), (Truth(0.02), "")):
-        record = ask(cases.near_dock()[0]._replace(truth=truth))
+        record = run_case(cases.near_dock()[0]._replace(truth=truth))
         assert (record.outcome, record.faults) == (IMPOSSIBLE, fault)
 
 
 def test_a_plan_through_a_blocked_scene_is_a_fault():
     case = next(case for case in cases.near_dock() if case.name == "0 cm aside, 1.00 m before")
     for truth, fault in ((Truth(0.02), "certified, but 20 mm are missing"), (Truth(-0.02), "")):
-        record = ask(case._replace(truth=truth))
+        record = run_case(case._replace(truth=truth))
         assert (record.outcome, record.faults) == (CERTIFIED, fault)

@@ -10,7 +10,7 @@ import shapely
 from experiments.manoeuvres import cases
 from experiments.manoeuvres.__main__ import FAMILIES, families, main
 from experiments.manoeuvres.check import checked
-from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text
+from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, csv_text, run_case
 from experiments.manoeuvres.tables import budget_table, grid_table, proof_table, summary
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
@@ -222,7 +222,7 @@ def test_feasibility_near_the_dock_is_a_line_of_letters():
 
 def test_a_refusal_is_recorded_with_its_reason():
     case = next(case for case in cases.blocked(1) if case.tag == "bay, 30 cm missing")
-    found = ask(case)
+    found = run_case(case)
     assert found.outcome == IMPOSSIBLE
     assert found.error.startswith("GoalOccupied: ")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.docking.field.belief import Belief
 from experiments.docking.field.nav2 import by_nav2
-from experiments.docking.field.outcome import Steered
+from experiments.docking.field.outcome import SteeringResult
 from experiments.docking.watched import Cycles, WatchedPlanning
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.pose import Twist2
@@ -20,7 +20,7 @@ from optdock.geometry.pose import Twist2
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
     from experiments.docking.field.world import FieldRobot
-    from experiments.docking.outcome import Followed
+    from experiments.docking.outcome import FollowedPlan
     from optdock.executor.log import LogWriter
     from optdock.plugins.registry import PluginChoice
 
@@ -40,7 +40,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     controller: str | PluginChoice | None = None,
     settings: ExecutorSettings | None = None,
     log: LogWriter | None = None,
-) -> Steered:
+) -> SteeringResult:
     """Dock or undock by the executor.
 
     Args:
@@ -88,7 +88,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     name, reason = ("never ended", "") if ending is None else (ending.kind.value, ending.reason)
     if raised is not None:
         name, reason = f"raised {type(raised).__name__}", str(raised)
-    return Steered(
+    return SteeringResult(
         name,
         reason,
         raised is None and ending is not None and ending.kind.succeeded,
@@ -104,7 +104,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     )
 
 
-def _planned(layout: Layout, followed: list[Followed]) -> float:
+def _planned(layout: Layout, followed: list[FollowedPlan]) -> float:
     """Return the planning time of the first plan into the dock, plus that of a preceding plan to the staging pose."""
     total, staged = 0.0, False
     for _, plan in followed:
@@ -117,7 +117,7 @@ def _planned(layout: Layout, followed: list[Followed]) -> float:
     return math.nan
 
 
-FIELD_METHODS: dict[str, tuple[Callable[[Layout, FieldRobot, float], Steered], str]] = {
+FIELD_METHODS: dict[str, tuple[Callable[[Layout, FieldRobot, float], SteeringResult], str]] = {
     "executor": (by_executor, "wider"),
     "executor with the MPC": (partial(by_executor, controller="MpcController"), "wider"),
     "Nav2's law": (by_nav2, "nav2"),

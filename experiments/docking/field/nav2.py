@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.docking.field.outcome import Steered
+from experiments.docking.field.outcome import SteeringResult
 from experiments.graceful_law import GracefulLaw
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.dock import DockDirection
@@ -103,13 +103,13 @@ class _Server:
         robot = now.odometry.pose if now.odometry is not None else now.pose
         if robot is not None:
             self._dock.update(now.stamp if now.odometry is None else now.odometry.stamp, robot, now.detections)
-        self.ending = self._judged(now, robot)
+        self.ending = self._ending(now, robot)
         dock = self._dock.pose
         if self.ending is not None or robot is None or dock is None:
             return Twist2()
         return LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
 
-    def _judged(self, now: Measurements, robot: Pose2 | None) -> str | None:
+    def _ending(self, now: Measurements, robot: Pose2 | None) -> str | None:
         """Return the ending; None while docking continues."""
         dock = self._dock.pose
         if now.contact:
@@ -132,7 +132,7 @@ class _Server:
         return since is not None and now.stamp - max(since, self._dock.found_at) > PATIENCE
 
 
-def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
+def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> SteeringResult:
     """Drive a robot into its dock."""
     server, smoother = _Server(layout), VelocitySmoother()
     stamps: list[float] = []
@@ -153,7 +153,7 @@ def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
         robot.measure()
     ending = server.ending or ""
     unknown = math.nan  # it reports neither plans nor estimates
-    return Steered(
+    return SteeringResult(
         ending, "", ending == DOCKED, ended, unknown, 0, unknown, unknown, unknown, unknown, np.array(commands),
         np.array(stamps),
     )  # fmt: skip

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FieldOutcome", "Steered", "clearances", "field_outcome"]
+__all__ = ["FieldOutcome", "SteeringResult", "clearances", "field_outcome"]
 
 _EVERY = 4  # sub-steps between two poses with evaluated clearance: 20 ms, 5 mm at full speed
 _DEEP = 0.0075  # [m] of the corners beyond the station's face: travel of its contacts, and 0.6 degrees
 
 
-class Steered(NamedTuple):
+class SteeringResult(NamedTuple):
     """Result as reported by the steering method.
 
     Attributes:
@@ -131,7 +131,7 @@ class FieldOutcome(NamedTuple):
         return self.clearance < 0.0 or self.station < -_DEEP
 
 
-def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steered) -> FieldOutcome:
+def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: SteeringResult) -> FieldOutcome:
     """Return the outcome of a run.
 
     Args:

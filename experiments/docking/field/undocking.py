@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from experiments.docking.cases import Layout
-    from experiments.docking.field.outcome import Steered
+    from experiments.docking.field.outcome import SteeringResult
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Undocking", "asked_in_contact", "turned_in_contact", "undocked_in_field", "undocking_table"]
+__all__ = ["Undocking", "commanded_in_contact", "turned_in_contact", "undocked_in_field", "undocking_table"]
 
 DOCKED_WITHIN = 0.0025, 0.003, math.radians(0.4)  # initial error of a docked robot: along, across [m] and in yaw
 CONTACT = 0.1  # [m]: distance out of the dock over which the robot must drive straight
@@ -74,7 +74,7 @@ def undocked_in_field(task: FieldTask) -> Undocking:
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
     clearance, _ = clearances(layout, robot)
     rows = robot.record()
-    turned, asked = turned_in_contact(rows), asked_in_contact(rows, by)
+    turned, asked = turned_in_contact(rows), commanded_in_contact(rows, by)
     return Undocking(
         task.world, task.rate, task.seed, by.ending, by.reason, by.docked, robot.drive.at_rest, turned, asked,
         clearance, by.ended, over, limit,
@@ -105,7 +105,7 @@ def turned_in_contact(rows: FloatArray) -> float:
     return float(np.max(np.abs(rows[: _out_of_contact(rows), 3] - rows[0, 3])))
 
 
-def asked_in_contact(rows: FloatArray, by: Steered) -> float:
+def commanded_in_contact(rows: FloatArray, by: SteeringResult) -> float:
     """Return the largest rotation that the commands imply within the contact distance [rad]."""
     until = rows[min(_out_of_contact(rows), len(rows) - 1), 0]
     given = by.stamps < until

@@ -11,7 +11,7 @@ import numpy as np
 from experiments.fuzz.generators.routes import clothoid_route, route, with_turns
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,10 +150,12 @@ def _aim(rng: Rng, case: Case) -> None:
     unit = dict.fromkeys((f"max_{name}" for name in (*_PLAIN, *_CURVED)), 1.0)
     case["limits"] = {**unit, "max_reverse_speed": 1.0, "track_width": track}
     motion = motion_of(case["path"])
-    seen = judged(case, motion).ratios
+    seen = judge_timing(case, motion).ratios
     if turns:  # limits of turns are scaled to 1
         seen |= {
-            name: value for name, value in judged({**case, "limits": unit}, motion).ratios.items() if "turn_" in name
+            name: value
+            for name, value in judge_timing({**case, "limits": unit}, motion).ratios.items()
+            if "turn_" in name
         }
     sharp = set(rng.choice([*_PLAIN, *_CURVED], size=int(rng.integers(0, 3)), replace=False).tolist())
     limits: Case = {"track_width": track}
@@ -184,7 +186,7 @@ def _add_zone(rng: Rng, case: Case) -> None:
     motion = motion_of(case["path"])
     distance = float(motion.length * rng.uniform(0.02, 1.1))
     free = {**case, "limits": {**case["limits"], "max_speed": 1e12, "max_reverse_speed": 1e12}, "zone": [1.0, distance]}
-    top = judged(free, motion).ratios["speed"]
+    top = judge_timing(free, motion).ratios["speed"]
     if math.isfinite(top) and top > 1e-9:
         case["zone"] = [top * (_border(rng) if rng.uniform() < 0.5 else 1.02), distance]
 
@@ -210,7 +212,7 @@ def _steer(rng: Rng, case: Case) -> None:
     limits = case["limits"]
     limits["wheelbase"] = log_uniform(rng, 0.05, 4.0)
     motion, law = motion_of(case["path"]), case["law"]
-    rates = [judged({**case, "limits": {**limits, "max_steering_rate": 1.0}}, motion).ratios["steering_rate"]]
+    rates = [judge_timing({**case, "limits": {**limits, "max_steering_rate": 1.0}}, motion).ratios["steering_rate"]]
     rests = [h for h, j in zip(law["durations"], law["jerks"], strict=True) if j == 0.0]
     for before, after in itertools.pairwise(motion.segments):
         ends = (before.gear * motion.k1[before.stop - 1], after.gear * motion.k0[after.first])

@@ -18,7 +18,7 @@ from experiments.fuzz.generators.routes import clothoid_route
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.kinds import trajectories
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import LIMITED, judged
+from experiments.fuzz.oracle.timing import LIMITED, judge_timing
 from optdock.errors import OptdockError
 from optdock.model.limits import MotionLimits
 from optdock.planning.pipeline import plan_dock, warm_up
@@ -80,7 +80,7 @@ def judge(case: Case) -> Verdict:
         return Verdict("no motion: not of clothoids")
     law = law_spec(motion.time_law)
     wide = {f"max_{name}": _SEEN for name in (*LIMITED, "reverse_speed")}
-    seen = judged({**case, "zone": _NO_ZONE, "law": law, "limits": {**case["limits"], **wide}}, route).ratios
+    seen = judge_timing({**case, "zone": _NO_ZONE, "law": law, "limits": {**case["limits"], **wide}}, route).ratios
     outcome = Verdict("certified")
     for name in LIMITED:
         top = seen[name] * _SEEN

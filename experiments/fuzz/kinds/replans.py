@@ -20,7 +20,7 @@ from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
 from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
-from experiments.fuzz.oracle.timing import judged, state_at
+from experiments.fuzz.oracle.timing import judge_timing, state_at
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
@@ -508,7 +508,7 @@ def _limits(this: _Now, what: str, now: float) -> Verdict | None:
         "start_acceleration": state.a,
     }
     path = cut(this.scene["path"], state.s)
-    found = judged(
+    found = judge_timing(
         {**this.world, "path": path, "law": rest, "start_speed": None, "start_acceleration": None}, motion_of(path)
     ).ratios
     worst = max(found, key=lambda name: found[name])

@@ -8,7 +8,7 @@ from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import law_of, path_of, zone_of
 from experiments.fuzz.generators.motions import motion_problem
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
 from optdock.model.limits import MotionLimits
@@ -56,7 +56,7 @@ def judge(case: Case) -> Verdict:
 def refuted(case: Case, certificate: TrajectoryCertificate) -> Verdict | None:
     """Return evidence that a certificate is false, or claims too small ratios."""
     motion = motion_of(case["path"])
-    found = judged(case, motion)
+    found = judge_timing(case, motion)
     if found.broken:
         worst = found.broken[0]
         ratio = found.ratios.get(worst, found.structure.get(worst, 0.0))
@@ -75,7 +75,7 @@ def _wrongly_refused(case: Case, certificate: TrajectoryCertificate) -> Verdict 
     if sum(case["law"]["durations"]) > _LONG:
         return None
     motion = motion_of(case["path"])
-    found = judged(case, motion)
+    found = judge_timing(case, motion)
     exact = all(one.exact or one.in_place for one in motion.segments)
     drives_only = not any(one.in_place for one in motion.segments)
     for violation in certificate.violations:

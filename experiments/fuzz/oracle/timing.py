@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["LIMITED", "Judgement", "State", "judged", "state_at", "turn_limits"]
+__all__ = ["LIMITED", "Judgement", "State", "judge_timing", "state_at", "turn_limits"]
 
 LIMITED = (
     *("speed", "acceleration", "deceleration", "jerk", "yaw_rate", "lateral_acceleration", "yaw_acceleration"),
@@ -100,7 +100,7 @@ class _Instants(NamedTuple):
     share: Floats
 
 
-def judged(case: Case, motion: Motion) -> Judgement:
+def judge_timing(case: Case, motion: Motion) -> Judgement:
     """Check the motion against the limits, the zone and the rules of `case`.
 
     Args:
