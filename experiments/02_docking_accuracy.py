@@ -11,13 +11,12 @@ with lag, latency and measurement noise. Starts without a plan count as failures
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.graceful_law import GracefulLaw, egocentric
+from experiments.graceful_law import NAV2_LAW, egocentric, random_starts
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -42,8 +41,7 @@ from optdock.simulation import (
 
 OUT = Path("results") / Path(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
-STAGING, SPREAD, TURN = 0.7, 0.25, 0.25  # [m], [m], [rad]: default tolerances of Nav2's SimpleGoalChecker
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # defaults of the docking server
+STAGING = 0.7  # [m]
 PROJECTION, ACCEPTED = 0.25, 0.05  # [m]
 LIMITS = MotionLimits(
     max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
@@ -68,15 +66,6 @@ class Ending(NamedTuple):
     duration: float
 
 
-def starts(count: int) -> list[Pose2]:
-    """Return poses uniform in a disc around the staging pose, with headings uniform around the heading of the dock."""
-    random = np.random.default_rng(1)
-    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
-    turn = random.uniform(-TURN, TURN, count)
-    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
-    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
-
-
 def by_law(start: Pose2, world: SimulationSettings) -> Ending:
     """Run the loop of the docking server: the law towards the projected dock until within 5 cm of the dock."""
     sensors = Sensors(PoseSensor(world.position_noise, world.yaw_noise))
@@ -87,8 +76,8 @@ def by_law(start: Pose2, world: SimulationSettings) -> Ending:
         assert measured is not None
         if measured.distance_to(GOAL) < ACCEPTED:
             break
-        curvatures.append(abs(LAW.curvature(egocentric(target, measured))))
-        robot.advance(LAW.command(target, measured), world.period)
+        curvatures.append(abs(NAV2_LAW.curvature(egocentric(target, measured))))
+        robot.advance(NAV2_LAW.command(target, measured), world.period)
     return Ending(abs(robot.error.y), abs(robot.error.yaw), max(curvatures), robot.time)
 
 
@@ -126,7 +115,7 @@ def main() -> None:
     """Run all dockings; print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=100, help="number of starts (default: %(default)s)")
-    poses = starts(parser.parse_args().starts)
+    poses = random_starts(parser.parse_args().starts, STAGING)
     rows = []
     for name, world in WORLDS.items():
         rows.append(row(name, "graceful law", [by_law(pose, world) for pose in poses]))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.graceful_law import GracefulLaw
+from experiments.graceful_law import NAV2_LAW, random_starts
 from experiments.mujoco import MujocoDrive, VShape, flat_station
 from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
@@ -48,8 +48,7 @@ from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath,
 
 OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
-STAGING, SPREAD, TURN = 0.85, 0.25, 0.25  # [m], [m], [rad]
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # defaults of the docking server
+STAGING = 0.85  # [m]
 PROJECTION = 0.25  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
 TIME_BUDGET = 5.0  # [s] of wall clock, for loaded machines; all but one plan need less than 0.3 s
@@ -94,15 +93,6 @@ def stations() -> dict[str, tuple[Robot, Dock]]:
     }
 
 
-def starts(count: int) -> list[Pose2]:
-    """Return poses uniform in a disc around the staging pose, with headings uniform around the heading of the dock."""
-    random = np.random.default_rng(1)
-    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
-    turn = random.uniform(-TURN, TURN, count)
-    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
-    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
-
-
 class Docking(NamedTuple):
     """Result of one docking.
 
@@ -127,7 +117,7 @@ Steering = Callable[[Measurements], "Twist2 | None"]  # None: finished, stand st
 def by_law(_problem: DockingProblem) -> Steering:
     """Steer by the law of the docking server towards the projected dock."""
     target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
-    return until_contact(lambda measured: LAW.command(target, measured.pose or GOAL))
+    return until_contact(lambda measured: NAV2_LAW.command(target, measured.pose or GOAL))
 
 
 def by_raw_path(problem: DockingProblem) -> Steering:
@@ -320,7 +310,7 @@ def main() -> None:
     """Run all dockings; print and write the table, draw the picture and the animations."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=100, help="number of starts (default: %(default)s)")
-    poses = starts(parser.parse_args().starts)
+    poses = random_starts(parser.parse_args().starts, STAGING)
     try:
         drives = {
             (station, world): MujocoDrive(robot, place, actuation=parts.actuation)

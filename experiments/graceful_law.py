@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from optdock.geometry.pose import Twist2, normalize_angle
+import numpy as np
+
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.path import Direction
 
-if TYPE_CHECKING:
-    from optdock.geometry.pose import Pose2
-
-__all__ = ["EgocentricPose", "GracefulLaw", "egocentric"]
+__all__ = ["NAV2_LAW", "EgocentricPose", "GracefulLaw", "egocentric", "random_starts"]
 
 _ARRIVED = 1e-9  # [m]: the line of sight to a target at a smaller distance has no defined direction
 
@@ -89,3 +88,21 @@ class GracefulLaw:
         if curvature != 0.0:
             speed = angular / curvature
         return Twist2(direction * speed, angular)
+
+
+NAV2_LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)
+"""The law with the default parameters of Nav2's docking server."""
+
+_SPREAD, _TURN = 0.25, 0.25  # [m], [rad]: default tolerances of Nav2's SimpleGoalChecker
+
+
+def random_starts(count: int, staging: float) -> list[Pose2]:
+    """Return poses uniform in a disc around the staging pose, `staging` [m] before the dock at the origin.
+
+    The headings are uniform around the heading of the dock; the same count gives the same poses.
+    """
+    random = np.random.default_rng(1)
+    radius, angle = _SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
+    turn = random.uniform(-_TURN, _TURN, count)
+    columns = (radius * np.cos(angle) - staging, radius * np.sin(angle), turn)
+    return [Pose2(*row) for row in np.column_stack(columns).tolist()]

@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def best_ms(work: Callable[[], object], repeats: int = 7) -> float:
+_REPEATS = 7
+
+
+def best_ms(work: Callable[[], object]) -> float:
     """Return the smallest CPU time of several runs [ms]."""
     times = []
-    for _ in range(repeats):
+    for _ in range(_REPEATS):
         start = time.process_time()
         work()
         times.append(time.process_time() - start)

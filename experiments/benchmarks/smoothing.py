@@ -12,7 +12,6 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 from experiments.benchmarks.smoothing_calls import Call, judged
-from experiments.benchmarks.smoothing_reference import reference_table
 from experiments.benchmarks.smoothing_tables import (
     Run,
     baseline_table,
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-# Few obstacles, so that one program of ipopt takes about a second.
-REFERENCE_FAMILIES = ("open_s", "alcove", "u_dock", "reverse_cusp", "pillar", "parallel", "collision", "narrow_gap")
 SECTIONS = ("families", "infeasible", "warm", "budgets", "baselines")
 
 
@@ -63,7 +60,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=3, help="number of calls per instance; the fastest counts")
     parser.add_argument("--calls", type=int, default=2000, help="number of calls with a time budget, over all budgets")
     parser.add_argument("--budgets", type=_milliseconds, default=[5.0, 10.0, 20.0, 50.0], help="budgets [ms]")
-    parser.add_argument("--reference", type=int, default=0, metavar="SEEDS", help="also compare costs with ipopt's")
     parser.add_argument("--smoother", default="CasadiSmoother", help="plugin to measure")
     parser.add_argument("--out", type=FilePath, default=None, help="JSON file to write")
     return parser
@@ -104,9 +100,6 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
         yield budget_table(smoother, runs, [1e-3 * budget for budget in asked.budgets], asked.calls)
     if "baselines" in asked.sections and feasible:
         yield baseline_table(_baselines(asked.smoother, runs, feasible, asked), unit)
-    if asked.reference > 0:
-        few = [name for name in feasible if name in REFERENCE_FAMILIES]
-        yield reference_table(create_plugin(Smoother, asked.smoother, {"tracking_weight": 0.0}), few, asked.reference)
 
 
 def _stopping_early(asked: argparse.Namespace) -> Smoother | None:

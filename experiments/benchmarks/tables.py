@@ -79,10 +79,10 @@ class Timer:
         return time.process_time() - self._cpu
 
 
-def yardstick(repeats: int = 15) -> float:
-    """Return the CPU seconds of `fixed_work`; the median of `repeats`."""
+def yardstick() -> float:
+    """Return the CPU seconds of `fixed_work`; the median of 15 runs."""
     seconds = []
-    for _ in range(repeats):
+    for _ in range(15):
         timer = Timer()
         fixed_work()
         seconds.append(timer.cpu)

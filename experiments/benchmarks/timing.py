@@ -105,12 +105,12 @@ def clean(item: Run) -> bool:
     return worst_quotient(item.case, trajectory) <= _KEPT and bool(end < 1e-9)
 
 
-def recompute(names: Iterable[str] = _SUITES) -> None:
+def recompute() -> None:
     """Compute and store A and B of some suites, B from two initial iterates."""
     from experiments.benchmarks.timing_reference import acceleration_bound
 
     found: dict[str, dict[str, float]] = json.loads(_REFERENCES.read_text()) if _REFERENCES.exists() else {}
-    for i, case in enumerate(case for name in names for case in suite(name)):
+    for i, case in enumerate(case for name in _SUITES for case in suite(name)):
         guesses = [run(method, case, 1).result.trajectory for method in (NearOptimal(), Windowed())]
         optima = [_optimum(case, guess, 300) for guess in guesses if guess is not None]
         row = {"A": acceleration_bound(case), "B": min(optima, default=np.inf)}

@@ -425,9 +425,9 @@ def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
     return SimulatedRobot(plant, start, case.true_dock, sensors, case.obstacles(), station=station, seed=case.seed)
 
 
-def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
+def fault_table(jobs: int) -> tuple[str, bool]:
     """Return the table and whether all runs are safe: no collision, no unnamed standstill, every robot at rest."""
-    todo = [(name, number, "detected") for name in FAULTS for number in range(count)]
+    todo = [(name, number, "detected") for name in FAULTS for number in range(COUNT)]
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
     by_name: dict[str, list[FaultOutcome]] = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from experiments.docking.outcome import FollowedPlan, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
-from experiments.graceful_law import GracefulLaw
+from experiments.graceful_law import NAV2_LAW
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "executed"]
 
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # defaults of the docking server
 PROJECTION = 0.25  # [m]: distance of Nav2's target behind the dock
 FILTER = 0.1  # Nav2's filter_coef of detected poses
 STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: stall that counts as contact
@@ -49,7 +48,7 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
         for seen in now.detections:
             goal = _filtered(goal, now.pose @ seen.pose)
         target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
-        now = robot.advance(cycles.timed(partial(LAW.command, target, now.pose, gear)), 1.0 / rate)
+        now = robot.advance(cycles.timed(partial(NAV2_LAW.command, target, now.pose, gear)), 1.0 / rate)
         case.push(robot, world)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
     ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"

@@ -160,13 +160,13 @@ def reverse(*pieces: tuple[Piece, ...]) -> Gear:
     return Gear(Direction.REVERSE, tuple(piece for group in pieces for piece in group))
 
 
-def swept_area(robot: Robot, motion: Path, margin: float = _CLEAR_OF_MOTION) -> object:
-    """Return the swept area of a motion, grown by `margin` [m], as a shapely geometry prepared for queries."""
+def swept_area(robot: Robot, motion: Path) -> object:
+    """Return the swept area of a motion, grown by 8 cm, as a shapely geometry prepared for queries."""
     import shapely
 
     poses = motion.sample(0.02).poses
     outlines = shapely.polygons(transform_points(poses, robot.footprint.vertices))
-    area = shapely.union_all(shapely.buffer(outlines, margin, quad_segs=4))
+    area = shapely.union_all(shapely.buffer(outlines, _CLEAR_OF_MOTION, quad_segs=4))
     shapely.prepare(area)
     return area
 

@@ -16,16 +16,18 @@ __all__ = ["minimised"]
 _MOST_TURNS = 400
 
 
-def minimised(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict], seconds: float = 5.0) -> Case:
+_SECONDS = 5.0  # time limit
+
+
+def minimised(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict]) -> Case:
     """Return the smallest case found that fails in the same way.
 
     Args:
         case: A failing case.
         wanted: Verdict of the failure.
         judge: Judges a case; an exception counts as another failure.
-        seconds: Time limit.
     """
-    deadline, best, progress = time.monotonic() + seconds, case, True
+    deadline, best, progress = time.monotonic() + _SECONDS, case, True
     for _ in range(_MOST_TURNS):
         if not progress:
             break

@@ -4,6 +4,7 @@ import importlib
 
 import pytest
 
+from experiments.graceful_law import random_starts
 from experiments.mujoco import MujocoDrive
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
@@ -39,7 +40,7 @@ def test_no_start_ends_farther_aside_than_the_documentation_says_of_all(station)
     robot, place = experiment.stations()[station]
     world, method, seed = experiment.WORLDS[experiment.NOISY], "executor", 6
     drive = MujocoDrive(robot, place, actuation=world.actuation)
-    problem = DockingProblem(experiment.starts(100)[seed], place, robot)
+    problem = DockingProblem(random_starts(100, experiment.STAGING)[seed], place, robot)
     ending, _ = experiment.dock(drive, problem, world, method, seed)
     _, _, largest = documented("across, mm")[station, experiment.NOISY, method]
     assert ending.fault == ""

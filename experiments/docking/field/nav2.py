@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.docking.field.outcome import SteeringResult
-from experiments.graceful_law import GracefulLaw
+from experiments.graceful_law import NAV2_LAW
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["VelocitySmoother", "by_nav2"]
 
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # defaults of the docking server
 PROJECTION = 0.25  # [m]: distance of the target behind the dock
 FILTER, FORGOTTEN = 0.1, 1.0  # filter_coef, and external_detection_timeout [s], after which the filter is reset
 PERCEPTION = 5.0  # [s]: initial_perception_timeout
@@ -107,7 +106,7 @@ class _Server:
         dock = self._dock.pose
         if self.ending is not None or robot is None or dock is None:
             return Twist2()
-        return LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
+        return NAV2_LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
 
     def _ending(self, now: Measurements, robot: Pose2 | None) -> str | None:
         """Return the ending; None while docking continues."""
