@@ -283,14 +283,14 @@ def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem
     moved = tube.cross + math.sqrt(2.0 - 2.0 * math.cos(tube.yaw)) * float(np.hypot(*corners.T).max())
     has = max(start_clearance, 0.0)
     enough = has if run == 0.0 else max(0.5 * has, has - 0.005)
-    asked, ends = [enough + 0.5 * np.clip(from_start - run, 0.0, None)], [(from_goal, rule.at_dock)]
+    terms, ends = [enough + 0.5 * np.clip(from_start - run, 0.0, None)], [(from_goal, rule.at_dock)]
     if run > 0.0 and rule.at_start is not None:
         ends.append((from_start, rule.at_start))
     for distance, least in ends:
         beyond = np.maximum(distance - rule.dock_run, 0.0)
         grown = np.clip(beyond / rule.taper, 0.0, 1.0) if rule.taper > 0.0 else (beyond > 0.0).astype(np.float64)
-        asked.append(least + (rule.required + moved - least) * grown)
-    required: FloatArray = np.min(asked, axis=0)
+        terms.append(least + (rule.required + moved - least) * grown)
+    required: FloatArray = np.min(terms, axis=0)
     return required
 
 

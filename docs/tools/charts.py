@@ -65,8 +65,8 @@ def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
         axes.plot([p50], [y], "o", color=COLOURS["path"], markersize=5, zorder=3)
         axes.plot([most], [y], "|", color=COLOURS["limit"], markersize=7, markeredgewidth=1.5, zorder=3)
         force = row["peak force, N"].split("/")[1].strip()
-        said = f"{row['docked']} docked, {force} N at p95"
-        axes.annotate(said, (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
+        label = f"{row['docked']} docked, {force} N at p95"
+        axes.annotate(label, (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
     axes.set_yticks(range(len(rows)), [row["method"] for row in reversed(rows)])
     axes.set_ylim(-0.6, len(rows) - 0.4)
     axes.set_xlim(0.0, None)

@@ -241,9 +241,9 @@ def _draw_marker(axes: Axes, marker: Any) -> None:
         (marker.color.r, marker.color.g, marker.color.b, marker.color.a)
     ]
     if len(ends):
-        said = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
+        label = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
         width = 80.0 * marker.scale.x  # [pt], in the scale of the picture
-        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=said))
+        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=label))
     if marker.text:
         place = marker.pose.position
         axes.annotate(marker.text, (place.x, place.y), (-6.0, -46.0), color=inks[0], ha="right", **_BESIDE)

@@ -94,7 +94,7 @@ def _scenario(prefix: str) -> str:
 
 
 def _table(rows: Sequence[KeyReference]) -> str:
-    head = "| key | what it is | type and rule | unit | absent means |\n|---|---|---|---|---|\n"
+    head = "| key | description | type and rule | unit | if absent |\n|---|---|---|---|---|\n"
     return head + "\n".join(map(_row, rows))
 
 
@@ -213,7 +213,7 @@ def _ros_table(dotted: str) -> str:
     """Return a table from a mapping of names to default and description."""
     module, _, name = dotted.partition(".")
     rows = [_ros_row(key, default, description) for key, (default, description) in ros_models(module)[name].items()]
-    return "| parameter | what it is | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
+    return "| parameter | description | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
 
 
 def _ros_row(key: str, default: object, description: str) -> str:

@@ -145,23 +145,23 @@ def compared(table: Measured, printed: str) -> list[str]:
     if len(now) != len(table.rows):
         return [f"{len(table.rows) - 1} rows, printed are {len(now) - 1}"]
     return [
-        f"row {i}, {name}: {said!r}, printed is {found!r}"
+        f"row {i}, {name}: {documented!r}, printed: {found!r}"
         for i, (row, other) in enumerate(zip(table.rows[1:], now[1:], strict=True), start=1)
-        for name, said, found in zip(table.rows[0], row, other, strict=True)
-        if not are_alike(said, found, _OF_TIME if _TIME.search(name) else _WITHIN)
+        for name, documented, found in zip(table.rows[0], row, other, strict=True)
+        if not are_alike(documented, found, _OF_TIME if _TIME.search(name) else _WITHIN)
     ]
 
 
-def are_alike(said: str, found: str, within: float) -> bool:
+def are_alike(documented: str, found: str, within: float) -> bool:
     """Return whether two texts are equal except for their numbers, and these agree within a relative tolerance.
 
     A difference of one unit in the last printed place is always accepted.
     """
-    if _NUMBER.sub("#", said).split() != _NUMBER.sub("#", found).split():
+    if _NUMBER.sub("#", documented).split() != _NUMBER.sub("#", found).split():
         return False
     return all(
         math.isclose(_value(a), _value(b), rel_tol=within, abs_tol=1.01 * _unit(a))
-        for a, b in zip(_NUMBER.findall(said), _NUMBER.findall(found), strict=True)
+        for a, b in zip(_NUMBER.findall(documented), _NUMBER.findall(found), strict=True)
     )
 
 

@@ -49,7 +49,7 @@ pre {{ counter-reset: line; font: 13px/1.45 ui-monospace, "DejaVu Sans Mono", mo
 pre span::before {{ counter-increment: line; content: counter(line); display: inline-block; width: 3.2em;
   padding-right: 1em; text-align: right; color: GrayText; }}
 pre span:target {{ background: color-mix(in srgb, Highlight 25%, transparent); }}
-</style></head><body><p><a href="{back}">{says}</a></p><h1>{path}</h1>
+</style></head><body><p><a href="{back}">{label}</a></p><h1>{path}</h1>
 <pre>{lines}</pre></body></html>
 """
 
@@ -125,6 +125,6 @@ def _source_page(path: str) -> str:
     lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
     shown = "\n".join(f'<span id="L{i}">{html.escape(line, quote=False)}</span>' for i, line in enumerate(lines, 1))
     page = f"source/{path}.html"
-    says = "in the map of the code" if _is_in_map(path) else "the documentation"
+    label = "in the map of the code" if _is_in_map(path) else "the documentation"
     back = link_to_map(path, page) if _is_in_map(path) else _relative("index.html", page)
-    return _PAGE.format(path=path, back=back, says=says, lines=shown)
+    return _PAGE.format(path=path, back=back, label=label, lines=shown)

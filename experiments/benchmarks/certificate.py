@@ -37,8 +37,8 @@ def main(arguments: Sequence[str]) -> None:
     """Certify smoothed paths of every family, and of the real maps if available."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks certificate", description=__doc__)
     parser.add_argument("--seeds", type=int, default=10, help="number of instances per family")
-    asked = parser.parse_args(list(arguments))
-    cases = [*_random_cases(asked.seeds), *_map_cases()]
+    options = parser.parse_args(list(arguments))
+    cases = [*_random_cases(options.seeds), *_map_cases()]
     groups = {case.group: [one for one in cases if one.group == case.group] for case in cases}
     header = ("paths of", "count", "obstacles, most", "path m, longest", "ms p50", "ms worst", "units p50")
     unit = yardstick()

@@ -67,21 +67,21 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument(
         "--among-walls", action="store_true", help="only rooms with walls, every call with a new footprint"
     )
-    asked = parser.parse_args(list(arguments))
-    if asked.cpu_clock:
+    options = parser.parse_args(list(arguments))
+    if options.cpu_clock:
         count_cpu()
-    recorded = () if asked.among_walls else (*_problems(asked.seeds),)
+    recorded = () if options.among_walls else (*_problems(options.seeds),)
     warm_up()
     header = ("budget ms", "calls", "certified", "timed out", "refused")
     header = (*header, "late ms p50", "p99", "p99.9", "worst", "late cpu ms worst", "over 3 ms")
     header = (*header, "host ms p99", "p99.9", "worst")
-    with _busy(asked.busy):
+    with _busy(options.busy):
         unit, rows = yardstick(), []
-        for k, budget in enumerate(asked.budgets):
-            fresh = map(among_walls, itertools.count(k * asked.calls))
-            rows.append(_row(itertools.cycle(recorded) if recorded else fresh, budget, asked.calls, unit))
+        for k, budget in enumerate(options.budgets):
+            fresh = map(among_walls, itertools.count(k * options.calls))
+            rows.append(_row(itertools.cycle(recorded) if recorded else fresh, budget, options.calls, unit))
     note = (
-        f"{len(recorded) or asked.calls} problems in turn, {asked.busy} busy processes on {os.cpu_count()} cores. "
+        f"{len(recorded) or options.calls} problems in turn, {options.busy} busy processes on {os.cpu_count()} cores. "
         f"late: elapsed minus budget, negative when early. host: after every call plain work of as much CPU time, "
         f"the yardstick's {1e3 * unit:.2f} ms as often as fits, and how much longer than its median it takes."
     )

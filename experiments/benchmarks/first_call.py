@@ -35,10 +35,10 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks first_call", description=__doc__)
     parser.add_argument("--processes", type=int, default=5, help="number of processes per family")
     parser.add_argument("--families", default=",".join(_FAMILIES), help="comma-separated names")
-    asked = parser.parse_args(list(arguments))
+    options = parser.parse_args(list(arguments))
     header = ("family", "processes", "first ms p50", "first ms worst", "later ms p50")
-    rows = tuple(_row(family, asked.processes) for family in asked.families.split(","))
-    note = "wall clock, after the imports and without `warm_up`; a later call of the same process beside"
+    rows = tuple(_row(family, options.processes) for family in options.families.split(","))
+    note = "wall clock, after the imports and without `warm_up`; for comparison a later call of the same process"
     print(Table("First call in a fresh process", header, rows, note))
 
 

@@ -24,9 +24,9 @@ def main(arguments: Sequence[str]) -> None:
     """Print the gap of every family over `--seeds` instances each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=2, help="number of instances per family")
-    asked = parser.parse_args(list(arguments))
-    rows = tuple(_row(family, asked.seeds) for family in FEASIBLE_FAMILIES)
-    note = "cost over ipopt's minus 1, in per cent, where both end with a certified path"
+    options = parser.parse_args(list(arguments))
+    rows = tuple(_row(family, options.seeds) for family in FEASIBLE_FAMILIES)
+    note = "cost over ipopt's minus 1, in per cent, for instances that both solve with a certified path"
     print(Table("Cost against ipopt on the same model", ("family", "both", "of", "median %", "worst %"), rows, note))
 
 

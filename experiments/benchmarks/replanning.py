@@ -80,11 +80,11 @@ def main(arguments: Sequence[str]) -> None:
     )
     parser.add_argument("--seeds", type=int, default=10, help="number of plans per family")
     parser.add_argument("--repeats", type=int, default=1, help="repetitions of each call; the fastest counts")
-    asked = parser.parse_args(list(arguments))
+    options = parser.parse_args(list(arguments))
     warm_up()
-    plans = [plan for family in _FAMILIES for seed in range(asked.seeds) for plan in _plans(family, seed)]
-    print(_replan_table(plans, asked.repeats))
-    print(_holds_table(plans, asked.repeats))
+    plans = [plan for family in _FAMILIES for seed in range(options.seeds) for plan in _plans(family, seed)]
+    print(_replan_table(plans, options.repeats))
+    print(_holds_table(plans, options.repeats))
 
 
 def _plans(family: str, seed: int) -> Iterator[DockPlan]:

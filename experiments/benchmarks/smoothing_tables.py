@@ -194,9 +194,9 @@ def budget_table(smoother: Smoother, runs: Sequence[Run], budgets: Sequence[floa
     feasible = [run for run in runs if run.is_certified]
     rows = [_budget_row(smoother, feasible, budget, max(1, calls // len(budgets))) for budget in budgets]
     note = (
-        "late: elapsed minus budget, negative when early; wall clock, so that other processes count; CPU time beside. "
-        "Instances: those that converge to a certified path without a limit, in turn. host: between the calls the "
-        "yardstick's work runs as often, and takes so much longer than its median: what the machine alone makes late."
+        "late: elapsed minus budget, negative when early; by wall clock (with other processes) and CPU time. "
+        "Instances: those that converge to a certified path without a limit, in turn. host: excess of the yardstick, "
+        "run between the calls, over its median: lateness caused by the machine alone."
     )
     return Table("Hard time budgets", header, tuple(rows) if feasible else (), note)
 
@@ -238,7 +238,7 @@ def baseline_table(runs_of: Mapping[str, Sequence[Run]], unit: float) -> Table:
     )
     rows = [_baseline_row(name, runs, unit) for name, runs in runs_of.items()]
     note = (
-        "the feasible families asked for; counts of paths by the dense check. collide: overlap; too close: less than "
+        "selected feasible families; counts of paths by the dense check. collide: overlap; too close: less than "
         "the required clearance"
     )
     return Table("Smoothers compared on the same raw paths", header, tuple(rows), note)

@@ -304,19 +304,19 @@ def main(arguments: Sequence[str]) -> None:
     )
     parser.add_argument("--worlds", default="", help="comma-separated parts of world names; default: all")
     parser.add_argument("--tune", type=int, default=0, help="search the weights of the MPC with this number of samples")
-    asked = parser.parse_args(list(arguments))
-    if asked.tune:
-        tune(asked.tune, list(cases(asked.starts))[:-2])
+    options = parser.parse_args(list(arguments))
+    if options.tune:
+        tune(options.tune, list(cases(options.starts))[:-2])
         return
-    drives = list(cases(asked.starts))
-    chosen = [w for w in worlds() if any(part in w.name for part in asked.worlds.split(","))]
+    drives = list(cases(options.starts))
+    chosen = [w for w in worlds() if any(part in w.name for part in options.worlds.split(","))]
     for title, group in (
         ("Dockings", [case for case in drives if case.robot is _DOCKING]),
         ("S-curves", [case for case in drives if case.robot is _FASTER]),
     ):
         rows = []
         for world in chosen:
-            for rate in map(int, asked.rates.split(",")):
+            for rate in map(int, options.rates.split(",")):
                 for method in ("TrackingController", "MpcController"):
                     found = [
                         (
@@ -325,7 +325,7 @@ def main(arguments: Sequence[str]) -> None:
                                 case,
                                 world,
                                 1.0 / rate,
-                                controller_of(method, world, known=not asked.identified),
+                                controller_of(method, world, known=not options.identified),
                                 k,
                             ),
                         )

@@ -22,25 +22,25 @@ __all__ = ["coverage_table", "paired_table", "tube_table"]
 def coverage_table(judged: Sequence[QuantityResult]) -> str:
     """Return coverage and width of the intervals and errors of the estimates, per quantity."""
     names = list(dict.fromkeys(one.name for one in judged))
-    rows = [("quantity", "truths inside", "cannot tell", "mean half interval", "mean error", "rms error")]
-    told = [one for one in judged if not one.reason]
+    rows = [("quantity", "truths inside", "no estimate", "mean half interval", "mean error", "rms error")]
+    estimated = [one for one in judged if not one.reason]
     for name in names:
-        mine = [one for one in told if one.name == name]
-        silent = sum(one.name == name for one in judged) - len(mine)
-        errors = np.array([one.value - one.truth for one in mine] or [np.nan])
-        half = np.mean([0.5 * (one.high - one.low) for one in mine] or [np.nan])
+        of_name = [one for one in estimated if one.name == name]
+        missing = sum(one.name == name for one in judged) - len(of_name)
+        errors = np.array([one.value - one.truth for one in of_name] or [np.nan])
+        half = np.mean([0.5 * (one.high - one.low) for one in of_name] or [np.nan])
         rows.append(
             (
                 name,
-                f"{sum(one.inside for one in mine)}/{len(mine)}",
-                str(silent),
+                f"{sum(one.inside for one in of_name)}/{len(of_name)}",
+                str(missing),
                 f"{half:.4f}",
                 f"{np.mean(errors):+.4f}",
                 f"{np.sqrt(np.mean(errors**2)):.4f}",
             )
         )
-    inside = sum(one.inside for one in told)
-    rows.append(("all", f"{inside}/{len(told)} = {100.0 * inside / max(len(told), 1):.1f} %", "", "", "", ""))
+    inside = sum(one.inside for one in estimated)
+    rows.append(("all", f"{inside}/{len(estimated)} = {100.0 * inside / max(len(estimated), 1):.1f} %", "", "", "", ""))
     return table(rows)
 
 
@@ -99,7 +99,7 @@ def tube_table(
     """
     every, half = ([one for robot in part for one in robot] for part in (deviations, deviations[::2]))
     others = [one for robot in deviations[1::2] for one in robot]
-    rows = [("asked for", "tube, cross", "tube, yaw", "fresh dockings inside", "those of robots never seen")]
+    rows = [("coverage", "tube, cross", "tube, yaw", "fresh dockings inside", "dockings of other robots inside")]
     for coverage in (0.8, 0.9, 0.95, 0.99):
         tube = conformal_tube(every, radius, coverage).tube
         width = ("-", "-") if tube is None else (f"{tube.cross:.4f} m", f"{tube.yaw:.4f} rad")
@@ -121,7 +121,7 @@ def _inside(
         return "-"
     tube = conformal_tube(shown, radius, coverage).tube
     if tube is None:
-        return f"cannot be told of {len(shown)} dockings"
+        return f"{len(shown)} dockings are too few"
     width = float(displacement(tube.cross, tube.yaw, radius)) * (1.0 + 1e-9)
     inside = sum(float(displacement(cross, yaw, radius)) <= width for cross, yaw in fresh)
     return f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"

@@ -431,37 +431,37 @@ def fault_table(jobs: int) -> tuple[str, bool]:
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
     by_name: dict[str, list[FaultOutcome]] = {}
-    for (name, _, _), told in zip(todo, found, strict=True):
-        by_name.setdefault(name, []).append(told)
+    for (name, _, _), run in zip(todo, found, strict=True):
+        by_name.setdefault(name, []).append(run)
     head = [
         "fault", "came", "ends", "within 10 mm, 1.5 degrees", "retries", "closest, mm", "into station, mm",
         "still, s", "longest, s",
         "over limit", "at rest",
     ]  # fmt: skip
     is_sound = all(
-        told.outcome.clearance >= 0.0
-        and told.station >= OVERLAP
-        and told.standing <= LONGEST_STILL
-        and told.at_rest
-        and told.outcome.ending != "never ended"
-        for told in found
+        run.outcome.clearance >= 0.0
+        and run.station >= OVERLAP
+        and run.standing <= LONGEST_STILL
+        and run.at_rest
+        and run.outcome.ending != "never ended"
+        for run in found
     )
     return table([head, *(_row(name, runs) for name, runs in by_name.items())]), is_sound
 
 
 def _row(name: str, runs: list[FaultOutcome]) -> list[str]:
-    endings = collections.Counter(told.outcome.ending for told in runs)
-    exact = sum(told.outcome._replace(docked=True).succeeded for told in runs)
+    endings = collections.Counter(run.outcome.ending for run in runs)
+    exact = sum(run.outcome._replace(docked=True).succeeded for run in runs)
     return [
         name,
-        f"{sum(told.struck for told in runs)}/{len(runs)}",
+        f"{sum(run.struck for run in runs)}/{len(runs)}",
         ", ".join(f"{count} {ending}" for ending, count in endings.most_common()),
         f"{exact}",
-        f"{max(told.outcome.retries for told in runs)}",
-        f"{1e3 * min(told.outcome.clearance for told in runs):.0f}",
-        f"{-1e3 * min(0.0, *(told.station for told in runs)):.1f}",
-        f"{max(told.standing for told in runs):.1f}",
-        f"{max(told.outcome.duration for told in runs):.0f}",
-        f"{max(told.outcome.over for told in runs):.3f}",
-        "all" if all(told.at_rest for told in runs) else f"{sum(not told.at_rest for told in runs)} not",
+        f"{max(run.outcome.retries for run in runs)}",
+        f"{1e3 * min(run.outcome.clearance for run in runs):.0f}",
+        f"{-1e3 * min(0.0, *(run.station for run in runs)):.1f}",
+        f"{max(run.standing for run in runs):.1f}",
+        f"{max(run.outcome.duration for run in runs):.0f}",
+        f"{max(run.outcome.over for run in runs):.3f}",
+        "all" if all(run.at_rest for run in runs) else f"{sum(not run.at_rest for run in runs)} not",
     ]

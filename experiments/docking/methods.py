@@ -51,7 +51,7 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
         now = robot.advance(cycles.timed(partial(NAV2_LAW.command, target, now.pose, gear)), 1.0 / rate)
         case.push(robot, world)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
-    ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"
+    ending = "" if now.contact else "stalled without contact" if standing >= PATIENCE else "timeout"
     names = ("graceful law", world.name, spread, rate)
     return outcome_of(case, robot.record(), [], names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
@@ -116,13 +116,13 @@ def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: M
 
 
 class ExecutorRun(NamedTuple):
-    """Record of an executor run; `told`: how often it reported that the tube was left."""
+    """Record of an executor run; `reported`: how often it reported that the tube was left."""
 
     robot: SimulatedRobot
     executor: DockingExecutor
     planning: WatchedPlanning
     cycles: Cycles
-    told: int
+    reported: int
 
 
 def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> ExecutorRun:
@@ -135,17 +135,17 @@ def executed(case: Case, world: World, rate: float, controller: str = "TrackingC
         goal_checker=PluginChoice("DockGoalChecker", CHECKER),
         planning=planning,
     )
-    now, told = robot.measurements, 0
+    now, reported = robot.measurements, 0
     while robot.time < 5.0 * TIMEOUT:
         planned_before, began = sum(planning.spent), time.thread_time()
         step = executor.step(now)
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
-        told += sum(event.name == "tube left" for event in step.events)
+        reported += sum(event.name == "tube left" for event in step.events)
         if step.ending is not None and step.command == Twist2():
             break
         now = robot.advance(step.command, 1.0 / rate)
         case.push(robot, world)
-    return ExecutorRun(robot, executor, planning, cycles, told)
+    return ExecutorRun(robot, executor, planning, cycles, reported)
 
 
 def by_executor(
@@ -161,7 +161,7 @@ def by_executor(
         run.planning.followed,
         names=(name, world.name, spread, rate),
         ending=ending,
-        counts=(run.planning.replans, 0 if ended is None else ended.num_retries, run.told),
+        counts=(run.planning.replans, 0 if ended is None else ended.num_retries, run.reported),
         busy=run.cycles.busy,
     )
 

@@ -60,7 +60,7 @@ class Outcome(NamedTuple):
         short: Largest shortfall of the clearance of a pose within the tube from the proven clearance [m]; <= 0: none.
         displacement: Largest displacement of a footprint point from the followed path [m].
         left: Number of times that the true robot left the tube.
-        told: Number of times that the method reported leaving the tube.
+        reported: Number of times that the method reported leaving the tube.
         busy: 99th percentile of the CPU time of a control cycle without planning [s].
     """
 
@@ -85,7 +85,7 @@ class Outcome(NamedTuple):
     short: float
     displacement: float
     left: int
-    told: int
+    reported: int
     busy: float
 
     @property
@@ -123,7 +123,7 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     over, limit = worst_ratio(given, h, case.problem.robot.limits)
     clearances, _ = pose_clearances(record.poses, case.problem.robot.footprint, case.problem.obstacles, within=1.0)
     short, displacement, left = _tube(record, followed, clearances)
-    replans, retries, told = counts
+    replans, retries, reported = counts
     return Outcome(
         *names,
         case.seed,
@@ -141,7 +141,7 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
         short,
         displacement,
         left,
-        told,
+        reported,
         busy,
     )
 
@@ -185,8 +185,8 @@ def _tube(record: Record, followed: Sequence[FollowedPlan], clearances: FloatArr
         at = plan.path.poses_at(found.s)
         from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
         start = end_clearances(problem).start
-        asked = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
-        short = max(short, float(np.max((asked - clearances[rows])[inside], initial=-math.inf)))
+        required = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
+        short = max(short, float(np.max((required - clearances[rows])[inside], initial=-math.inf)))
         displacement = max(displacement, float(found.displacement.max()))
         left += int(np.count_nonzero(np.diff(np.concatenate(([True], inside)).astype(int)) < 0))
     return short, displacement, left

@@ -54,7 +54,7 @@ def _row(key: tuple[str, float, str], found: list[Outcome]) -> list[str]:
         _spread((1e3 * one.displacement for one in followed), 1) if followed else "-",
         f"{1e3 * min(one.clearance for one in found):.0f}",
         f"{wrong}" if followed else "-",
-        f"{sum(one.left for one in followed)} / {sum(one.told for one in followed)}" if followed else "-",
+        f"{sum(one.left for one in followed)} / {sum(one.reported for one in followed)}" if followed else "-",
         f"{1e3 * max(one.busy for one in found):.2f}",
     ]
 

@@ -234,7 +234,7 @@ class _Listener:
 
     def __init__(self, campaign: Campaign, reports: multiprocessing.Queue[object], stop: Event) -> None:
         self.campaign, self.reports, self.stop = campaign, reports, stop
-        self.tally, self.began, self.told = Tally(), time.monotonic(), 0.0
+        self.tally, self.began, self.reported = Tally(), time.monotonic(), 0.0
         self.begun: set[tuple[str, int]] = set()
 
     @property
@@ -263,6 +263,6 @@ class _Listener:
                 self.stop.set()
         elif isinstance(message, tuple):
             self.begun.add(message)
-        if self.elapsed - self.told > _REPORT:
-            self.told = self.elapsed
+        if self.elapsed - self.reported > _REPORT:
+            self.reported = self.elapsed
             print(f"[{self.elapsed:7.1f} s] " + "; ".join(self.tally.lines()), flush=True)

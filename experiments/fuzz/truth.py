@@ -20,8 +20,8 @@ _EVIDENCE: dict[str, Callable[[object], bool]] = {
     "unproven": lambda left: isinstance(left, dict) or len(left) == 0,  # type: ignore[arg-type]
     "certified": bool,
     "holds": bool,
-    "proven": lambda said: said is not False,  # elsewhere a bound in metres
-    "refuted": lambda said: not said,
+    "proven": lambda content: content is not False,  # elsewhere a bound in metres
+    "refuted": lambda content: not content,
     "outcome": lambda outcome: outcome.value != "failed",  # type: ignore[attr-defined]
     "status": lambda status: int(status) == 0,  # type: ignore[call-overload]
 }
@@ -33,7 +33,7 @@ def says_yes(verdict: object) -> bool:
     Raises:
         UntruthfulError: If it contradicts the evidence or a flag.
     """
-    said = {name: means(getattr(verdict, name)) for name, means in _EVIDENCE.items() if hasattr(verdict, name)}
-    if not said or bool(verdict) != all(said.values()):
-        raise UntruthfulError(f"{type(verdict).__name__}: counts as {bool(verdict)}, says {said}")
+    content = {name: means(getattr(verdict, name)) for name, means in _EVIDENCE.items() if hasattr(verdict, name)}
+    if not content or bool(verdict) != all(content.values()):
+        raise UntruthfulError(f"{type(verdict).__name__}: counts as {bool(verdict)}; content: {content}")
     return bool(verdict)

@@ -67,8 +67,8 @@ def summary(records: Sequence[Record]) -> Table:
         if tags != [family]:
             rows += [_row(f"  {tag}", [one for one in members if one.tag == tag]) for tag in tags]
     note = (
-        "CPU of whole calls, whatever their end; first: wall clock until the first certified plan; s, m: duration and "
-        "length of the plans; refuted: certified plans in which the independent check saw a fault"
+        "CPU of whole calls with any result; first: wall clock until the first certified plan; s, m: duration and "
+        "length of the plans; refuted: certified plans with a fault found by the independent check"
     )
     return Table("Manoeuvres", header, tuple(rows), note)
 
@@ -94,12 +94,13 @@ def _row(name: str, records: Sequence[Record]) -> tuple[object, ...]:
 
 def refusal_table(records: Sequence[Record]) -> Table:
     """Return the refusals by family, with the numbers removed from the messages."""
-    told = Counter((one.family, _NUMBERS.sub("#", one.error)[:110]) for one in records if one.error)
+    refusals = Counter((one.family, _NUMBERS.sub("#", one.error)[:110]) for one in records if one.error)
     stages = Counter((one.family, f"certified: {one.stage}") for one in records if one.outcome == CERTIFIED)
     rows = [
-        (family, text, n) for (family, text), n in sorted((told + stages).items(), key=lambda kv: (kv[0][0], -kv[1]))
+        (family, text, n)
+        for (family, text), n in sorted((refusals + stages).items(), key=lambda kv: (kv[0][0], -kv[1]))
     ]
-    return Table("How calls end", ("family", "what was said", "n"), tuple(rows))
+    return Table("How calls end", ("family", "message", "n"), tuple(rows))
 
 
 def reference_table(records: Sequence[Record]) -> Table:
@@ -179,7 +180,7 @@ def budget_table(by_budget: Mapping[float, Sequence[Record]]) -> Table:
             )
         )
         before = records
-    note = "price: duration and what the search asks for a cusp; late: elapsed less budget, negative when early"
+    note = "price: duration plus a penalty per cusp; late: elapsed less budget, negative when early"
     return Table("Budgets", header, tuple(rows), note)
 
 

@@ -141,9 +141,13 @@ class _Camera:
 
 def _canvas(width: int, height: int) -> Any:  # noqa: ANN401 - one of three classes of MuJoCo's
     """Return an OpenGL context of the first available kind, or of the kind in `MUJOCO_GL`."""
-    asked = os.environ.get("MUJOCO_GL", "").lower()
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
     kinds = (
-        (asked,) if asked in ("egl", "osmesa", "glfw") else ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
+        (chosen,)
+        if chosen in ("egl", "osmesa", "glfw")
+        else ("egl", "osmesa")
+        if sys.platform == "linux"
+        else ("glfw",)
     )
     reasons = []
     for kind in kinds:

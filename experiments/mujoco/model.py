@@ -168,9 +168,7 @@ def _write_casters(model: _Model, robot: Robot, chassis: Chassis) -> None:
     ends = robot.footprint.vertices[:, 0]
     front, rear = float(ends.max()) - _CASTER, float(ends.min()) + _CASTER
     if front < _CASTER or rear > -_CASTER:
-        raise InvalidValue(
-            "mujoco: the robot's outline must reach 6 cm before and behind its axle, where casters stand"
-        )
+        raise InvalidValue("mujoco: the robot's outline must extend 6 cm before and behind its axle, to the casters")
     weight = _GRAVITY * chassis.mass_of(robot)
     ahead = float(shapely.Polygon(robot.footprint.vertices).centroid.x)
     loads = {"front": weight * (ahead - _CASTER_SHARE * rear) / (front - rear)}

@@ -176,7 +176,7 @@ class MujocoDrive:
         Raises:
             InvalidValue: Always.
         """
-        raise InvalidValue("mujoco: the physics has a station of its own; give the world none")
+        raise InvalidValue("mujoco: the physics contains the station; the world must have none")
 
     def show(self, state: PlantState) -> None:
         """Set `data` to a state, for inspection or rendering."""

@@ -43,6 +43,6 @@ def test_every_name_of_the_front_door_is_used_somewhere(name):
     assert re.search(rf"\b{name}\b", RUN)
 
 
-def test_a_name_that_nobody_runs_is_noticed():
+def test_unused_name_is_found():
     assert len(PLUGINS) >= 17
     assert not re.search(r"\bGracefulController\b", RUN)

@@ -24,7 +24,7 @@ def with_drive(hidden, **changes):
     return hidden._replace(world=dataclasses.replace(hidden.world, **changes))
 
 
-def test_a_robot_is_the_same_in_all_of_its_runs_but_for_start_and_noise():
+def test_only_start_and_noise_differ_between_runs():
     hidden = hidden_robot(3)
     (first, robot), (second, other) = (set_down(hidden, run) for run in (0, 1))
     assert robot.drive.radii == other.drive.radii == hidden.radii
@@ -35,7 +35,7 @@ def test_a_robot_is_the_same_in_all_of_its_runs_but_for_start_and_noise():
     assert hidden_robot(4).radii != hidden.radii
 
 
-def test_commands_that_are_all_late_by_the_same_are_late_by_that():
+def test_mean_latency_of_constant_latency():
     hidden = hidden_robot(0)
     even = dataclasses.replace(hidden.world.drive, latency=(0.05, 0.05), command_loss=0.0)
     stamped = 0.5 * hidden.world.odometry.stamp_jitter
@@ -47,7 +47,7 @@ def test_commands_that_are_all_late_by_the_same_are_late_by_that():
     assert truths(with_drive(hidden, drive=spread), 50.0)["command latency, linear"] > 0.06
 
 
-def test_without_slip_the_scales_are_those_of_the_wheels():
+def test_scales_without_slip_are_those_of_the_wheels():
     hidden = hidden_robot(0)
     known = truths(with_drive(hidden, drive=dataclasses.replace(hidden.world.drive, slip_rate=1e-9)), 50.0)
     assert known["left wheel's radius beyond what is believed"] == pytest.approx(hidden.radii[0] / 0.1 - 1.0)
@@ -55,12 +55,12 @@ def test_without_slip_the_scales_are_those_of_the_wheels():
     assert known["track width beyond what is believed"] == pytest.approx(hidden.track_width / 0.4 - 1.0)
 
 
-def test_every_truth_is_one_of_a_quantity():
+def test_every_truth_belongs_to_a_quantity():
     named = {one.name for one in calibrate([drive(seed=4, duration=5.0)]).quantities}
     assert set(truths(hidden_robot(0), 50.0)) <= named
 
 
-def test_the_tables_count():
+def test_tables_count():
     rows = [
         QuantityResult(0, "a", 1.0, 1.1, 0.9, 1.3, ""),
         QuantityResult(1, "a", 1.0, 1.4, 1.2, 1.6, ""),
@@ -73,5 +73,5 @@ def test_the_tables_count():
     tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], [(0.01, 0.01)] * 2 + [(0.02, 0.01)], 0.4)
     assert "2/3 = 66.7 %" in tubes
     assert "4/4 = 100.0 %" in tubes
-    assert "cannot be told of 14 dockings" in tubes
-    assert "cannot be told of 10 dockings" in tubes
+    assert "14 dockings are too few" in tubes
+    assert "10 dockings are too few" in tubes

@@ -15,7 +15,7 @@ experiment = importlib.import_module("experiments.05_contact_forces")
 
 
 @pytest.mark.parametrize("station", ["plate", "V"])
-def test_a_certified_plan_docks_and_the_law_strikes(station):
+def test_certified_plan_docks_softer_than_the_law(station):
     robot, place = experiment.stations()[station]
     world = experiment.WORLDS[experiment.NOISY]
     drive = MujocoDrive(robot, place, actuation=world.actuation)
@@ -35,7 +35,7 @@ def documented(column):
 
 
 @pytest.mark.parametrize("station", ["plate", "V"])
-def test_no_start_ends_farther_aside_than_the_documentation_says_of_all(station):
+def test_lateral_error_is_within_the_documented_maximum(station):
     """Run one of the starts with the largest lateral error, as a sample of the full run of `make figures`."""
     robot, place = experiment.stations()[station]
     world, method, seed = experiment.WORLDS[experiment.NOISY], "executor", 6

@@ -36,7 +36,8 @@ def test_easier_problem_requires_no_more(what):
 
 
 @pytest.mark.parametrize(
-    ("found", "outcome"), [(10.0, "no dearer"), (10.29, "no dearer"), (10.31, "dearer"), (None, "dearer")]
+    ("found", "outcome"),
+    [(10.0, "no more expensive"), (10.29, "no more expensive"), (10.31, "more expensive"), (None, "more expensive")],
 )
 def test_more_expensive_plan_is_reported(monkeypatch, found, outcome):
     answers = iter([10.0, found])

@@ -48,7 +48,7 @@ def straight_poses(problem):
 
 
 @pytest.mark.parametrize("family", DRAWN)
-def test_seeds_decide_and_names_are_unique(family):
+def test_cases_are_deterministic_with_unique_names(family):
     first, again, other = drawn(family), DRAWN[family](11), DRAWN[family](12)
     assert [one.problem.fingerprint for one in first] == [one.problem.fingerprint for one in again]
     assert all(a.problem.fingerprint != b.problem.fingerprint for a, b in zip(first, other, strict=True))
@@ -71,7 +71,7 @@ def test_starts_and_docks_are_free(family):
         assert goal >= rule.at_dock - ROUNDING, case.name
 
 
-def test_every_hall_holds_a_dock_of_each_kind_and_starts_are_in_other_aisles():
+def test_rack_hall_starts_are_along_other_aisles():
     for case in drawn("rack halls"):
         problem = case.problem
         apart = problem.start.in_frame_of(problem.goal)
@@ -79,7 +79,7 @@ def test_every_hall_holds_a_dock_of_each_kind_and_starts_are_in_other_aisles():
         assert abs(math.sin(problem.start.yaw)) > 0.99
 
 
-def test_past_the_end_of_the_wall_straight_on_is_a_way():
+def test_straight_motion_past_the_end_of_the_wall_is_feasible():
     for case in hard_cases.along_a_wall():
         problem = case.problem
         if case.tag == "start, wall ends":
@@ -95,7 +95,7 @@ def test_past_the_end_of_the_wall_straight_on_is_a_way():
         assert np.all(found >= needed - ROUNDING), case.name
 
 
-def test_what_is_missing_or_to_spare_on_the_straight_is_what_the_truth_says():
+def test_missing_width_of_the_straight_equals_the_truth():
     for case in (*drawn("blocked straight"), *drawn("open straight")):
         problem, truth = case.problem, case.truth
         ways, poses = straight_poses(problem)
@@ -114,7 +114,7 @@ def test_what_is_missing_or_to_spare_on_the_straight_is_what_the_truth_says():
             assert truth.is_body == (float(found.min()) < 0.0), case.name
 
 
-def test_the_driven_motion_has_more_room_than_it_says():
+def test_witness_has_the_spare_width():
     for one in hard_cases.witnesses(1):
         problem = one.case.problem
         needed = RULE.near_goal(np.hypot(*(one.poses[:, :2] - one.poses[-1, :2]).T))
@@ -132,7 +132,7 @@ def full_lock(start, gear, curvature):
     return np.vstack((start, np.column_stack((x, y, turned + gear * curvature * 0.001))))
 
 
-def test_full_lock_to_and_fro_leads_out_of_a_bay_of_1_2_lengths():
+def test_full_lock_manoeuvre_leaves_a_bay_of_1_2_lengths():
     """Forward to the left and back to the right, each up to the required clearance, until the car has turned out."""
     case = next(case for case in hard_cases.bays(1) if case.tag == "out of 1.2")
     limits, pose, gear = hard_cases.CAR.limits, case.problem.start.as_array(), 1.0
@@ -156,7 +156,7 @@ def test_starts_in_buildings_are_far_and_free(real_data):
         assert clearances(case.problem, [case.problem.start.as_array()])[0] >= RULE.required
 
 
-def test_a_proof_that_an_open_scene_has_no_way_is_a_fault(monkeypatch):
+def test_proof_for_an_open_scene_is_a_fault(monkeypatch):
     def refuse(*_, **__):
         raise GoalOccupied("no room")
 

@@ -28,22 +28,22 @@ def check(scenario):
 
 
 @pytest.mark.parametrize("scenario", DRAWN_SCENARIOS, ids=lambda scenario: scenario.name)
-def test_every_scenario_on_our_maps_is_certified_and_the_dense_check_agrees(scenario):
+def test_scenarios_on_our_maps_are_certified(scenario):
     check(scenario)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
-def test_every_scenario_is_certified_and_the_dense_check_agrees(scenario, real_data):
+def test_scenarios_on_real_maps_are_certified(scenario, real_data):
     check(scenario)
 
 
-def test_nearly_every_raw_path_breaks_a_rule(real_data):
+def test_raw_paths_violate_bounds(real_data):
     raw = {s.name: plan_dock(problem_of(s), time_budget=BUDGET).raw_path for s in SCENARIOS}
     broken = [s.name for s in SCENARIOS if not certify_path(raw[s.name], problem_of(s)).certified]
     assert len(broken) >= len(SCENARIOS) - 1
 
 
-def test_the_set_is_what_it_promises():
+def test_set_of_scenarios():
     assert len(SCENARIOS) >= 20
     assert {s.map_name for s in SCENARIOS} == {"depot", "warehouse"}
     assert {s.map_name for s in DRAWN_SCENARIOS} == set(PLACES)
@@ -51,7 +51,7 @@ def test_the_set_is_what_it_promises():
     assert max(abs(s.start[2]) for s in SCENARIOS) == 60
 
 
-def test_our_maps_are_those_that_the_script_draws():
+def test_committed_map_equals_the_drawn_map():
     """One of the maps, except for cells at which rounding of another processor's sine moves a beam over an edge."""
     place = PLACES["corridor"]
     drawn = scanned(solid(place), place.tour, np.random.default_rng(1))
@@ -85,7 +85,7 @@ def test_requested_maps_that_are_missing_are_reported_with_their_source(tmp_path
     with pytest.raises(SystemExit) as left:
         importlib.import_module("experiments.01_docking_on_maps").main()
     assert left.value.code == 2
-    told = capsys.readouterr().err
-    assert "holds no depot.yaml and no warehouse.yaml; " in told
-    assert "https://github.com/ros-navigation/navigation2" in told
+    message = capsys.readouterr().err
+    assert "holds no depot.yaml and no warehouse.yaml; " in message
+    assert "https://github.com/ros-navigation/navigation2" in message
     assert not (tmp_path / "results").exists()

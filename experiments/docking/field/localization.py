@@ -100,7 +100,7 @@ class LocalizationState:
         if self._correction is None:  # the robot stood there long before the start of the run
             self._correction = found.correction
 
-    def told(self, time: float, odometry: Pose2) -> tuple[Pose2 | None, float | None]:
+    def reported(self, time: float, odometry: Pose2) -> tuple[Pose2 | None, float | None]:
         """Return the reported pose, and its stamp if it has a separate one [s].
 
         Args:

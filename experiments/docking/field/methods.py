@@ -52,8 +52,8 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
         settings: None: the defaults plus the calibrated settings of the world.
         log: Recorder of the docking.
     """
-    if settings is None and robot.world.told:
-        settings = ExecutorSettings(**robot.world.told)
+    if settings is None and robot.world.executor_settings:
+        settings = ExecutorSettings(**robot.world.executor_settings)
     planning, cycles, belief = WatchedPlanning(), Cycles(), Belief()
     chosen = {} if controller is None else {"controller": controller}
     executor = DockingExecutor(

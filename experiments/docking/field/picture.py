@@ -86,15 +86,15 @@ def _draw_paths(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray,
         outline = transform_points(pose.as_array()[None], problem.dock.footprint.vertices)[0]
         axes.fill(*outline.T, facecolor="none", edgecolor="C2", linestyle=style, label=f"station, {name}")
         axes.plot(pose.x, pose.y, mark, markersize=14, zorder=5, label=f"docked pose, {name}")
-    told = np.array(robot.told).reshape(-1, 4)
-    axes.plot(told[:, 1], told[:, 2], "C1.", markersize=0.5 * size, label="robot, as localized")
+    reported = np.array(robot.reported).reshape(-1, 4)
+    axes.plot(reported[:, 1], reported[:, 2], "C1.", markersize=0.5 * size, label="robot, as localized")
     axes.plot(rows[:, 1], rows[:, 2], "C0", linewidth=1.5, label="robot, true path")
     places = np.array([_placed(rows, at, one.stamp, one.pose) for at, one in robot.detections]).reshape(-1, 2)
     axes.plot(places[:, 0], places[:, 1], "C3.", markersize=size, label="docked pose, as detected")
 
 
-def _placed(rows: FloatArray, told: float, stamp: float, seen: Pose2) -> tuple[float, float]:
+def _placed(rows: FloatArray, reported: float, stamp: float, seen: Pose2) -> tuple[float, float]:
     """Return the docked pose given by a detection, relative to the robot's true pose at its stamp."""
-    row = int(np.searchsorted(rows[:, 0], min(stamp, told)))
+    row = int(np.searchsorted(rows[:, 0], min(stamp, reported)))
     placed = Pose2.from_sequence(rows[min(row, len(rows) - 1), 1:]) @ seen
     return placed.x, placed.y

@@ -44,7 +44,7 @@ class Undocking(NamedTuple):
         undocked: Whether the executor reports that the robot is undocked.
         at_rest: Whether the robot stands at the end.
         turned: Largest rotation from the initial heading in the first 10 cm [rad].
-        asked: Largest rotation that the commands imply there; the difference is due to wheels and slip [rad].
+        commanded: Largest rotation that the commands imply there; the difference is due to wheels and slip [rad].
         clearance: Smallest distance to obstacles other than the station [m].
         duration: [s].
         over: Largest ratio of a commanded quantity to its limit.
@@ -59,7 +59,7 @@ class Undocking(NamedTuple):
     undocked: bool
     at_rest: bool
     turned: float
-    asked: float
+    commanded: float
     clearance: float
     duration: float
     over: float
@@ -74,9 +74,9 @@ def undocked_in_field(task: FieldTask) -> Undocking:
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
     clearance, _ = clearances(layout, robot)
     rows = robot.record()
-    turned, asked = turned_in_contact(rows), commanded_in_contact(rows, by)
+    turned, commanded = turned_in_contact(rows), commanded_in_contact(rows, by)
     return Undocking(
-        task.world, task.rate, task.seed, by.ending, by.reason, by.docked, robot.drive.at_rest, turned, asked,
+        task.world, task.rate, task.seed, by.ending, by.reason, by.docked, robot.drive.at_rest, turned, commanded,
         clearance, by.ended, over, limit,
     )  # fmt: skip
 
@@ -116,7 +116,7 @@ def commanded_in_contact(rows: FloatArray, by: SteeringResult) -> float:
 def undocking_table(outcomes: Sequence[Undocking]) -> str:
     """Return one row per world and rate."""
     head = [
-        "world", "Hz", "undocked", "straight", "turned p50 / p95 / max, degrees", "asked for", "collisions",
+        "world", "Hz", "undocked", "straight", "turned p50 / p95 / max, degrees", "commanded", "collisions",
         "time p50, s", "over limit", "of", "others end",
     ]  # fmt: skip
     groups: dict[tuple[str, float], list[Undocking]] = {}
@@ -126,7 +126,7 @@ def undocking_table(outcomes: Sequence[Undocking]) -> str:
 
 
 def _row(key: tuple[str, float], found: list[Undocking]) -> list[str]:
-    turned, asked = np.degrees([one.turned for one in found]), np.degrees([one.asked for one in found])
+    turned, commanded = np.degrees([one.turned for one in found]), np.degrees([one.commanded for one in found])
     over = max(found, key=lambda one: one.over)
     return [
         key[0],
@@ -134,7 +134,7 @@ def _row(key: tuple[str, float], found: list[Undocking]) -> list[str]:
         f"{sum(one.undocked and one.at_rest for one in found)}/{len(found)}",
         f"{sum(one.turned <= STRAIGHT for one in found)}",
         _spread(turned),
-        _spread(asked),
+        _spread(commanded),
         f"{sum(one.clearance < 0.0 for one in found)}",
         f"{np.median([one.duration for one in found]):.1f}",
         f"{over.over:.3f}",

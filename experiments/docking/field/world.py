@@ -50,7 +50,7 @@ class FieldWorld:
         pushed: Displacement [m] and largest rotation [rad] of the dock when the robot is 0.6 m away from it.
         dropped_cycles: Share of dropped control cycles [1].
         costmap: Whether a local costmap shows the station.
-        told: Settings of the executor that differ from its defaults, as for a calibrated robot.
+        executor_settings: Settings of the executor that differ from its defaults, as for a calibrated robot.
     """
 
     name: str = "field"
@@ -64,7 +64,7 @@ class FieldWorld:
     pushed: tuple[float, float] = (0.0, 0.0)
     dropped_cycles: float = 0.01
     costmap: bool = False
-    told: Mapping[str, float] = field(default_factory=dict)
+    executor_settings: Mapping[str, float] = field(default_factory=dict)
 
 
 class FieldRobot:
@@ -82,7 +82,7 @@ class FieldRobot:
         poses: True poses after every sub-step, rows of (time [s], x [m], y [m], yaw [rad]).
         docks: True dock poses with the time from which they hold, (time [s], pose).
         detections: Reported detections, (time [s], detection).
-        told: Reported poses, rows of (time [s], x [m], y [m], yaw [rad]).
+        reported: Reported poses, rows of (time [s], x [m], y [m], yaw [rad]).
     """
 
     def __init__(self, world: FieldWorld, layout: Layout, seed: int) -> None:
@@ -106,7 +106,7 @@ class FieldRobot:
         self.poses: list[tuple[float, float, float, float]] = [(0.0, start.x, start.y, start.yaw)]
         self.docks: list[tuple[float, Pose2]] = [(0.0, self.dock)]
         self.detections: list[tuple[float, Detection]] = []
-        self.told: list[tuple[float, float, float, float]] = []
+        self.reported: list[tuple[float, float, float, float]] = []
         self._costmap_at = 0.0
         self.odometry = OdometryMessage(0.0, self._odometry.pose, Twist2())
         self._localization.estimate(0.0, start, self._odometry.pose)
@@ -155,9 +155,9 @@ class FieldRobot:
         """Return the current measurements."""
         time = self.time
         self.odometry = message = self._odometry.newest(time)
-        pose, stamp = self._localization.told(time, message.pose)
+        pose, stamp = self._localization.reported(time, message.pose)
         if pose is not None:
-            self.told.append((time, pose.x, pose.y, pose.yaw))
+            self.reported.append((time, pose.x, pose.y, pose.yaw))
         detections = self._camera.arrived(time)
         self.detections.extend((time, one) for one in detections)
         station = self.world.station

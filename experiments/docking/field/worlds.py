@@ -48,7 +48,11 @@ _VARIANTS: dict[str, dict[str, object]] = {
     "localization lost": {"localization": Localization(lost_for=5.0)},
     "raw localization": {"localization": Localization(composed=False)},
     "backward": {"direction": DockDirection.BACKWARD},
-    "backward, good wheels": {"direction": DockDirection.BACKWARD, "drive": GOOD_WHEELS, "told": CALIBRATED},
+    "backward, good wheels": {
+        "direction": DockDirection.BACKWARD,
+        "drive": GOOD_WHEELS,
+        "executor_settings": CALIBRATED,
+    },
     "rear camera": {"direction": DockDirection.BACKWARD, "camera": Camera(mount=Pose2(-0.25, 0.0, math.pi))},
 }
 FIELD_WORLDS: dict[str, FieldWorld] = {

@@ -46,9 +46,9 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
         case["start_speed"], case["start_curvature"], case["start_acceleration"] = 0.0, None, 0.0
         case["zone"] = [None, 0.0]
         case["world"] = _revealed(rng, case)
-        asked = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
+        forms = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
         if question is not None:
-            asked = ["problem"]
+            forms = ["problem"]
         case["question"] = question or "holds"
     else:
         case = docking_problem(rng)
@@ -57,10 +57,10 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
         _steered(rng, case)
         case["world"] = _another_world(rng, case)
         case["beside"] = [int(rng.integers(2**31)), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]]
-        asked = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
+        forms = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
         case["question"] = question or "replan"
     case["kind"] = "replans"
-    case["asked"] = str(rng.choice(asked))
+    case["asked"] = str(rng.choice(forms))
     case["share"] = float(
         rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05])
     )

@@ -63,7 +63,7 @@ def _compared(case: Case, root: Path, errors: list[str]) -> Verdict:
         return Verdict("untyped exception", f"exit status {result.exit_code}: {result.output[-200:]}")
     contradicts = not any(errors) and "plan.json: " in result.output  # parts that are each valid alone
     if any(errors) != (status == "bad input") and not contradicts:
-        return Verdict("untyped exception", f"doors disagree: certify says {status}; loading says {errors}")
+        return Verdict("untyped exception", f"inconsistent verdicts: certify: {status}; loading: {errors}")
     return _expected(case, status, errors) or Verdict(status)
 
 

@@ -51,18 +51,18 @@ def easier(case: Case) -> Case:
 def judge(case: Case) -> Verdict:
     """Plan both problems."""
     try:
-        asked, relaxed = problem_of(case), problem_of(easier(case))
+        original, relaxed = problem_of(case), problem_of(easier(case))
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     try:
-        price = plan_dock(asked, time_budget=_BUDGET).price
+        price = plan_dock(original, time_budget=_BUDGET).price
     except OptdockError as error:
         return Verdict(type(error).__name__)
     longer = _BUDGET * (2.0 if case["easier"] == "budget" else 1.0)
     try:
         found = plan_dock(relaxed, time_budget=longer).price
     except OptdockError as error:
-        return Verdict("dearer", f"{case['easier']}: {price:.3f} s, then {type(error).__name__}")
+        return Verdict("more expensive", f"{case['easier']}: {price:.3f} s, then {type(error).__name__}")
     if found > _MORE * price:
-        return Verdict("dearer", f"{case['easier']}: {price:.3f} s, then {found:.3f} s")
-    return Verdict("no dearer")
+        return Verdict("more expensive", f"{case['easier']}: {price:.3f} s, then {found:.3f} s")
+    return Verdict("no more expensive")

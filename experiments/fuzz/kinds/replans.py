@@ -88,10 +88,10 @@ def judge(case: Case) -> Verdict:
         later = problem_of(world)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
-    asked = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
+    known = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
     word, wrong = "", None
     if case["question"] != "decide":
-        found = still_holds(plan, asked, time_now)
+        found = still_holds(plan, known, time_now)
         wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
         word = "holds" if says_yes(found) else "holds no more"
     if wrong is None and case["question"] != "holds":
@@ -118,8 +118,8 @@ def _plan(case: Case) -> DockPlan | None:
 
 def _world(case: Case, scene: Case, now: float) -> Case:
     """Return the present world, with the obstacles that appear next to the rest of the path."""
-    told = {"costmap": {"grid"}, "obstacles": {"obstacles"}, "pose": {"dock"}}.get(case["asked"], case["world"])
-    world = {**scene, **{key: value for key, value in case["world"].items() if key in told}}
+    passed = {"costmap": {"grid"}, "obstacles": {"obstacles"}, "pose": {"dock"}}.get(case["asked"], case["world"])
+    world = {**scene, **{key: value for key, value in case["world"].items() if key in passed}}
     seed, gaps = case.get("beside", [0, []])
     if gaps:
         rest = motion_of(cut(scene["path"], state_at(scene["law"], now).s))

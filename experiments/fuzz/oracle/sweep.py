@@ -97,11 +97,11 @@ def required_at(case: Case, poses: Floats, start_clearance: float, relief: float
     has = max(start_clearance, 0.0)
     is_relieved = relief > 0.0 and has <= required + _SURELY
     enough = max(0.5 * has, has - 0.005) if is_relieved else has
-    asked = [at_dock + (required - at_dock) * taper_share(case, from_goal)]
-    asked.append(enough + 0.5 * np.clip(from_start - (relief if is_relieved else 0.0), 0.0, None))
+    terms = [at_dock + (required - at_dock) * taper_share(case, from_goal)]
+    terms.append(enough + 0.5 * np.clip(from_start - (relief if is_relieved else 0.0), 0.0, None))
     if is_relieved and at_start is not None:
-        asked.append(at_start + (required - at_start) * taper_share(case, from_start))
-    required_there: Floats = np.min(asked, axis=0)
+        terms.append(at_start + (required - at_start) * taper_share(case, from_start))
+    required_there: Floats = np.min(terms, axis=0)
     return required_there
 
 
