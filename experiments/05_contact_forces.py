@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.graceful_law import NAV2_LAW, random_starts
+from experiments.graceful_law import nav2_command, random_starts
 from experiments.mujoco import MujocoDrive, VShape, flat_station
 from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
@@ -49,7 +49,6 @@ from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath,
 OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
 STAGING = 0.85  # [m]
-PROJECTION = 0.25  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
 TIME_BUDGET = 5.0  # [s] of wall clock, for loaded machines; all but one plan need less than 0.3 s
 CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
@@ -116,8 +115,7 @@ Steering = Callable[[Measurements], "Twist2 | None"]  # None: finished, stand st
 
 def by_law(_problem: DockingProblem) -> Steering:
     """Steer by the law of the docking server towards the projected dock."""
-    target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
-    return until_contact(lambda measured: NAV2_LAW.command(target, measured.pose or GOAL))
+    return until_contact(lambda measured: nav2_command(GOAL, measured.pose or GOAL))
 
 
 def by_raw_path(problem: DockingProblem) -> Steering:

@@ -15,7 +15,7 @@ import numpy as np
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.model.path import Direction
 
-__all__ = ["NAV2_LAW", "EgocentricPose", "GracefulLaw", "egocentric", "random_starts"]
+__all__ = ["NAV2_LAW", "EgocentricPose", "GracefulLaw", "egocentric", "nav2_command", "nav2_filtered", "random_starts"]
 
 _ARRIVED = 1e-9  # [m]: the line of sight to a target at a smaller distance has no defined direction
 
@@ -93,7 +93,23 @@ class GracefulLaw:
 NAV2_LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)
 """The law with the default parameters of Nav2's docking server."""
 
+_PROJECTION = 0.25  # [m]: distance of the server's target behind the dock
+_FILTER = 0.1  # the server's filter_coef of detected poses
 _SPREAD, _TURN = 0.25, 0.25  # [m], [rad]: default tolerances of Nav2's SimpleGoalChecker
+
+
+def nav2_command(dock: Pose2, robot: Pose2, direction: Direction = Direction.FORWARD) -> Twist2:
+    """Return the velocity command of Nav2's docking server towards a dock."""
+    return NAV2_LAW.command(dock @ Pose2(int(direction) * _PROJECTION, 0.0, 0.0), robot, direction)
+
+
+def nav2_filtered(before: Pose2, seen: Pose2) -> Pose2:
+    """Return the dock pose of Nav2's first-order filter after a detection."""
+    return Pose2(
+        before.x + _FILTER * (seen.x - before.x),
+        before.y + _FILTER * (seen.y - before.y),
+        before.yaw + _FILTER * normalize_angle(seen.yaw - before.yaw),
+    )
 
 
 def random_starts(count: int, staging: float) -> list[Pose2]:

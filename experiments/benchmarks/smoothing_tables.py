@@ -51,7 +51,7 @@ class Run(NamedTuple):
 
 
 def solved(
-    smoother: Smoother, families: Iterable[str], seeds: int, repeats: int, hasty: Smoother | None = None
+    smoother: Smoother, families: Iterable[str], seeds: int, repeats: int, early: Smoother | None = None
 ) -> list[Run]:
     """Smooth every instance without a time limit; of `repeats` calls the fastest counts.
 
@@ -60,7 +60,7 @@ def solved(
         families: Names.
         seeds: Number of instances per family.
         repeats: Number of calls per instance.
-        hasty: The same smoother, stopping at the first certified path.
+        early: The same smoother, stopping at the first certified path.
     """
     runs: list[Run] = []
     for family in families:
@@ -69,7 +69,7 @@ def solved(
             drawn = instance(family, seed)
             call = _fastest(smoother, drawn, repeats)
             verdict = None if call.path is None else judged(call.path, drawn.problem)
-            first = None if hasty is None or call.path is None else _fastest(hasty, drawn, repeats)
+            first = None if early is None or call.path is None else _fastest(early, drawn, repeats)
             runs.append(Run(drawn, call, verdict, first))
     return runs
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from experiments.calibration.robots import hidden_robot, set_down
 from experiments.calibration.truths import truths
 from experiments.docking.field.methods import by_executor
-from experiments.docking.field.outcome import field_outcome
-from experiments.docking.field.task import FieldTask
+from experiments.docking.field.outcome import FieldTask, field_outcome
 from optdock.calibration import calibrate, read_recording, written_values
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from experiments.docking.outcome import FollowedPlan, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
-from experiments.graceful_law import NAV2_LAW
+from experiments.graceful_law import nav2_command, nav2_filtered
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
 from optdock.planning.pipeline import plan_dock
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "executed"]
 
-PROJECTION = 0.25  # [m]: distance of Nav2's target behind the dock
-FILTER = 0.1  # Nav2's filter_coef of detected poses
 STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: stall that counts as contact
 TIMEOUT = 60.0  # [s]
 CHECKER = {"along_tolerance": 0.01}
@@ -46,23 +44,13 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
     while robot.time < TIMEOUT and not now.contact and standing < PATIENCE:
         assert now.pose is not None
         for seen in now.detections:
-            goal = _filtered(goal, now.pose @ seen.pose)
-        target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
-        now = robot.advance(cycles.timed(partial(NAV2_LAW.command, target, now.pose, gear)), 1.0 / rate)
+            goal = nav2_filtered(goal, now.pose @ seen.pose)
+        now = robot.advance(cycles.timed(partial(nav2_command, goal, now.pose, gear)), 1.0 / rate)
         case.push(robot, world)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
     ending = "" if now.contact else "stalled without contact" if standing >= PATIENCE else "timeout"
     names = ("graceful law", world.name, spread, rate)
     return outcome_of(case, robot.record(), [], names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
-
-
-def _filtered(before: Pose2, seen: Pose2) -> Pose2:
-    """Nav2's first-order filter."""
-    return Pose2(
-        before.x + FILTER * (seen.x - before.x),
-        before.y + FILTER * (seen.y - before.y),
-        before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
-    )
 
 
 def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:

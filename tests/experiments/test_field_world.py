@@ -17,18 +17,17 @@ from hypothesis import strategies as st
 
 from experiments.docking import field
 from experiments.docking.cases import SPREADS, layout_of
-from experiments.docking.field.belief import Belief
 from experiments.docking.field.camera import Camera, CameraState
 from experiments.docking.field.drive import SUBSTEP, Drive, DriveState
 from experiments.docking.field.localization import Localization, LocalizationState
+from experiments.docking.field.methods import Belief
 from experiments.docking.field.nav2 import VelocitySmoother
 from experiments.docking.field.odometry import Odometry, OdometryState
-from experiments.docking.field.outcome import SteeringResult
+from experiments.docking.field.outcome import FieldTask, SteeringResult
 from experiments.docking.field.picture import draw_run
 from experiments.docking.field.run import driven_in_field, field_tasks
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
 from experiments.docking.field.tables import field_table
-from experiments.docking.field.task import FieldTask
 from experiments.docking.field.undocking import (
     commanded_in_contact,
     turned_in_contact,

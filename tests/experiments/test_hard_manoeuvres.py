@@ -35,6 +35,11 @@ def drawn(family):
     return DRAWN[family](11)
 
 
+@functools.cache
+def witnesses():
+    return hard_cases.witnesses(1, 11)
+
+
 def clearances(problem, poses):
     return pose_clearances(np.asarray(poses), problem.robot.footprint, problem.all_obstacles)[0]
 
@@ -49,7 +54,8 @@ def straight_poses(problem):
 
 @pytest.mark.parametrize("family", DRAWN)
 def test_cases_are_deterministic_with_unique_names(family):
-    first, again, other = drawn(family), DRAWN[family](11), DRAWN[family](12)
+    first, other = drawn(family), DRAWN[family](12)
+    again = [one.case for one in witnesses()] if family == "barely open" else DRAWN[family](11)
     assert [one.problem.fingerprint for one in first] == [one.problem.fingerprint for one in again]
     assert all(a.problem.fingerprint != b.problem.fingerprint for a, b in zip(first, other, strict=True))
     assert len({one.name for one in first}) == len(first)
@@ -115,7 +121,7 @@ def test_missing_width_of_the_straight_equals_the_truth():
 
 
 def test_witness_has_the_spare_width():
-    for one in hard_cases.witnesses(1):
+    for one in witnesses():
         problem = one.case.problem
         needed = RULE.near_goal(np.hypot(*(one.poses[:, :2] - one.poses[-1, :2]).T))
         margin = float((clearances(problem, one.poses) - needed).min())

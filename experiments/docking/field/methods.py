@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from experiments.docking.field.belief import Belief
 from experiments.docking.field.nav2 import by_nav2
 from experiments.docking.field.outcome import SteeringResult
+from experiments.docking.outcome import ACCEPTED
 from experiments.docking.watched import Cycles, WatchedPlanning
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.pose import Twist2
@@ -22,13 +22,50 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.outcome import FollowedPlan
     from optdock.executor.log import LogWriter
+    from optdock.geometry.pose import Pose2
     from optdock.plugins.registry import PluginChoice
 
-__all__ = ["FIELD_METHODS", "by_executor"]
+__all__ = ["FIELD_METHODS", "Belief", "by_executor"]
 
 TIMEOUT = 180.0  # [s]: time limit of a task; a task that exceeds it counts as not ended
 SETTLING = 1.0  # [s] after the end, until pending commands have arrived and the wheels stand
 SAME_GOAL = 0.3  # [m]: a plan whose end is within this distance of the stored dock is a plan into the dock
+
+
+class Belief:
+    """Error of the executor's estimate of the robot pose in the dock frame.
+
+    Attributes:
+        off: Last distance between estimate and truth [m]; NaN before the robot is located.
+        turned_off: Last angle between estimate and truth [rad].
+        recovered_after: Number of detections of the pushed dock until the estimate was within 10 mm, 10 mm and 1.5
+            degrees of the truth; infinite if it never was, NaN if nothing was pushed.
+    """
+
+    def __init__(self) -> None:
+        self.off = self.turned_off = math.nan
+        self.recovered_after = math.nan
+        self._is_waiting = True
+
+    def compare(self, executor: DockingExecutor, robot: FieldRobot) -> None:
+        """Update the errors after a control cycle."""
+        if executor.robot is None:
+            return
+        seen = executor.robot.in_frame_of(executor.dock)
+        gap = robot.error.in_frame_of(seen)
+        self.off, self.turned_off = math.hypot(gap.x, gap.y), abs(gap.yaw)
+        if len(robot.docks) > 1 and self._is_waiting:
+            self._wait(gap, robot)
+
+    def _wait(self, gap: Pose2, robot: FieldRobot) -> None:
+        """Count detections of a pushed dock until the estimate has recovered."""
+        values = abs(gap.x), abs(gap.y), abs(gap.yaw)
+        if all(value <= most for value, most in zip(values, ACCEPTED, strict=True)):
+            since = robot.docks[-1][0]
+            self.recovered_after = float(sum(one.stamp >= since for _, one in robot.detections))
+            self._is_waiting = False
+        else:
+            self.recovered_after = math.inf
 
 
 def by_executor(  # noqa: PLR0913 - what may be chosen

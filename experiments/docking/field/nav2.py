@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.docking.field.outcome import SteeringResult
-from experiments.graceful_law import NAV2_LAW
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from experiments.graceful_law import nav2_command, nav2_filtered
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
 
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VelocitySmoother", "by_nav2"]
 
-PROJECTION = 0.25  # [m]: distance of the target behind the dock
-FILTER, FORGOTTEN = 0.1, 1.0  # filter_coef, and external_detection_timeout [s], after which the filter is reset
+FORGOTTEN = 1.0  # [s]: external_detection_timeout, after which the filter is reset
 PERCEPTION = 5.0  # [s]: initial_perception_timeout
 STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
 NEAR = 0.05  # [m]: docking_threshold, within which a stall counts as contact
@@ -81,11 +80,7 @@ class _SeenDock:
         if before is None or fresh:
             self.pose, self.found_at = seen, min(self.found_at, stamp)
             return
-        self.pose = Pose2(
-            before.x + FILTER * (seen.x - before.x),
-            before.y + FILTER * (seen.y - before.y),
-            before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
-        )
+        self.pose = nav2_filtered(before, seen)
 
 
 class _Server:
@@ -106,7 +101,7 @@ class _Server:
         dock = self._dock.pose
         if self.ending is not None or robot is None or dock is None:
             return Twist2()
-        return NAV2_LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
+        return nav2_command(dock, robot, self._gear)
 
     def _ending(self, now: Measurements, robot: Pose2 | None) -> str | None:
         """Return the ending; None while docking continues."""

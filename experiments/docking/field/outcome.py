@@ -14,14 +14,23 @@ from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
-    from experiments.docking.field.task import FieldTask
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FieldOutcome", "SteeringResult", "clearances", "field_outcome"]
+__all__ = ["FieldOutcome", "FieldTask", "SteeringResult", "clearances", "field_outcome"]
 
 _EVERY = 4  # sub-steps between two poses with evaluated clearance: 20 ms, 5 mm at full speed
 _DEEP = 0.0075  # [m] of the corners beyond the station's face: travel of its contacts, and 0.6 degrees
+
+
+class FieldTask(NamedTuple):
+    """One docking in the field world, given by names so that any process can run it; `seed` seeds everything."""
+
+    method: str
+    world: str
+    spread: str
+    rate: float
+    seed: int
 
 
 class SteeringResult(NamedTuple):

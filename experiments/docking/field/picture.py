@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from experiments.docking.cases import Layout
-    from experiments.docking.field.task import FieldTask
+    from experiments.docking.field.outcome import FieldTask
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 

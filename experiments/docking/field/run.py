@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from experiments.docking.field.task import FieldTask
+from experiments.docking.field.outcome import FieldTask
 
 if TYPE_CHECKING:
     import argparse

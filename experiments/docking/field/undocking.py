@@ -10,9 +10,8 @@ import numpy as np
 
 from experiments.cpu_budgets import count_cpu
 from experiments.docking.field.methods import by_executor
-from experiments.docking.field.outcome import clearances
+from experiments.docking.field.outcome import FieldTask, clearances
 from experiments.docking.field.run import set_up
-from experiments.docking.field.task import FieldTask
 from experiments.docking.field.world import FieldRobot
 from experiments.docking.outcome import worst_ratio
 from optdock.geometry.pose import Pose2

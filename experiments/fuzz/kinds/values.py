@@ -72,7 +72,7 @@ def _hostile() -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-class _Door(NamedTuple):
+class _Constructor(NamedTuple):
     """A public constructor with valid arguments, and the checks of its value."""
 
     call: Callable[..., Any]
@@ -138,14 +138,15 @@ def _maps(costmap: Costmap) -> object:
     return costmap.cost_at([[0.0, 0.0]])
 
 
-_TWO = np.array([0, 1])
-_DOORS: dict[str, _Door] = {
-    "Pose2": _Door(Pose2, lambda: {"x": 0.0, "y": 0.0, "yaw": 0.0}, lambda pose: pose @ pose.inverse()),
-    "Twist2": _Door(Twist2, lambda: {"linear": 0.0, "angular": 0.0, "lateral": 0.0}),
-    "Footprint": _Door(Footprint, lambda: {"vertices": np.array(_SQUARE)}, _stands),
-    "Footprint.from_radius": _Door(Footprint.from_radius, lambda: {"radius": 0.3}, _stands),
-    "Footprint.rectangle": _Door(Footprint.rectangle, lambda: {"front": 0.4, "rear": 0.4, "width": 0.5}, _stands),
-    "Dock": _Door(
+_CONSTRUCTORS: dict[str, _Constructor] = {
+    "Pose2": _Constructor(Pose2, lambda: {"x": 0.0, "y": 0.0, "yaw": 0.0}, lambda pose: pose @ pose.inverse()),
+    "Twist2": _Constructor(Twist2, lambda: {"linear": 0.0, "angular": 0.0, "lateral": 0.0}),
+    "Footprint": _Constructor(Footprint, lambda: {"vertices": np.array(_SQUARE)}, _stands),
+    "Footprint.from_radius": _Constructor(Footprint.from_radius, lambda: {"radius": 0.3}, _stands),
+    "Footprint.rectangle": _Constructor(
+        Footprint.rectangle, lambda: {"front": 0.4, "rear": 0.4, "width": 0.5}, _stands
+    ),
+    "Dock": _Constructor(
         Dock,
         lambda: {
             "pose": Pose2(2, 0, 0),
@@ -158,19 +159,19 @@ _DOORS: dict[str, _Door] = {
         },
         _within,
     ),
-    "DockTolerances": _Door(DockTolerances, lambda: {"along": 0.02, "cross": 0.02, "yaw": 0.05}),
-    "SpeedZone": _Door(SpeedZone, lambda: {"speed": 0.1, "distance": 0.3}),
-    "MotionLimits": _Door(
+    "DockTolerances": _Constructor(DockTolerances, lambda: {"along": 0.02, "cross": 0.02, "yaw": 0.05}),
+    "SpeedZone": _Constructor(SpeedZone, lambda: {"speed": 0.1, "distance": 0.3}),
+    "MotionLimits": _Constructor(
         MotionLimits,
         lambda: {spec.name: spec.default for spec in dataclasses.fields(MotionLimits)},
         lambda limits: _certified(_problem(robot=Robot(Footprint(np.array(_SQUARE)), limits))),
     ),
-    "ClearanceRule": _Door(
+    "ClearanceRule": _Constructor(
         ClearanceRule,
         lambda: {"required": 0.05, "at_dock": 0.0, "taper": 0.5},
         lambda r: _certified(_problem(clearance=r)),
     ),
-    "DockingProblem": _Door(
+    "DockingProblem": _Constructor(
         _problem,
         lambda: {
             "start": Pose2(0, 0, 0),
@@ -184,24 +185,26 @@ _DOORS: dict[str, _Door] = {
         },
         _certified,
     ),
-    "Robot": _Door(
+    "Robot": _Constructor(
         Robot,
         lambda: {"footprint": Footprint(np.array(_SQUARE)), "limits": MotionLimits(), "drive": Drive.DIFFERENTIAL},
         lambda robot: _certified(_problem(robot=robot)),
     ),
-    "ObstacleSet": _Door(
+    "ObstacleSet": _Constructor(
         ObstacleSet, lambda: {"vertices": np.array([_SQUARE]), "names": ("a",), "group": np.array([0])}, _blocks
     ),
-    "ObstacleSet.from_polygons": _Door(ObstacleSet.from_polygons, lambda: {"polygons": [np.array(_SQUARE)]}, _blocks),
-    "ObstacleSet.from_rectangles": _Door(
+    "ObstacleSet.from_polygons": _Constructor(
+        ObstacleSet.from_polygons, lambda: {"polygons": [np.array(_SQUARE)]}, _blocks
+    ),
+    "ObstacleSet.from_rectangles": _Constructor(
         ObstacleSet.from_rectangles,
         lambda: {"lower": np.array([[1.0, 1.0]]), "upper": np.array([[2.0, 2.0]]), "name": "a"},
         _blocks,
     ),
-    "Costmap": _Door(
+    "Costmap": _Constructor(
         Costmap, lambda: {"data": np.zeros((3, 4), dtype=np.uint8), "resolution": 0.1, "origin": (0.0, 0.0)}, _maps
     ),
-    "obstacles_from_costmap": _Door(
+    "obstacles_from_costmap": _Constructor(
         obstacles_from_costmap,
         lambda: {
             "costmap": Costmap(np.array([[0, 254]]), 0.5),
@@ -212,19 +215,21 @@ _DOORS: dict[str, _Door] = {
         },
         _blocks,
     ),
-    "Path.from_poses": _Door(Path.from_poses, lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])}, _walk),
-    "PolylineSegment": _Door(
+    "Path.from_poses": _Constructor(
+        Path.from_poses, lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])}, _walk
+    ),
+    "PolylineSegment": _Constructor(
         PolylineSegment,
         lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0]]), "direction": Direction.FORWARD},
         lambda segment: _walk(Path((segment,))),
     ),
-    "Path": _Door(Path, lambda: {"segments": (ClothoidSegment(_spline()),)}, _walk),
-    "ClothoidSpline": _Door(
+    "Path": _Constructor(Path, lambda: {"segments": (ClothoidSegment(_spline()),)}, _walk),
+    "ClothoidSpline": _Constructor(
         _spline,
         lambda: {"start": Pose2(0, 0, 0), "knots": np.array([0.0, 1.0, 2.0]), "curvature": np.zeros(3), "sign": 1},
         lambda spline: _walk(Path((ClothoidSegment(spline),))),
     ),
-    "TimeLaw": _Door(
+    "TimeLaw": _Constructor(
         TimeLaw,
         lambda: {
             "durations": np.array([1.0, 1.0]),
@@ -235,13 +240,13 @@ _DOORS: dict[str, _Door] = {
         },
         _drive,
     ),
-    "plan_dock": _Door(
+    "plan_dock": _Constructor(
         lambda time_budget: plan_dock(_problem(), time_budget=time_budget), lambda: {"time_budget": 0.02}
     ),
 }
 
 
-def _plugin_doors() -> Iterator[tuple[str, str]]:
+def _plugin_parameters() -> Iterator[tuple[str, str]]:
     for plugin in available_plugins():
         for name in load_plugin(INTERFACES[plugin.kind], plugin.name).Parameters.model_fields:
             yield f"{plugin.kind}/{plugin.name}", name
@@ -251,11 +256,11 @@ def draw(rng: np.random.Generator) -> Case:
     """Draw a constructor, one of its arguments, and the value to insert."""
     hostile = int(rng.integers(len(_hostile())))
     if rng.uniform() < 0.25:
-        slots = list(_plugin_doors())
+        slots = list(_plugin_parameters())
         door, argument = slots[int(rng.integers(len(slots)))]
     else:
-        door = sorted(_DOORS)[int(rng.integers(len(_DOORS)))]
-        argument = list(_DOORS[door].arguments())[int(rng.integers(len(_DOORS[door].arguments())))]
+        door = sorted(_CONSTRUCTORS)[int(rng.integers(len(_CONSTRUCTORS)))]
+        argument = list(_CONSTRUCTORS[door].arguments())[int(rng.integers(len(_CONSTRUCTORS[door].arguments())))]
     return {
         "kind": "values",
         "door": door,
@@ -278,23 +283,23 @@ def judge(case: Case) -> Verdict:
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}")
     except Exception as error:
-        if _is_right_sort(case, value):
+        if _is_right_type(case, value):
             raise type(error)(f"{where}: {error}") from error
         return Verdict("wrong type refused")
-    if not _is_right_sort(case, value):
+    if not _is_right_type(case, value):
         return Verdict("wrong type accepted")
     return _changeable(made, value, where) or Verdict("accepted")
 
 
-def _is_right_sort(case: Case, value: object) -> bool:
+def _is_right_type(case: Case, value: object) -> bool:
     """Whether a value is of the type of the argument."""
     if "/" in case["door"]:
         return True  # parameters come from files and are checked for any type
-    honest = _DOORS[case["door"]].arguments()[case["argument"]]
-    return _sort(value) == ("number" if honest is None else _sort(honest))
+    honest = _CONSTRUCTORS[case["door"]].arguments()[case["argument"]]
+    return _type_name(value) == ("number" if honest is None else _type_name(honest))
 
 
-def _sort(value: object) -> str:
+def _type_name(value: object) -> str:
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, Enum):
         return "number"
     if isinstance(value, np.ndarray):
@@ -306,10 +311,10 @@ def _called(case: Case, value: object) -> object:
     if "/" in case["door"]:
         kind, name = case["door"].split("/", 1)
         return create_plugin(INTERFACES[kind], name, {case["argument"]: value})
-    door = _DOORS[case["door"]]
-    made = door.call(**{**door.arguments(), case["argument"]: value})
+    constructor = _CONSTRUCTORS[case["door"]]
+    made = constructor.call(**{**constructor.arguments(), case["argument"]: value})
     if case["door"] != "plan_dock":
-        door.use(made)
+        constructor.use(made)
     return made
 
 
