@@ -23,11 +23,14 @@ from optdock.simulation import Actuation, SimulationSettings, Steering, run_clos
 
 experiment = importlib.import_module("experiments.06_driven_as_proven")
 START = Pose2(-1.6, 0.4, 0.3)
-# Every pair of robot, gear and actuators; the two cars together have every combination.
 COMBINATIONS = [
-    (name, direction, (i + j) % 2 == 0)
-    for i, name in enumerate(experiment.ROBOTS)
-    for j, direction in enumerate((DockDirection.FORWARD, DockDirection.BACKWARD))
+    ("differential", DockDirection.FORWARD, True),
+    ("differential", DockDirection.BACKWARD, False),
+    ("turning in place", DockDirection.FORWARD, False),
+    ("turning in place", DockDirection.BACKWARD, True),
+    ("car, holds", DockDirection.FORWARD, True),
+    ("car, holds", DockDirection.BACKWARD, False),
+    ("car, straightens", DockDirection.BACKWARD, True),
 ]
 
 

@@ -30,6 +30,13 @@ TOUCHING = {"along a wall": hard_cases.BESIDE, "contact": (0.0, 0.001)}  # [m]: 
 ROUNDING = 1e-9  # [m]
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _two_spare_widths():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hard_cases, "SPARE", (0.002, 0.02))
+        yield
+
+
 @functools.cache
 def drawn(family):
     return DRAWN[family](11)
