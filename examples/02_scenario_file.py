@@ -1,4 +1,4 @@
-"""Plan from a scenario file with a map, and read what the certificates say."""
+"""Plan from a scenario file with a map, and read the certificates."""
 
 from pathlib import Path
 
@@ -17,5 +17,5 @@ for name, ratio in plan.trajectory_certificate.ratios.items():
     print(f"  {name:22} {100 * ratio:5.1f} %")
 
 plan.save("results/bay.json")
-again = od.DockPlan.load("results/bay.json", scenario.problem)  # proven anew; what the file claims plays no part
+again = od.DockPlan.load("results/bay.json", scenario.problem)  # certified again; the claims in the file are ignored
 print("read back and proven again:", again.certificate.certified and again.trajectory_certificate.certified)

@@ -1,11 +1,11 @@
-"""Plan on an occupancy grid of your own: an array, its resolution and its origin."""
+"""Plan on an occupancy grid from an array, with its resolution and its origin."""
 
 import numpy as np
 
 import optdock as od
 
 resolution = 0.05
-grid = np.zeros((80, 140), dtype=np.int8)  # row 0 lies at the lowest y; 0 free, 100 occupied, -1 unknown, as in ROS
+grid = np.zeros((80, 140), dtype=np.int8)  # row 0 has the lowest y; 0 free, 100 occupied, -1 unknown, as in ROS
 grid[:2] = grid[-2:] = grid[:, :2] = grid[:, -2:] = 100  # walls
 grid[48:56, 40:90] = 100  # a rack
 grid[60:78, 100:138] = -1  # unknown

@@ -1,4 +1,4 @@
-"""The smoother alone, on poses that another planner made."""
+"""Use only the smoother, on poses from another planner."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Replan in motion: the dock is seen elsewhere, and a new plan takes over without a jump."""
+"""Replan in motion: the dock is detected at another pose, and a new plan takes over continuously."""
 
 from pathlib import Path
 
@@ -8,11 +8,11 @@ problem = od.load_scenario(Path(__file__).parent / "data" / "bay.yaml").problem
 plan = od.plan_dock(problem, time_budget=1.0)
 print("first:", plan)
 
-now = od.DriveState(time=4.0)  # what the controller's `progress` says; with a measured pose where there is one
+now = od.DriveState(time=4.0)  # the controller's `progress`, with the measured pose if available
 seen = problem.goal @ od.Pose2(0.01, 0.02, 0.02)  # 1 cm deeper, 2 cm to the left, 1.1 degrees turned
 print("the way still holds:", od.still_holds(plan, problem, from_time=now.time).holds)
 
-again = od.replan(plan, seen, now, time_budget=0.2)  # 0.02 by default, for machines with nothing else to do
+again = od.replan(plan, seen, now, time_budget=0.2)  # 0.02 by default, for an idle machine
 print(f"{again.outcome.value}: {again.plan or again.reason}")
 
 before, after = plan.trajectory.at(again.starts_at), again.trajectory.at(0.0)

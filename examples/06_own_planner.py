@@ -1,4 +1,4 @@
-"""A planner of your own: any class with `create_plan`. Smoother, proof and timing stay as they are."""
+"""Write a planner plugin: any class with `create_plan`. Smoother, certificate and timing are unchanged."""
 
 import math
 from itertools import pairwise
@@ -14,7 +14,7 @@ from optdock.plugins.parameters import PluginParameters
 class ViaPointsParameters(PluginParameters):
     """Parameters of `ViaPoints`."""
 
-    points: list[tuple[float, float]] = Field([], description="positions to pass, in order [m]")
+    points: list[tuple[float, float]] = Field([], description="via points, in order [m]")
 
 
 class ViaPoints(GlobalPlanner):
@@ -23,7 +23,7 @@ class ViaPoints(GlobalPlanner):
     Parameters = ViaPointsParameters
 
     def create_plan(self, start, goal, cancel_checker=lambda: False):
-        """A raw path: its corners are the smoother's work."""
+        """Return a raw path; its corners are smoothed by the smoother."""
         corners = [(start.x, start.y), *self.parameters.points, (goal.x, goal.y)]
         lines = [(a, math.atan2(b[1] - a[1], b[0] - a[0])) for a, b in pairwise(corners)]
         return od.Path.from_poses([start, *((*a, heading) for a, heading in lines[1:]), goal])

@@ -1,4 +1,4 @@
-"""Drive a plan in closed loop: a controller, a goal checker, and a robot that is late, sluggish and badly located."""
+"""Drive a plan in closed loop: a controller, a goal checker, and a robot with latency, lag and localization noise."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ problem = od.load_scenario(Path(__file__).parent / "data" / "bay.yaml").problem
 plan = od.plan_dock(problem, time_budget=1.0)
 
 controller = od.TrackingController()
-controller.configure(od.PluginContext(problem=problem))  # so it sees obstacles, and refuses plans of another problem
+controller.configure(od.PluginContext(problem=problem))  # required for obstacles; plans of other problems are refused
 checker = od.AxisGoalChecker(along_path_tolerance=0.02, cross_track_tolerance=0.02, stopped=True)
 world = SimulationSettings(
     actuation=Actuation(linear_lag=0.06, angular_lag=0.06, latency=0.04),

@@ -1,4 +1,4 @@
-"""What a refusal says, what exists all the same, and what is wrong with a path from another source."""
+"""Inspect a refusal and its partial results, and the violations of a path from another source."""
 
 from pathlib import Path
 

@@ -1,9 +1,9 @@
-"""From behind the dock: the search drives around the station and a rack, with cusps where there is no room to turn."""
+"""Plan from behind the dock: around the station and a rack, with cusps if there is no room to turn."""
 
 import optdock as od
 
 robot = od.Robot(od.Footprint.rectangle(0.45, 0.45, 0.6), od.MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
-station = od.Footprint([(0.47, -0.4), (0.65, -0.4), (0.65, 0.4), (0.47, 0.4)])  # seen from the docked robot
+station = od.Footprint([(0.47, -0.4), (0.65, -0.4), (0.65, 0.4), (0.47, 0.4)])  # in the frame of the docked robot
 dock = od.Dock(
     od.Pose2(4.0, 1.0, 0.0), station, final_straight=0.3, approach_speed=0.1, approach_distance=0.3, direction="forward"
 )
@@ -15,9 +15,9 @@ racks = [
 behind = od.Pose2(6.0, 0.9, 0.2)
 problem = od.DockingProblem(behind, dock, robot, obstacles=racks, clearance=od.ClearanceRule(0.05, at_dock=0.0))
 
-plan = od.plan_dock(problem)  # the default budget, 1 s, is for hard places; most calls need a fraction of it
+plan = od.plan_dock(problem)  # the default budget, 1 s, is for difficult problems; most calls need a fraction of it
 print(plan)
 print(f"found by: {plan.stage}; {len(plan.path.cusps)} cusps, price {plan.price:.1f} s")
-for attempt in plan.tried:  # every guess, and what became of it
+for attempt in plan.tried:  # all guesses with their results
     print(" ", attempt)
 plan.plot("results/from_behind_the_dock.png")

@@ -1,4 +1,4 @@
-"""Dock with a detector: the dock is not where it was stored, and is pushed aside on the way. Then a picture."""
+"""Dock with a detector: the dock differs from its stored pose and is pushed during the approach; draw the run."""
 
 import numpy as np
 
@@ -11,7 +11,8 @@ robot = od.Robot(od.Footprint.rectangle(0.3, 0.3, 0.5), limits)
 stored = od.Dock(od.Pose2(2.0, 0.0, 0.0), final_straight=0.1, approach_speed=0.15, approach_distance=0.2)
 problem = od.DockingProblem(od.Pose2(0.7, 0.35, -0.3), stored, robot)
 
-world = SimulatedRobot(  # late, sluggish, badly located; the dock is 5 cm aside, and is seen late and noisily
+# latency, lag and localization noise; the dock is 5 cm aside, its detections are late and noisy
+world = SimulatedRobot(
     DifferentialDrive(robot, Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06)),
     start=problem.start,
     dock_pose=problem.goal @ od.Pose2(0.02, 0.05, 0.05),

@@ -1,8 +1,8 @@
-"""Experiment 1: dock on maps of a hall, a corridor and a storage, from plan to closed loop; on Nav2's maps where given.
+"""Experiment 1: dock on maps of a hall, a corridor and a storage, from plan to closed loop, optionally on Nav2's maps.
 
-For every scenario of `real_maps`: plan, prove, time, drive with lag, latency and noise until the AxisGoalChecker says
-docked; a table of raw against smoothed paths, one picture of the plan and one of the run each. Writes to
-results/01_docking_on_maps/.
+Plans, certifies and times every scenario of `real_maps`, and drives it with lag, latency and noise until the
+AxisGoalChecker reports success. Prints a table of raw against smoothed paths; draws one picture of each plan and of
+each run. Writes to results/01_docking_on_maps/.
 
     python experiments/01_docking_on_maps.py [--maps DIR] [--only TEXT] [--no-pictures]
 """
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from optdock.simulation import Run
 
 OUT = Path("results") / Path(__file__).stem
-TIME_BUDGET = 0.5  # [s]: what a busy machine keeps too; the table says how long each plan took
-# A drive with 60 ms lag and 40 ms latency, a localization with 2 mm and 0.1 degree of white noise.
+TIME_BUDGET = 0.5  # [s]: sufficient on a loaded machine; the table lists the planning time of each plan
+# Actuators with 60 ms lag and 40 ms latency, localization with white noise of 2 mm and 0.1 degrees.
 WORLD = {"position_noise": 0.002, "yaw_noise": 0.0017}
 ACTUATION = Actuation(linear_lag=0.06, angular_lag=0.06, latency=0.04)
 CONTROLLER = PluginChoice("TrackingController", {"preview": 0.1})
-# Docking tolerances for Nav2's checker; the DockGoalChecker, which judges the heading too, is asked beside it.
+# Docking tolerances for Nav2's checker. The DockGoalChecker, which also checks the heading, runs in parallel.
 CHECKER = PluginChoice(
     "AxisGoalChecker", {"along_path_tolerance": 0.02, "cross_track_tolerance": 0.02, "stopped": True}
 )
@@ -49,7 +49,7 @@ SECOND_CHECKER = PluginChoice("DockGoalChecker", {})
 
 
 class Result(NamedTuple):
-    """What became of one scenario."""
+    """Result of one scenario."""
 
     scenario: Scenario
     plan: DockPlan | None
@@ -59,7 +59,7 @@ class Result(NamedTuple):
 
 
 def scenario_of(task: MapScenario, maps: Path) -> Scenario:
-    """The task as a scenario, as if read from a file."""
+    """Return the task as a scenario, as if read from a file."""
     name = re.sub(r"[^a-z0-9]+", "_", task.name.lower())
     return Scenario(
         problem_of(task, maps), TIME_BUDGET, controller=CONTROLLER, goal_checker=CHECKER, source=Path(f"{name}.yaml")
@@ -82,7 +82,7 @@ def solve(scenario: Scenario) -> Result:
 
 
 def figures(result: Result) -> list[PathFigures]:
-    """The raw and the smoothed row of the comparison."""
+    """Return the raw and the smoothed row of the comparison."""
     if result.plan is None:
         return [PathFigures(result.scenario.source.stem, "smoothed", result.error.split(":")[0])]
     plan = result.plan
@@ -91,7 +91,7 @@ def figures(result: Result) -> list[PathFigures]:
 
 
 def run_row(result: Result) -> tuple[str, ...]:
-    """One line of the table of runs."""
+    """Return one row of the table of runs."""
     name = result.scenario.source.stem
     if result.plan is None or result.run is None:
         return (name, "-", "-", "-", "-", "-", "-", result.error)
@@ -103,7 +103,7 @@ def run_row(result: Result) -> tuple[str, ...]:
 
 
 def draw(result: Result) -> None:
-    """The pictures of one scenario."""
+    """Draw the pictures of one scenario."""
     from optdock.plotting import save_plan_picture, save_run_picture
 
     plan, problem, name = result.plan, result.scenario.problem, result.scenario.source.stem
@@ -125,7 +125,7 @@ def draw(result: Result) -> None:
 
 
 def known_tasks(maps: Path, parser: argparse.ArgumentParser) -> tuple[MapScenario, ...]:
-    """The scenarios whose maps are there: ours always, Nav2's where they are found; asked for, they must be."""
+    """Return the scenarios whose maps exist; Nav2's maps are required only if they were requested explicitly."""
     missing = [name for name in ("depot.yaml", "warehouse.yaml") if not (maps / name).is_file()]
     if not missing:
         return (*DRAWN_SCENARIOS, *SCENARIOS)
@@ -136,14 +136,14 @@ def known_tasks(maps: Path, parser: argparse.ArgumentParser) -> tuple[MapScenari
 
 
 def main() -> int:
-    """Run the experiment; 0 when every scenario is certified and docks."""
+    """Run the experiment. Return 0 if every scenario is certified and docks."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="scenarios whose name holds this text")
-    parser.add_argument("--no-pictures", action="store_true", help="tables only")
+    parser.add_argument("--only", default="", help="run only the scenarios whose name contains this text")
+    parser.add_argument("--no-pictures", action="store_true", help="print tables only")
     parser.add_argument(
         "--maps",
         type=Path,
-        help="folder of Nav2's depot.yaml and warehouse.yaml (default: %(default)s)",
+        help="directory of Nav2's depot.yaml and warehouse.yaml (default: %(default)s)",
         default=maps_folder(),
     )
     arguments = parser.parse_args()
@@ -168,7 +168,7 @@ def main() -> int:
 
 
 def summary(results: list[Result]) -> str:
-    """Counts and medians over all scenarios."""
+    """Return counts and medians over all scenarios."""
     plans = [result.plan for result in results if result.plan is not None]
     docked = sum(1 for result in results if result.run is not None and not result.error)
     total = [plan.timing_ms["total"] for plan in plans]

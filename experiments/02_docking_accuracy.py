@@ -1,9 +1,9 @@
-"""Experiment 2: how exactly a robot ends in its dock, against the control law that Nav2 docks with.
+"""Experiment 2: final docking accuracy of certified plans, compared with Nav2's docking control law.
 
-The same random starts around the staging pose, 0.7 m before the dock, are driven twice: by the graceful law as Nav2's
-docking server runs it (target 0.25 m behind the dock, stop within 5 cm of it, Nav2's default parameters), and by a
-certified plan and the TrackingController until the DockGoalChecker says docked. Both in a perfect world, and with lag,
-latency and measurement noise. A start without a plan is counted, not hidden. Writes results/02_docking_accuracy/.
+The same random starts around the staging pose, 0.7 m before the dock, are driven twice: by the graceful law as in
+Nav2's docking server (target 0.25 m behind the dock, stop within 5 cm of it, Nav2's default parameters), and by a
+certified plan with the TrackingController until the DockGoalChecker reports success. Both run in a perfect world, and
+with lag, latency and measurement noise. Starts without a plan count as failures. Writes results/02_docking_accuracy/.
 
     python experiments/02_docking_accuracy.py [--starts N]
 """
@@ -11,13 +11,12 @@ latency and measurement noise. A start without a plan is counted, not hidden. Wr
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.graceful_law import GracefulLaw, egocentric
+from experiments.graceful_law import NAV2_LAW, egocentric, random_starts
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -42,8 +41,7 @@ from optdock.simulation import (
 
 OUT = Path("results") / Path(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
-STAGING, SPREAD, TURN = 0.7, 0.25, 0.25  # [m], [m], [rad]: what Nav2's SimpleGoalChecker accepts by default
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
+STAGING = 0.7  # [m]
 PROJECTION, ACCEPTED = 0.25, 0.05  # [m]
 LIMITS = MotionLimits(
     max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
@@ -60,7 +58,7 @@ WORLDS = {
 
 
 class Ending(NamedTuple):
-    """Where and how one docking ended: |lateral| [m], |yaw| [rad], largest curvature asked for [1/m], time [s]."""
+    """Result of one docking: |lateral| [m], |yaw| [rad], maximum commanded curvature [1/m], duration [s]."""
 
     lateral: float
     yaw: float
@@ -68,17 +66,8 @@ class Ending(NamedTuple):
     duration: float
 
 
-def starts(count: int) -> list[Pose2]:
-    """Poses uniform in a disc around the staging pose, headings uniform around the dock's."""
-    random = np.random.default_rng(1)
-    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
-    turn = random.uniform(-TURN, TURN, count)
-    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
-    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
-
-
 def by_law(start: Pose2, world: SimulationSettings) -> Ending:
-    """The docking server's loop: the law towards the projected dock until within 5 cm of the dock."""
+    """Run the loop of the docking server: the law towards the projected dock until within 5 cm of the dock."""
     sensors = Sensors(PoseSensor(world.position_noise, world.yaw_noise))
     robot, curvatures = SimulatedRobot(plant_of(ROBOT, world.actuation), start, GOAL, sensors, seed=world.seed), []
     target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
@@ -87,13 +76,13 @@ def by_law(start: Pose2, world: SimulationSettings) -> Ending:
         assert measured is not None
         if measured.distance_to(GOAL) < ACCEPTED:
             break
-        curvatures.append(abs(LAW.curvature(egocentric(target, measured))))
-        robot.advance(LAW.command(target, measured), world.period)
+        curvatures.append(abs(NAV2_LAW.curvature(egocentric(target, measured))))
+        robot.advance(NAV2_LAW.command(target, measured), world.period)
     return Ending(abs(robot.error.y), abs(robot.error.yaw), max(curvatures), robot.time)
 
 
 def by_plan(start: Pose2, world: SimulationSettings) -> Ending | None:
-    """A certified plan, tracked; None where there is none."""
+    """Track a certified plan; None if there is no plan or the run does not dock."""
     try:
         plan = plan_dock(DockingProblem(start, DOCK, ROBOT), time_budget=1.0)
     except OptdockError:
@@ -112,7 +101,7 @@ def by_plan(start: Pose2, world: SimulationSettings) -> Ending | None:
 
 
 def row(world: str, method: str, endings: list[Ending | None]) -> list[str]:
-    """One line of the table."""
+    """Return one row of the table."""
     done = np.array([ending for ending in endings if ending is not None])
 
     def spread(values: np.ndarray, digits: int) -> str:
@@ -123,10 +112,10 @@ def row(world: str, method: str, endings: list[Ending | None]) -> list[str]:
 
 
 def main() -> None:
-    """Drive everything; print and write the table."""
+    """Run all dockings; print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=100, help="how many (default: %(default)s)")
-    poses = starts(parser.parse_args().starts)
+    parser.add_argument("--starts", type=int, default=100, help="number of starts (default: %(default)s)")
+    poses = random_starts(parser.parse_args().starts, STAGING)
     rows = []
     for name, world in WORLDS.items():
         rows.append(row(name, "graceful law", [by_law(pose, world) for pose in poses]))

@@ -1,11 +1,12 @@
-"""Experiment 5: how hard and how straight robots meet their stations, in a physics simulation.
+"""Experiment 5: contact forces and alignment of dockings in a physics simulation.
 
-The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25
-rad) are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
-server runs it (target 0.25 m behind the dock, Nav2's default parameters), by the planner's raw path and the
-TrackingController, by the certified plan and the TrackingController, and by the executor. Whoever touches presses on at
-2 cm/s for 1 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
-Docked is who then rests in touch within 10 mm across and 1.5 degrees. Writes results/05_contact_forces/.
+The same random starts around the staging pose (a disc of 0.25 m radius, 0.85 m before the dock, headings within 0.25
+rad) are driven into a flat contact plate and into a V with wings, until contact, by four methods: the graceful law as
+in Nav2's docking server (target 0.25 m behind the dock, Nav2's default parameters), the planner's raw path with the
+TrackingController, the certified plan with the TrackingController, and the executor. After contact the robot presses on
+at 2 cm/s for 1 s, to seat the contacts, and stops. A robot that arrives without contact creeps straight ahead at 3
+cm/s. A run counts as docked if the robot rests in contact within 10 mm laterally and 1.5 degrees. Writes
+results/05_contact_forces/.
 
     python experiments/05_contact_forces.py [--starts N]
 """
@@ -22,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.graceful_law import GracefulLaw
+from experiments.graceful_law import nav2_command, random_starts
 from experiments.mujoco import MujocoDrive, VShape, flat_station
 from experiments.mujoco.animation import save_mujoco_animation
 from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
@@ -47,15 +48,13 @@ from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath,
 
 OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
-STAGING, SPREAD, TURN = 0.85, 0.25, 0.25  # [m], [m], [rad]
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
-PROJECTION = 0.25  # [m]
+STAGING = 0.85  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
-TIME_BUDGET = 5.0  # [s] of wall clock, for busy machines; all but one plan take less than 0.3 s
+TIME_BUDGET = 5.0  # [s] of wall clock, for loaded machines; all but one plan need less than 0.3 s
 CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
-SETTLING = 0.5  # [s] after the stop; who moves then is not at rest
-MEETING = 0.2  # [s] from the first contact on: the impact, without the pressing
-TRAVEL, CROSS, YAW = 0.003, 0.01, math.radians(1.5)  # [m] by which spring contacts give way, [m], [rad]
+SETTLING = 0.5  # [s] after the stop; a robot that still moves then is not at rest
+MEETING = 0.2  # [s] from the first contact: the impact, without the pressing phase
+TRAVEL, CROSS, YAW = 0.003, 0.01, math.radians(1.5)  # travel of the spring contacts [m], tolerances [m], [rad]
 AT_REST = 0.002  # [m/s]
 LIMITS = MotionLimits(
     max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
@@ -64,7 +63,7 @@ LIMITS = MotionLimits(
 
 
 class World(NamedTuple):
-    """What stands between the commands and the motors, and the noise of localization."""
+    """Actuation between commands and motors, and localization noise."""
 
     actuation: Actuation
     sensors: Sensors
@@ -80,7 +79,7 @@ WORLDS = {
 
 
 def stations() -> dict[str, tuple[Robot, Dock]]:
-    """Each with the robot that fits it."""
+    """Return each station with the robot that fits it."""
     v, flat = VShape(), Footprint.rectangle(0.3, 0.3, 0.5)
     nosed = v.with_nose(0.3, 0.3, 0.5)
     outlines = {"plate": (flat, flat_station(flat)), "V": (nosed, v.station(nosed))}
@@ -93,24 +92,15 @@ def stations() -> dict[str, tuple[Robot, Dock]]:
     }
 
 
-def starts(count: int) -> list[Pose2]:
-    """Poses uniform in a disc around the staging pose, headings uniform around the dock's."""
-    random = np.random.default_rng(1)
-    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
-    turn = random.uniform(-TURN, TURN, count)
-    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
-    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
-
-
 class Docking(NamedTuple):
-    """How one docking ended.
+    """Result of one docking.
 
     Attributes:
-        pose: Of the robot, seen from the dock.
-        impulse: Of the force across the dock's axis, in either direction, in the first 0.2 s of contact [N s].
+        pose: Robot pose in the frame of the dock.
+        impulse: Impulse of the absolute lateral force in the first 0.2 s of contact [N s].
         peak: Largest contact force [N]; 0 without contact.
-        duration: Until the first contact, or the end without one [s].
-        fault: Why it did not end at the dock; empty where it did.
+        duration: Time until the first contact, or until the end without contact [s].
+        fault: Reason why the robot did not end at the dock; empty on success.
     """
 
     pose: Pose2
@@ -120,27 +110,26 @@ class Docking(NamedTuple):
     fault: str
 
 
-Steering = Callable[[Measurements], "Twist2 | None"]  # None: it is over, stand still
+Steering = Callable[[Measurements], "Twist2 | None"]  # None: finished, stand still
 
 
 def by_law(_problem: DockingProblem) -> Steering:
-    """The docking server's law towards the projected dock."""
-    target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
-    return until_contact(lambda measured: LAW.command(target, measured.pose or GOAL))
+    """Steer by the law of the docking server towards the projected dock."""
+    return until_contact(lambda measured: nav2_command(GOAL, measured.pose or GOAL))
 
 
 def by_raw_path(problem: DockingProblem) -> Steering:
-    """What the planner made, tracked; however far the robot's heading is off at its corners."""
+    """Track the raw path of the planner, including heading jumps at its corners."""
     return until_contact(tracked(planned(problem).raw_path, {"max_yaw_error": math.pi}))
 
 
 def by_smoothed_path(problem: DockingProblem) -> Steering:
-    """The certified plan, tracked."""
+    """Track the certified plan."""
     return until_contact(tracked(planned(problem).trajectory, {}))
 
 
 def by_executor(problem: DockingProblem) -> Steering:
-    """The executor as a server runs it, from where the robot stands, until it says that it has docked."""
+    """Run the executor as a server does, from the current robot pose until the task ends."""
     settings = ExecutorSettings(
         contact="touch",
         use_detections=False,
@@ -165,12 +154,12 @@ def by_executor(problem: DockingProblem) -> Steering:
 
 @functools.cache
 def planned(problem: DockingProblem) -> DockPlan:
-    """The certified plan of a start."""
+    """Return the certified plan from a start."""
     return plan_dock(problem, time_budget=TIME_BUDGET)
 
 
 def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steering:
-    """The TrackingController, until it has arrived; then it creeps straight on."""
+    """Run the TrackingController until arrival; then creep straight ahead."""
     controller = create_plugin(Controller, "TrackingController", parameters)
     checker = create_plugin(GoalChecker, "DockGoalChecker", {"along_tolerance": TRAVEL})
     controller.reset()
@@ -191,7 +180,7 @@ def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steerin
 
 
 def until_contact(steer: Steering) -> Steering:
-    """The same, but who touches presses on for a moment, and then it is over."""
+    """Wrap a steering function: press on for a moment after contact, then finish."""
     touched_at: float | None = None
 
     def steer_or_press(measured: Measurements) -> Twist2 | None:
@@ -204,7 +193,7 @@ def until_contact(steer: Steering) -> Steering:
 
 
 def pressing(now: float, since: float | None) -> Twist2 | None:
-    """What seats the contacts; None when that is over, or has not begun."""
+    """Return the pressing command; None before contact and after the pressing phase."""
     return Twist2(PRESS, 0.0) if since is not None and now < since + PRESSING else None
 
 
@@ -219,7 +208,7 @@ METHODS = {
 def dock(
     drive: MujocoDrive, problem: DockingProblem, world: World, method: str, seed: int
 ) -> tuple[Docking, list[PlantState]]:
-    """Drive until it is over and the robot has had time to come to rest."""
+    """Drive until the steering has finished and the robot has had time to come to rest."""
     robot = SimulatedRobot(drive, problem.start, GOAL, world.sensors, seed=seed)
     states = [robot.state]
     try:
@@ -251,7 +240,7 @@ def dock(
 
 
 def fault_of(robot: SimulatedRobot) -> str:
-    """Why the robot does not stand at its dock; empty where it does."""
+    """Return why the robot does not rest at its dock; empty on success."""
     error, twist = robot.error, robot.state.twist
     faults = {
         "moves": math.hypot(twist.linear, twist.lateral) > AT_REST,
@@ -272,7 +261,7 @@ COLUMNS: dict[str, tuple[Callable[[Docking], float], int]] = {
 
 
 def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
-    """One line of the table; the figures are of those that touched."""
+    """Return one row of the table; its figures are of the runs with contact."""
     touched = [ending for ending in endings if ending.peak > 0.0]
 
     def spread(value: Callable[[Docking], float], digits: int) -> str:
@@ -292,7 +281,7 @@ def row(station: str, world: str, method: str, endings: list[Docking]) -> list[s
 
 
 def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
-    """Shares of the runs over peak force, lateral error and yaw error, a row for each station."""
+    """Draw the distributions of peak force, lateral error and yaw error, one row per station."""
     columns = {label: COLUMNS[label][0] for label in ("peak force, N", "across, mm", "yaw, degrees")}
     colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
     lines = dict(zip(WORLDS, ("-", "--"), strict=True))
@@ -316,10 +305,10 @@ def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> 
 
 
 def main() -> None:
-    """Drive everything; print and write the table, draw the picture and the animations."""
+    """Run all dockings; print and write the table, draw the picture and the animations."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--starts", type=int, default=100, help="how many (default: %(default)s)")
-    poses = starts(parser.parse_args().starts)
+    parser.add_argument("--starts", type=int, default=100, help="number of starts (default: %(default)s)")
+    poses = random_starts(parser.parse_args().starts, STAGING)
     try:
         drives = {
             (station, world): MujocoDrive(robot, place, actuation=parts.actuation)
@@ -350,7 +339,7 @@ def main() -> None:
 
 
 def animate(drive: MujocoDrive, problems: list[DockingProblem]) -> None:
-    """The start farthest aside, in the noisy world, by every method; where something draws."""
+    """Animate the start with the largest lateral offset in the noisy world, for every method."""
     seed = max(range(len(problems)), key=lambda i: abs(problems[i].start.y))
     for method in METHODS:
         _, states = dock(drive, problems[seed], WORLDS[NOISY], method, seed)

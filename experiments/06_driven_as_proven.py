@@ -1,11 +1,11 @@
-"""Experiment 6: does a robot stay where its plan is proven? The executor on every plant, drive and gear, without noise.
+"""Experiment 6: deviation of the driven motion from the certified path, for every plant, drive and gear, without noise.
 
-Random starts before the dock, forward and backward: a differential drive, the same with turns in place, and a car whose
-base holds or straightens its wheels at rest, the wheels standing anywhere at the start. Once with perfect actuators,
-once with a lag of 0.1 s of speed and turn and a latency of 0.06 s. What counts is how far the true pose is off the
-path that is driven at that time, the nearest pose of it by the larger of distance / 3 mm and heading / 0.3 degrees; how
-many dockings failed or took another attempt; and the time from the plan to docked over the plan's own. Writes
-results/06_driven_as_proven/.
+The executor drives random starts before the dock, forward and backward, with a differential drive, a differential drive
+that turns in place, and a car that holds or straightens its wheels at rest, with random initial wheel angles. Each case
+runs once with perfect actuators and once with a lag of 0.1 s of speed and yaw rate and a latency of 0.06 s. Reported
+are the deviation of the true pose from the active path (minimum over its poses of the larger of distance / 3 mm and
+heading error / 0.3 degrees), the number of dockings that failed or needed another attempt, and the time from plan to
+docked relative to the duration of the plan. Writes results/06_driven_as_proven/.
 
     python experiments/06_driven_as_proven.py [--starts N] [--seed N] [--controller NAME]
 """
@@ -37,12 +37,12 @@ from optdock.simulation import Actuation, SimulatedRobot, Station, Steering, Ste
 OUT = Path("results") / Path(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
 OUTLINE = Footprint.rectangle(0.8, 0.2, 0.6)
-# Plates 2 cm before the nose and behind the tail of the docked robot: no plan leads through the stop of the station.
+# Plates 2 cm before the front and behind the rear of the docked robot: no plan leads through the stop of the station.
 PLATES = {
     DockDirection.FORWARD: Footprint([(0.82, -0.4), (1.0, -0.4), (1.0, 0.4), (0.82, 0.4)]),
     DockDirection.BACKWARD: Footprint([(-0.4, -0.4), (-0.22, -0.4), (-0.22, 0.4), (-0.4, 0.4)]),
 }
-# A drive with a lag follows a jump of the yaw acceleration by `max_yaw_acceleration` * lag^2 / 2 rad beside it.
+# A drive with lag deviates by `max_yaw_acceleration` * lag^2 / 2 [rad] after a step of the yaw acceleration.
 WHEELS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=0.8, max_curvature=1.8, max_curvature_rate=8.0)
 STEERED = MotionLimits(wheelbase=0.6, max_steering_angle=0.7, max_steering_rate=0.5, max_yaw_rate=1.0)
 CAR = Robot(OUTLINE, STEERED, Drive.ACKERMANN)
@@ -53,28 +53,28 @@ ROBOTS: dict[str, tuple[Robot, SteeringAtRest | None]] = {
     "car, straightens": (CAR, SteeringAtRest.STRAIGHTEN),
 }
 LAG, LATENCY = 0.1, 0.06  # [s]
-PLACE, TURN = 0.003, math.radians(0.3)  # [m], [rad]: what counts as 1 off the path
-SPACING = 5e-4  # [m] between the poses of a path that are looked at
+PLACE, TURN = 0.003, math.radians(0.3)  # [m], [rad]: deviation that counts as 1
+SPACING = 5e-4  # [m] between sampled poses of a path
 RATE, TIMEOUT = 50.0, 90.0  # [Hz], [s]
 
 
 class Start(NamedTuple):
-    """Where a robot begins, and the angle at which its wheels stand [rad]."""
+    """Initial pose of a robot and initial angle of its wheels [rad]."""
 
     pose: Pose2
     wheels: float
 
 
-class Drove(NamedTuple):
-    """One docking: how far off the path, in units of `PLACE` and `TURN`; time over the plan's; whether it was lost."""
+class DockingRun(NamedTuple):
+    """Result of one docking: largest deviation in `PLACE` and `TURN`, time relative to the plan, failure."""
 
     off: float
     time: float
     is_lost: bool
 
 
-class Watched(InlinePlanning):
-    """Notes which motion is planned when."""
+class MotionRecorder(InlinePlanning):
+    """Planning that records the planned motions in order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -89,7 +89,7 @@ class Watched(InlinePlanning):
 
 
 def starts(count: int, direction: DockDirection, seed: int = 1) -> list[Start]:
-    """Poses 0.9 to 2.2 m before the dock, up to 0.6 rad aside and turned; wheels straight or fully turned."""
+    """Return starts 0.9 to 2.2 m before the dock, up to 0.6 rad aside and turned; wheels straight or fully turned."""
     random, side = np.random.default_rng(seed), 1.0 if direction is DockDirection.BACKWARD else -1.0
     found = []
     for _ in range(count):
@@ -101,8 +101,8 @@ def starts(count: int, direction: DockDirection, seed: int = 1) -> list[Start]:
 
 def docked(
     name: str, direction: DockDirection, start: Start, lag: float, latency: float, controller: str | Controller
-) -> Drove:
-    """One docking, its station feeling contact 3 mm before the end."""
+) -> DockingRun:
+    """Run one docking; the station signals contact 3 mm before the end."""
     robot, at_rest = ROBOTS[name]
     dock = Dock(GOAL, direction=direction, final_straight=0.2, footprint=PLATES[direction])
     problem = DockingProblem(start.pose, dock, robot)
@@ -110,7 +110,7 @@ def docked(
     actuation = Actuation(linear_lag=lag, angular_lag=0.0 if steering else lag, latency=latency)
     plant = plant_of(robot, actuation, steering=steering)
     world = SimulatedRobot(plant, start.pose, GOAL, station=Station(direction))
-    planning = Watched()
+    planning = MotionRecorder()
     settings = ExecutorSettings(use_detections=False, navigate_to_staging_pose=False, time_budget=3.0)
     executor = DockingExecutor(problem, settings, controller=controller, planning=planning)
     driven: list[tuple[int, Pose2]] = []
@@ -124,21 +124,21 @@ def docked(
     ending = executor.ending
     is_lost = ending is None or "docked by" not in ending.kind.value or ending.num_retries > 0
     if not planning.motions:
-        return Drove(math.inf, math.inf, is_lost)
+        return DockingRun(math.inf, math.inf, is_lost)
     paths = [motion.trajectory.path for motion in planning.motions]
-    # A motion that was planned on the way takes over a little later.
+    # A motion planned while driving becomes active slightly later.
     off = max(min(off_path(path, pose) for path in paths[max(0, k - 1) : k + 1]) for k, pose in driven)
-    return Drove(off, (now.stamp - begun) / planning.motions[0].trajectory.duration, is_lost)
+    return DockingRun(off, (now.stamp - begun) / planning.motions[0].trajectory.duration, is_lost)
 
 
 @functools.lru_cache(maxsize=8)
 def places_of(path: DockPath) -> FloatArray:
-    """The poses of a path, every `SPACING`. Shape (n, 3)."""
+    """Return the poses of a path, every `SPACING`. Shape (n, 3)."""
     return path.poses_at(np.linspace(0.0, path.length, max(2, math.ceil(path.length / SPACING))))
 
 
 def off_path(path: DockPath, pose: Pose2) -> float:
-    """How far a pose is off a path, in units of `PLACE` and `TURN`, the larger of both at the best place."""
+    """Return the deviation of a pose from a path: the minimum over its poses of the larger of both relative errors."""
     places = places_of(path)
     far = np.hypot(places[:, 0] - pose.x, places[:, 1] - pose.y) / PLACE
     turned = np.abs(np.remainder(places[:, 2] - pose.yaw + math.pi, 2.0 * math.pi) - math.pi) / TURN
@@ -146,10 +146,10 @@ def off_path(path: DockPath, pose: Pose2) -> float:
 
 
 def main() -> None:
-    """Drive all of them and write the table."""
+    """Run all dockings and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--starts", type=int, default=40, help="of each kind")
-    parser.add_argument("--seed", type=int, default=1, help="of the starts")
+    parser.add_argument("--starts", type=int, default=40, help="number of starts of each kind")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the starts")
     parser.add_argument("--controller", default="TrackingController")
     given = parser.parse_args()
     rows = [["plant", "robot", "dock", "off path", "p90", "time / plan", "p90", "lost"]]

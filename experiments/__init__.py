@@ -1,1 +1,1 @@
-"""Experiments: scripts that import the library; nothing imports them."""
+"""Experiments, benchmarks and the fuzzer. They import the library; the library does not import them."""

@@ -1,4 +1,4 @@
-"""Budgets that count CPU time, so that what a study finds does not depend on what else its machine does."""
+"""Time budgets in CPU time, so that results do not depend on the load of the machine."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["count_cpu"]
 
 
 def count_cpu() -> None:
-    """Let every budget of this process that is given no clock count its CPU seconds; once is enough."""
+    """Let every budget of this process that is created without a clock count CPU seconds. Idempotent."""
     for function in (Deadline.__init__, Deadline.of_allowance.__func__, PluginContext.__init__):  # type: ignore[attr-defined]
         _with_cpu_clock(function)
 
 
 def _with_cpu_clock(function: Callable[..., Any]) -> None:
-    """Set the clock that a function has by default."""
+    """Set the default clock of a function."""
     clocks = {time.monotonic: time.process_time}
     defaults = function.__defaults__ or ()
     changed = tuple(clocks.get(value, value) for value in defaults)

@@ -1,7 +1,7 @@
-"""The independent oracle: a path checked point by point, by means that share nothing with `verification`.
+"""Independent path check by dense sampling; it shares no code with `verification`.
 
-Poses every 2 mm, outlines and distances by shapely, required clearance by its own formula, curvature by finite
-differences of yaw. It proves nothing between samples; it is here to catch a certificate that is wrong.
+Samples poses every 2 mm; outlines and distances by shapely, required clearance by a separate formula, curvature by
+finite differences of yaw. It proves nothing between samples; its purpose is to detect wrong certificates.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 __all__ = ["DenseReport", "Fault", "clearance_at", "dense_check"]
 
 _POSE_TOLERANCE = 1e-5  # start and goal [m, rad]
-_STRAIGHT_TOLERANCE = 1e-5  # sideways [m] and in yaw [rad]
-_CLEARANCE_TOLERANCE = 2e-6  # [m]: twice what the certificate forgives, as for the two below
-_CURVATURE_TOLERANCE = 2e-6  # relative; differences of yaw are exact where curvature is linear, but for rounding
+_STRAIGHT_TOLERANCE = 1e-5  # lateral [m] and in yaw [rad]
+_CLEARANCE_TOLERANCE = 2e-6  # [m]: twice the tolerance of the certificate, as the next two
+_CURVATURE_TOLERANCE = 2e-6  # relative; differences of yaw are exact for linear curvature, except for rounding
 _RATE_TOLERANCE = 2e-6  # relative
-_SLIP_PER_SQUARED_STEP = 2.0  # sideways motion over distance [1/m^2]
-_SLIP_PER_RATE = 0.1  # of the curvature rate, likewise: a clothoid shows up to its rate / 12 * step^2
-_BEARING_TOLERANCE = 1e-5  # [rad]: what 1e-6 m are at a decimetre, ...
-_IN_THE_CAMERA = 0.1  # [m]: ... and nearer than that no bearing is judged
+_SLIP_PER_SQUARED_STEP = 2.0  # lateral motion over distance [1/m^2]
+_SLIP_PER_RATE = 0.1  # share of the curvature rate: a clothoid shows up to its rate / 12 * step^2
+_BEARING_TOLERANCE = 1e-5  # [rad]: 1e-6 m at a distance of 0.1 m
+_IN_THE_CAMERA = 0.1  # [m]: no bearing is checked at smaller distances
 _RANGE_TOLERANCE = 2e-6  # [m]
-_JOINT_TOLERANCE = 1e-6  # from the end of a gear to the start of the next [m, rad]
+_JOINT_TOLERANCE = 1e-6  # between the end of a gear and the start of the next [m, rad]
 
 
 class Fault(NamedTuple):
-    """One broken bound: which, where along the path [m], the value and the bound it breaks."""
+    """One violated bound: its name, arc length along the path [m], the value and the limit."""
 
     bound: str
     s: float
@@ -49,18 +49,18 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True)
 class DenseReport:
-    """What the samples show; it counts as true where no bound is broken.
+    """Result of a dense check; true if no bound is violated.
 
     Args:
-        faults: The worst violation of every bound that is broken.
-        min_clearance: Smallest distance of the outline to an obstacle, negative where they overlap [m].
-        worst_margin: Smallest clearance minus required clearance [m].
-        worst_s: Where that is [m].
+        faults: The worst violation of every violated bound.
+        min_clearance: Smallest distance of the outline to an obstacle, negative for overlap [m].
+        worst_margin: Smallest difference of clearance and required clearance [m].
+        worst_s: Arc length of the worst margin [m].
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
         length: Length of the path [m].
-        start_relief: Of the rule of clearance that the faults speak of [m]: the strict one (0), or where that is broken
-            and the weaker one is not, the weaker one.
+        start_relief: Start relief of the clearance rule that `faults` refers to [m]: 0 (strict rule), or the relief of
+            the weaker rule if only the weaker rule holds.
     """
 
     faults: tuple[Fault, ...]
@@ -77,17 +77,17 @@ class DenseReport:
 
     @property
     def ok(self) -> bool:
-        """No bound is broken at any sample."""
+        """Whether no bound is violated at any sample."""
         return not self.faults
 
     @property
     def broken(self) -> tuple[str, ...]:
-        """Names of the broken bounds."""
+        """Names of the violated bounds."""
         return tuple(fault.bound for fault in self.faults)
 
 
 class _Samples(NamedTuple):
-    """One gear, evenly sampled: s (n,) along the whole path, poses (n, 3), step [m], gear (1 or -1)."""
+    """One evenly sampled gear: s (n,) along the whole path, poses (n, 3), step [m], gear (1 or -1)."""
 
     s: FloatArray
     poses: FloatArray
@@ -98,13 +98,13 @@ class _Samples(NamedTuple):
 def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> DenseReport:
     """Check every bound of `problem` at samples of `path` at most `step` [m] apart.
 
-    Bounds: start and goal pose, joints of gears, curvature, curvature rate inside a gear, motion along the heading,
-    the final straight, clearance, bearing and distance of the dock's marker where it must be seen (of the path
-    itself, not of the tube about it).
+    Bounds: start and goal pose, joints of gears, curvature, curvature rate inside a gear, motion along the heading, the
+    final straight, clearance, and bearing and distance of the dock's marker where visibility is required (of the path,
+    not of the tube around it).
 
     Args:
         path: Any path, clothoid or polyline.
-        problem: What must hold.
+        problem: The problem that defines the bounds.
         step: Largest distance between samples [m].
     """
     gears = _gears(path, step)
@@ -142,7 +142,7 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
 
 
 def clearance_at(pose: Pose2, problem: DockingProblem) -> float:
-    """Distance of the outline at one pose to the nearest obstacle [m]; negative where they overlap."""
+    """Return the distance of the outline at one pose to the nearest obstacle [m]; negative for overlap."""
     return float(_clearances(pose.as_array()[None], problem)[0])
 
 
@@ -159,13 +159,13 @@ def _gear(segment: Segment, start: float, step: float) -> _Samples:
 
 
 def _curvature(gear: _Samples) -> FloatArray:
-    """Change of yaw over distance, between neighbouring samples. Shape (n - 1,) [1/m]."""
+    """Return the change of yaw over distance between neighbouring samples. Shape (n - 1,) [1/m]."""
     curvature: FloatArray = np.diff(np.unwrap(gear.poses[:, 2])) / gear.step
     return curvature
 
 
 def _slip(gear: _Samples) -> FloatArray:
-    """Sideways part of every step over its length; the chord of an arc has the heading of its middle."""
+    """Return the lateral part of every step over its length; the chord of an arc has the heading of its middle."""
     move = np.diff(gear.poses[:, :2], axis=0)
     yaw = np.unwrap(gear.poses[:, 2])
     middle = 0.5 * (yaw[1:] + yaw[:-1])
@@ -174,7 +174,7 @@ def _slip(gear: _Samples) -> FloatArray:
 
 
 def _backwards(gear: _Samples) -> FloatArray:
-    """How much of every step runs against the gear, over its length."""
+    """Return the part of every step against the gear direction over its length."""
     move = np.diff(gear.poses[:, :2], axis=0)
     yaw = gear.poses[:-1, 2]
     against: FloatArray = -gear.sign * (move[:, 0] * np.cos(yaw) + move[:, 1] * np.sin(yaw)) / gear.step
@@ -182,7 +182,7 @@ def _backwards(gear: _Samples) -> FloatArray:
 
 
 def _above(bound: str, s: FloatArray, value: FloatArray, limit: float) -> tuple[Fault, ...]:
-    """The worst excess of `value` over `limit`; NaN counts as an excess."""
+    """Return the worst excess of `value` over `limit`; NaN counts as an excess."""
     if value.size == 0 or bool(np.all(value <= limit)):
         return ()
     worst = int(np.argmax(np.where(np.isnan(value), np.inf, value)))
@@ -190,7 +190,7 @@ def _above(bound: str, s: FloatArray, value: FloatArray, limit: float) -> tuple[
 
 
 def _view_faults(s: FloatArray, poses: FloatArray, path: Path, problem: DockingProblem) -> tuple[Fault, ...]:
-    """Bearing [rad] beyond half the field of view, distance [m] beyond the ranges of the camera."""
+    """Return bearings [rad] beyond half the field of view and distances [m] beyond the camera's ranges."""
     dock, camera = problem.dock, problem.robot.camera
     if dock.visible_distance == 0.0 or dock.marker is None or camera is None:
         return ()
@@ -252,7 +252,7 @@ def _end_faults(path: Path, problem: DockingProblem) -> tuple[Fault, ...]:
 
 
 def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[Fault, ...]:
-    """The last `final_straight` metres against the line through the goal along its heading."""
+    """Check the last `final_straight` metres against the line through the goal along its heading."""
     length, goal, last = problem.dock.final_straight, problem.dock.pose, path.segments[-1]
     if length <= 0.0:
         return ()
@@ -268,12 +268,13 @@ def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[
 
 
 def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem, run: float) -> FloatArray:
-    """`at_dock + (required - at_dock) min(1, (d - dock_run) / taper)`, relieved near a start that is itself too close.
+    """Return `at_dock + (required - at_dock) min(1, (d - dock_run) / taper)`, relaxed near a start that is too close.
 
-    Required is what the problem says, and by how much the robot's tube moves the outline.
+    `required` includes the displacement of the outline by the robot's tube.
 
-    Strictly it grows there from the start's clearance at once (`run` 0). Else it grows beyond so many metres, from 5 mm
-    less, or half; and where `at_start` is given it grows as it does from the goal.
+    The strict rule (`run` 0) grows from the clearance of the start at once. The weaker rule starts 5 mm lower, or at
+    half, and grows only beyond `run` metres; if `at_start` is given, it also grows from the start as it does from the
+    goal.
     """
     rule, goal, start = problem.clearance, problem.dock.pose, problem.start
     from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
@@ -282,19 +283,19 @@ def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem
     moved = tube.cross + math.sqrt(2.0 - 2.0 * math.cos(tube.yaw)) * float(np.hypot(*corners.T).max())
     has = max(start_clearance, 0.0)
     enough = has if run == 0.0 else max(0.5 * has, has - 0.005)
-    asked, ends = [enough + 0.5 * np.clip(from_start - run, 0.0, None)], [(from_goal, rule.at_dock)]
+    terms, ends = [enough + 0.5 * np.clip(from_start - run, 0.0, None)], [(from_goal, rule.at_dock)]
     if run > 0.0 and rule.at_start is not None:
         ends.append((from_start, rule.at_start))
     for distance, least in ends:
         beyond = np.maximum(distance - rule.dock_run, 0.0)
         grown = np.clip(beyond / rule.taper, 0.0, 1.0) if rule.taper > 0.0 else (beyond > 0.0).astype(np.float64)
-        asked.append(least + (rule.required + moved - least) * grown)
-    required: FloatArray = np.min(asked, axis=0)
+        terms.append(least + (rule.required + moved - least) * grown)
+    required: FloatArray = np.min(terms, axis=0)
     return required
 
 
 def _clearances(poses: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Distance of the outline to the nearest obstacle at every pose; minus a depth where they overlap. Shape (n,)."""
+    """Return the distance of the outline to the nearest obstacle per pose [m]; negative for overlap. Shape (n,)."""
     import shapely
 
     if len(problem.all_obstacles) == 0:
@@ -320,7 +321,7 @@ def _tree(obstacles: ObstacleSet) -> STRtree:
 
 
 def _overlap_depth(body: object, tree: STRtree) -> float:
-    """How deep a body lies in obstacles, roughly: the mean width of the overlap, area over half its perimeter [m]."""
+    """Return an estimate of the penetration depth: area over half the perimeter of the overlap [m]."""
     import shapely
 
     hits = tree.geometries[tree.query(body, predicate="intersects")]

@@ -1,9 +1,9 @@
-"""Draw the maps of this project as a robot would have made them: a hall, a corridor, a storage.
+"""Draw the maps of this project as recorded by a simulated laser scanner: a hall, a corridor, a storage.
 
-Walls, pillars and racks are shapes in metres. A laser scanner of 12 m range stands at every stop of a tour; what a beam
-crosses is free, where it ends is occupied, and what no beam reached stays unknown: the inside of racks and pillars, the
-niches behind them, the world beyond the walls. Beams end 8 mm off (standard deviation), so walls are as rough as in any
-recorded map. Writes NAME.pgm and NAME.yaml, cells of 5 cm, for map_server.
+Walls, pillars and racks are shapes in metres. A laser scanner with 12 m range stands at every stop of a tour. Cells
+crossed by a beam are free, the end cell of a beam is occupied, and cells that no beam reaches stay unknown: the inside
+of racks and pillars, the niches behind them, the space beyond the walls. Beam ends have noise of 8 mm (standard
+deviation), so walls are as rough as in a recorded map. Writes NAME.pgm and NAME.yaml, cells of 5 cm, for map_server.
 
     python experiments/draw_maps.py [--out experiments/maps] [--seed 1]
 """
@@ -21,21 +21,21 @@ from PIL import Image
 
 from optdock.io.atomic_file import replacing, write_text
 
-RESOLUTION = 0.05  # [m] of a cell of the map
-FINE = 0.01  # [m] of a cell of the drawing
-RANGE, BEAMS, ROUGH = 12.0, 1440, 0.008  # [m], per turn, [m]
-MARGIN = 0.5  # [m] of unknown world around the walls
-FREE, UNKNOWN, OCCUPIED = 254, 205, 0  # as map_saver writes them
+RESOLUTION = 0.05  # [m]: cell of the map
+FINE = 0.01  # [m]: cell of the drawing
+RANGE, BEAMS, ROUGH = 12.0, 1440, 0.008  # [m], beams per turn, range noise [m]
+MARGIN = 0.5  # [m] of unknown space around the walls
+FREE, UNKNOWN, OCCUPIED = 254, 205, 0  # as written by map_saver
 
 
 class Place(NamedTuple):
-    """A building. All of it is solid but for the rooms; in the rooms stand boxes and round pillars.
+    """Building: solid except for its rooms; rooms contain boxes and round pillars.
 
     Args:
         rooms: Lower left and upper right corners [m].
-        boxes: The same, of walls, racks, pallets.
+        boxes: Corners of walls, racks, pallets, in the same form [m].
         pillars: Centre and radius [m].
-        tour: Where the scanner stands.
+        tour: Positions of the scanner [m].
     """
 
     rooms: list[tuple[float, float, float, float]]
@@ -79,7 +79,7 @@ PLACES = {
 
 
 def solid(place: Place) -> np.ndarray:
-    """Whether each point of a fine grid lies in a wall or a thing; rows from the bottom."""
+    """Return whether each point of a fine grid lies in a wall or an object; rows from the bottom."""
     right, top = (max(room[i] for room in place.rooms) for i in (2, 3))
     x, y = np.meshgrid(*(np.arange(-MARGIN + FINE / 2, end + MARGIN, FINE) for end in (right, top)))
     inside = np.zeros(x.shape, dtype=bool)
@@ -91,7 +91,7 @@ def solid(place: Place) -> np.ndarray:
 
 
 def scanned(world: np.ndarray, tour: list[tuple[float, float]], rng: np.random.Generator) -> np.ndarray:
-    """The map that a scanner makes on its tour; rows from the bottom."""
+    """Return the map that a scanner records on its tour; rows from the bottom."""
     cells = [math.ceil(size * FINE / RESOLUTION) for size in world.shape]
     seen, ends = np.zeros(cells, dtype=bool), np.zeros(cells, dtype=int)
     along = np.arange(0.0, RANGE, FINE / 2)
@@ -116,9 +116,9 @@ def main() -> None:
     """Draw every map."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--out", type=Path, default=Path(__file__).parent / "maps", help="folder (default: %(default)s)"
+        "--out", type=Path, default=Path(__file__).parent / "maps", help="output directory (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the beams' roughness (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the range noise (default: %(default)s)")
     options = parser.parse_args()
     for name, place in PLACES.items():
         picture = scanned(solid(place), place.tour, np.random.default_rng(options.seed))

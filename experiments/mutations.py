@@ -183,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=int, default=60, help="CPU time for each fault [s] (default: %(default)s)")
-    parser.add_argument("--repeat", type=Path, help="plant the faults of this file again")
+    parser.add_argument("--repeat", type=Path, help="repeat the faults of this file")
     parser.add_argument("--out", type=Path, default=Path("results/mutations/faults.json"))
     options = parser.parse_args(arguments)
     root = Path(__file__).parents[1]

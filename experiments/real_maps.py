@@ -1,7 +1,7 @@
-"""Docking scenarios on maps: against walls, racks, pallets, in niches, through a door and under a table.
+"""Docking scenarios on maps: at walls, racks, pallets, in niches, through a door and under a table.
 
-Three maps are part of the project (`maps/`, see `draw_maps`). Two real ones (`depot`, `warehouse`) come with Nav2 and
-are looked for in `$OPTDOCK_DATA/nav2/maps`, by default in `../shared/data/nav2/maps` beside the project.
+Three maps are part of the project (`maps/`, see `draw_maps`). Two real maps (`depot`, `warehouse`) come with Nav2 and
+are searched in `$OPTDOCK_DATA/nav2/maps`, by default in `../shared/data/nav2/maps` next to the project.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ ROBOT = Robot(
         max_curvature_rate=6.0,
     ),
 )
-# A charger 14 cm deep and 50 cm wide, 5 mm before the robot's bumper when docked.
+# A charger 14 cm deep and 50 cm wide, 5 mm before the bumper of the docked robot.
 FRONT_CHARGER = Footprint(np.array([[0.455, -0.25], [0.595, -0.25], [0.595, 0.25], [0.455, 0.25]]))
 REAR_CHARGER = Footprint(FRONT_CHARGER.vertices * [-1.0, 1.0])
 
 
 class MapScenario(NamedTuple):
-    """One docking task. `start`: pose in the dock's frame [m, m, degrees]; the robot docks at its origin."""
+    """Docking task. `start`: pose in the dock's frame [m, m, degrees]; the robot docks at the origin of the frame."""
 
     name: str
     map_name: str
@@ -66,8 +66,8 @@ class MapScenario(NamedTuple):
     charger: bool = True
 
 
-# Forward: the start lies behind the dock pose (x < 0); backward: before it (x > 0), the robot reverses in.
-# On the maps of this project.
+# On the maps of this project. Forward: the start lies behind the dock pose (x < 0). Backward: it lies before the dock
+# pose (x > 0), and the robot reverses in.
 DRAWN_SCENARIOS = (
     MapScenario("hall east wall, aligned", "hall", (11.3, 2.0, 0), (-3.0, 0.0, 0)),
     MapScenario("hall south wall, 0.8 m aside", "hall", (2.5, 0.7, -90), (-3.5, 0.8, 0)),
@@ -126,7 +126,7 @@ SCENARIOS = (
 
 
 def maps_folder() -> Path:
-    """Where Nav2's maps are looked for."""
+    """Return the directory of Nav2's maps."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("OPTDOCK_DATA", default)) / "nav2" / "maps"
 
@@ -137,14 +137,14 @@ def _costmap(source: Path) -> Costmap:
 
 
 def problem_of(scenario: MapScenario, maps: Path | None = None) -> DockingProblem:
-    """The docking problem of a scenario, among its whole map.
+    """Return the docking problem of a scenario on its whole map.
 
     Args:
         scenario: The task.
-        maps: Folder of Nav2's maps; None: `maps_folder()`.
+        maps: Directory of Nav2's maps; None: `maps_folder()`.
 
     Raises:
-        InvalidFile: The map is missing or broken.
+        InvalidFile: If the map is missing or broken.
     """
     folder = DRAWN_MAPS if scenario in DRAWN_SCENARIOS else maps or maps_folder()
     costmap = _costmap(folder / f"{scenario.map_name}.yaml")

@@ -1,7 +1,7 @@
-"""The charts of the page of measured results, drawn from its own tables: `python docs/tools/charts.py`.
+"""Charts of docs/benchmark.md, drawn from its tables: `python docs/tools/charts.py`.
 
-Each is written twice, for light and for dark pages, as SVG into `docs/assets/`. A chart carries a digest of the table
-that it shows; a test compares it with that of the page.
+Each chart is written for light and for dark pages, as SVG into `docs/assets/`. A chart contains a digest of its table;
+a test compares it with the digest of the table on the page.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PAGE = Path(__file__).resolve().parents[1] / "benchmark.md"
-_PARTS = {"before", "oblique", "beside or behind"}  # of the row above them
+_PARTS = {"before", "oblique", "beside or behind"}  # subsets of the row above them
 
 
 def rows_of(command: str) -> list[dict[str, str]]:
-    """The table below the marker of a command, by the names of its columns."""
+    """Return the table below the marker of a command, as one dict per row with the column names as keys."""
     text = PAGE.read_text(encoding="utf-8").split(f"<!-- measured: {command} -->", 1)[1]
     lines = text.lstrip().split("\n\n", 1)[0].splitlines()
     head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
@@ -33,12 +33,12 @@ def rows_of(command: str) -> list[dict[str, str]]:
 
 
 def digest_of(command: str) -> str:
-    """A digest of that table."""
+    """Return a digest of the table of a command."""
     return hashlib.sha256(repr(rows_of(command)).encode()).hexdigest()[:16]
 
 
 def draw_calls(axes: Axes, rows: list[dict[str, str]]) -> None:
-    """CPU time of whole calls by family: median, 90th and 99th percentile."""
+    """Draw the CPU time of whole calls by family: median, 90th and 99th percentile."""
     rows = [row for row in rows if row["cases"] not in _PARTS]
     for y, row in enumerate(reversed(rows)):
         p50, p90, p99 = (float(row[f"CPU ms {name}"]) for name in ("p50", "p90", "p99"))
@@ -56,7 +56,7 @@ def draw_calls(axes: Axes, rows: list[dict[str, str]]) -> None:
 
 
 def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
-    """Error across at contact by method, into a plate, with lag and noise: median, 95th percentile and largest."""
+    """Draw the lateral error at contact by method, plate, with lag and noise: median, 95th percentile and maximum."""
     rows = [row for row in rows if row["station"] == "plate" and row["world"] == "late, noisy"]
     for y, row in enumerate(reversed(rows)):
         p50, p95, most = (float(value) for value in row["across, mm"].split("/"))
@@ -65,8 +65,8 @@ def draw_contact(axes: Axes, rows: list[dict[str, str]]) -> None:
         axes.plot([p50], [y], "o", color=COLOURS["path"], markersize=5, zorder=3)
         axes.plot([most], [y], "|", color=COLOURS["limit"], markersize=7, markeredgewidth=1.5, zorder=3)
         force = row["peak force, N"].split("/")[1].strip()
-        said = f"{row['docked']} docked, {force} N at p95"
-        axes.annotate(said, (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
+        label = f"{row['docked']} docked, {force} N at p95"
+        axes.annotate(label, (1.01, y), xycoords=("axes fraction", "data"), va="center", fontsize=7.5)
     axes.set_yticks(range(len(rows)), [row["method"] for row in reversed(rows)])
     axes.set_ylim(-0.6, len(rows) - 0.4)
     axes.set_xlim(0.0, None)
@@ -78,7 +78,7 @@ CHARTS = {
     "calls": (draw_calls, "python -m experiments.manoeuvres", 4.2),
     "contact": (draw_contact, "python experiments/05_contact_forces.py", 1.7),
 }
-"""What is drawn, from the table of which command, and how high it is [inch]."""
+"""Drawing function, command of the table, and height [inch]."""
 
 
 def save(name: str, scheme: str) -> Path:
@@ -98,7 +98,7 @@ def save(name: str, scheme: str) -> Path:
 
 
 def main() -> None:
-    """Draw everything."""
+    """Draw all charts."""
     for name in CHARTS:
         for scheme in _INK:
             target = save(name, scheme)

@@ -1,7 +1,7 @@
-"""The figures of the tutorial and the theory, drawn by the library from real plans: `python docs/tools/figures.py`.
+"""Figures of the tutorial and the theory, drawn by the library from real plans: `python docs/tools/figures.py`.
 
-Each is written twice, for light and for dark pages, as SVG into `docs/assets/`. `make docs` does not draw them:
-a figure changes only when what it shows changes.
+Each figure is written for light and for dark pages, as SVG into `docs/assets/`. `make docs` does not draw them, because
+they change rarely.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ _OBSTACLES = [
 
 
 def problem() -> od.DockingProblem:
-    """Between two boxes into a dock, from a start that is closer to a third one than required."""
+    """Return a problem between two boxes into a dock, with a start closer to a third box than required."""
     clearance = od.ClearanceRule(required=0.05, at_dock=0.0, taper=0.6)
     return od.DockingProblem(od.Pose2(0.9, 0.36, 0.0), _DOCK, _ROBOT, _OBSTACLES, clearance=clearance)
 
 
 def draw_taper(axes: Axes, plan: od.DockPlan) -> None:
-    """Clearance along the path, and what is required of it: relief at the start, taper at the dock."""
+    """Draw clearance and required clearance along the path: relief at the start, taper at the dock."""
     given, path = plan.problem, plan.path
     s = np.linspace(0.0, path.length, 600)
     poses = path.poses_at(s)
@@ -83,14 +83,14 @@ def draw_taper(axes: Axes, plan: od.DockPlan) -> None:
 
 
 def _swept(poses: FloatArray) -> shapely.Geometry:
-    """What the outline covers between its poses: hulls of neighbours, as one shape."""
+    """Return the swept area of the outline: the union of the hulls of neighbouring poses."""
     shapes = transform_points(poses, _ROBOT.footprint.vertices)
     hulls = [shapely.MultiPoint(np.concatenate(pair)).convex_hull for pair in itertools.pairwise(shapes)]
     return shapely.union_all(hulls)
 
 
 def draw_swept(axes: Axes, plan: od.DockPlan) -> None:
-    """The swept hull along the raw path, which hits a box, and along the certified path, which does not."""
+    """Draw the swept areas of the raw path, which hits a box, and of the certified path, which does not."""
     given = plan.problem
     blocks = shapely.union_all([shapely.Polygon(one) for one in _OBSTACLES])
     for shape in (*_OBSTACLES, transform_points(given.goal.as_array()[None, :], np.array(_STATION))[0]):
@@ -114,7 +114,7 @@ def draw_swept(axes: Axes, plan: od.DockPlan) -> None:
 
 
 def draw_speed(axes: Axes, plan: od.DockPlan) -> None:
-    """The jerk-limited speed under the forward-backward pass, and that under the maximum velocity curve."""
+    """Draw the jerk-limited speed, the forward-backward pass, and the maximum velocity curve."""
     (limits,) = limits_along(plan.path, _ROBOT.limits, _DOCK.approach)
     if limits is None:
         raise ValueError("the path has no length")
@@ -134,7 +134,7 @@ def draw_speed(axes: Axes, plan: od.DockPlan) -> None:
 
 
 def draw_behind(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a problem of its own
-    """From behind the dock: the guess of the search, and the certified path with its cusp."""
+    """Draw a plan from behind the dock: the guess of the search, and the certified path with its cusp."""
     racks = [[(2.0, 2.2), (7.0, 2.2), (7.0, 2.6), (2.0, 2.6)], [(0.6, -1.2), (1.0, -1.2), (1.0, 2.6), (0.6, 2.6)]]
     dock = od.Dock(od.Pose2(4.0, 1.0, 0.0), od.Footprint(_STATION), "forward", final_straight=0.3)
     clearance = od.ClearanceRule(0.05, at_dock=0.0)
@@ -154,7 +154,7 @@ def draw_behind(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a 
 
 
 def draw_no_way(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - there is none
-    """A gap that is too narrow: where the robot can be on the goal's side, and the bottleneck."""
+    """Draw a gap that is too narrow: the cells reachable on the goal's side, and the bottleneck."""
     walls = [(-0.2, -0.2, 5.4, 0.0), (-0.2, 3.2, 5.4, 3.4), (-0.2, 0.0, 0.0, 3.2), (5.2, 0.0, 5.4, 3.2)]
     boxes = [*walls, (2.5, 0.0, 2.7, 1.3), (2.5, 1.95, 2.7, 3.2)]
     obstacles = [[(a, b), (c, b), (c, d), (a, d)] for a, b, c, d in boxes]
@@ -186,14 +186,14 @@ def draw_no_way(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - there 
 
 
 class _Watched(InlinePlanning):
-    """Remembers the plans."""
+    """Planning that records the plans."""
 
     def __init__(self) -> None:
         super().__init__()
         self.plans: list[od.DockPlan] = []
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """The result, once it is there."""
+        """Return the result if available, and record it."""
         result = super().poll(stamp)
         if result is not None and result.motion is not None and result.motion.plan is not None:
             self.plans.append(result.motion.plan)
@@ -201,7 +201,7 @@ class _Watched(InlinePlanning):
 
 
 def draw_markers(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a problem of its own
-    """A docking in the world of `simulated_robot`: where the dock is stored, is and is seen, and the plan's markers."""
+    """Draw a docking in a simulated world: stored, true and detected dock, and the markers of the plan."""
     given = od.load_scenario(ASSETS.parents[1] / "ros" / "optdock_ros" / "optdock_ros" / "simulated_bay.yaml").problem
     dock, planning = given.goal @ od.Pose2(0.03, -0.04, 0.05), _Watched()
     settings = od.ExecutorSettings(navigate_to_staging_pose=False)
@@ -235,15 +235,15 @@ def draw_markers(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a
 
 
 def _draw_marker(axes: Axes, marker: Any) -> None:
-    """Lines and text as RViz draws them."""
+    """Draw lines and text as RViz does."""
     ends = np.array([(point.x, point.y) for point in marker.points]).reshape(-1, 2, 2)
     inks = [(ink.r, ink.g, ink.b, ink.a) for ink in marker.colors[::2]] or [
         (marker.color.r, marker.color.g, marker.color.b, marker.color.a)
     ]
     if len(ends):
-        said = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
-        width = 80.0 * marker.scale.x  # [pt] of the picture's scale
-        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=said))
+        label = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
+        width = 80.0 * marker.scale.x  # [pt], in the scale of the picture
+        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=label))
     if marker.text:
         place = marker.pose.position
         axes.annotate(marker.text, (place.x, place.y), (-6.0, -46.0), color=inks[0], ha="right", **_BESIDE)
@@ -259,7 +259,7 @@ FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "no-way": (draw_no_way, 4.2),
     "markers": (draw_markers, 4.9),
 }
-"""What is drawn, and how high it is [inch]."""
+"""Drawing function, and height [inch]."""
 
 
 def save(name: str, plan: od.DockPlan, scheme: str) -> Path:
@@ -278,7 +278,7 @@ def save(name: str, plan: od.DockPlan, scheme: str) -> Path:
 
 
 def main() -> None:
-    """Plan once, draw everything."""
+    """Plan once, draw all figures."""
     plan = od.plan_dock(problem(), time_budget=2.0)
     sys.stdout.write(f"{plan}\n")
     for name in FIGURES:

@@ -1,6 +1,6 @@
-"""Pages made from the code: what a reader finds there cannot be stale.
+"""MkDocs hook that generates parts of pages from the code, so that they are up to date.
 
-A line `<!-- made: NAME ARGUMENT -->` in a page is replaced by what `NAME` makes.
+A line `<!-- made: NAME ARGUMENT -->` in a page is replaced by the output of generator `NAME`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MARKER = re.compile(r"^<!-- made: (?P<name>\w+) ?(?P<argument>[^\n]*?) ?-->$", r
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Hook of MkDocs: fill in what is made."""
+    """MkDocs hook: replace the markers by generated text."""
     return MARKER.sub(lambda found: _MAKERS[found["name"]](found["argument"]), markdown)
 
 
@@ -43,7 +43,7 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 
 def modules_of(package: str) -> list[Path]:
-    """The modules directly in a folder, `__init__` first, relative to the root."""
+    """Return the modules directly in a folder, `__init__` first, relative to the root."""
     found = sorted((ROOT / package).glob("*.py"), key=lambda path: (path.name != "__init__.py", path.name))
     return [path.relative_to(ROOT) for path in found]
 
@@ -55,19 +55,19 @@ def _map(package: str) -> str:
 
 def _map_row(path: Path) -> Iterator[str]:
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
-    says = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
-    if path.name == "__init__.py" and len(tree.body) <= 1 and not says:
+    description = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
+    if path.name == "__init__.py" and len(tree.body) <= 1 and not description:
         return
     where = path.as_posix()
     names = [] if path.name == "__init__.py" else public_names(tree)
     linked = (f'<a href="{link_to_source(where, name, "map.html")}">{name}</a>' for name in names)
     listed = f' <span class="names">{", ".join(linked)}</span>' if names else ""
     head = f'<dt id="{where.replace("/", "-")}"><a href="{link_to_source(where, "", "map.html")}">{where}</a></dt>'
-    yield f"{head}<dd>{_inline(says)}{listed}</dd>"
+    yield f"{head}<dd>{_inline(description)}{listed}</dd>"
 
 
 def public_names(tree: ast.Module) -> list[str]:
-    """What a module offers: its `__all__`."""
+    """Return the public names of a module: its `__all__`."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
             return [str(name) for name in ast.literal_eval(node.value)]
@@ -82,7 +82,7 @@ def _inline(text: str) -> str:
 
 
 def _scenario(prefix: str) -> str:
-    """The keys below a section, or those of the top level."""
+    """Return a table of the keys of a section of scenario files, or of the top level."""
     from optdock.config import scenario_reference
 
     rows = scenario_reference()
@@ -94,7 +94,7 @@ def _scenario(prefix: str) -> str:
 
 
 def _table(rows: Sequence[KeyReference]) -> str:
-    head = "| key | what it is | type and rule | unit | absent means |\n|---|---|---|---|---|\n"
+    head = "| key | description | type and rule | unit | if absent |\n|---|---|---|---|---|\n"
     return head + "\n".join(map(_row, rows))
 
 
@@ -112,7 +112,7 @@ def _absent(row: KeyReference) -> str:
 
 
 def _limits(_argument: str) -> str:
-    """The bounds on a motion, what each bounds and which certificate proves it."""
+    """Return a table of the motion limits, with the limited quantity and the certificate of each."""
     from optdock.model.limits import LIMITS, LimitKind
 
     head = "| quantity | bounded is | unit | by | proven of | for |\n|---|---|---|---|---|---|\n"
@@ -141,32 +141,31 @@ def _plugin(kind: str, name: str) -> str:
     from optdock.plugins.registry import INTERFACES, load_plugin
 
     cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
-    says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    description = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     where = Path(inspect.getfile(cls)).relative_to(ROOT).as_posix()
-    return (
-        f"### {name}\n\n{says} (`{where}`: `{cls.__name__}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
-    )
+    parameters = _table(rows) if rows else "It has no parameters."
+    return f"### {name}\n\n{description} (`{where}`: `{cls.__name__}`)\n\n{parameters}\n"
 
 
 def _settings(dotted: str) -> str:
-    """The parameters of a model that is not a plugin."""
+    """Return a table of the parameters of a model that is not a plugin."""
     from optdock.config.reference import _reference
 
     module, _, name = dotted.rpartition(".")
     return _table(_reference(getattr(importlib.import_module(module), name)))
 
 
-# The ROS 2 package: its modules cannot be imported without rclpy, but the models of its parameters can be read.
+# The ROS 2 package: its modules cannot be imported without rclpy, so the parameter models are read from the source.
 
 _ROS = ROOT / "ros" / "optdock_ros" / "optdock_ros"
 
 
 @functools.cache
 def ros_models(module: str) -> dict[str, Any]:
-    """The parameter models of a module of the ROS 2 package by name, made of their source, and the names they use.
+    """Return the parameter models of a module of the ROS 2 package by name, executed from its source.
 
-    Of a module only literals, classes of parameters and the imports that succeed are executed; a model's methods, which
-    check and convert, are left out.
+    Only literals, parameter classes and the imports that succeed are executed; methods of the models (validators and
+    converters) are omitted.
     """
     known: dict[str, Any] = {"__name__": f"optdock_ros.{module}"}
     for node in ast.parse((_ROS / f"{module}.py").read_text(encoding="utf-8")).body:
@@ -192,11 +191,12 @@ def _is_model(value: object) -> bool:
 
 
 def _execute(node: ast.stmt, known: dict[str, Any]) -> None:
-    exec(compile(ast.Module([node], []), known["__name__"], "exec", dont_inherit=True), known)  # our own source
+    # trusted source of this repository
+    exec(compile(ast.Module([node], []), known["__name__"], "exec", dont_inherit=True), known)
 
 
 def _ros(dotted: str) -> str:
-    """The parameters of a model of the ROS 2 package."""
+    """Return a table of the parameters of a model of the ROS 2 package."""
     from optdock.config.reference import _reference
 
     module, _, name = dotted.partition(".")
@@ -204,23 +204,23 @@ def _ros(dotted: str) -> str:
 
 
 def _ros_defaults(names: str) -> str:
-    """Mappings of names to defaults, in words."""
+    """Format mappings of names to defaults."""
     found = [(ros_models(module)[name]) for module, _, name in (dotted.partition(".") for dotted in names.split())]
     return "; ".join(", ".join(f"`{key}: {value:g}`" for key, value in one.items()) for one in found) + "."
 
 
 def _ros_table(dotted: str) -> str:
-    """A mapping of names to default and description."""
+    """Return a table from a mapping of names to default and description."""
     module, _, name = dotted.partition(".")
-    rows = [_told(key, default, says) for key, (default, says) in ros_models(module)[name].items()]
-    return "| parameter | what it is | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
+    rows = [_ros_row(key, default, description) for key, (default, description) in ros_models(module)[name].items()]
+    return "| parameter | description | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
 
 
-def _told(key: str, default: object, says: str) -> str:
+def _ros_row(key: str, default: object, description: str) -> str:
     from optdock.config.reference import _UNIT
 
-    unit = _UNIT.search(says)
-    words = (says[: unit.start()] + says[unit.end() :]).strip(" ;") if unit else says
+    unit = _UNIT.search(description)
+    words = (description[: unit.start()] + description[unit.end() :]).strip(" ;") if unit else description
     return f"| `{key}` | {words} | {unit[1] if unit else ''} | `{json.dumps(default)}` |"
 
 
@@ -231,7 +231,7 @@ _ENTRY = re.compile(r"^(?P<name>[^\n:]+):(?P<text>(?: [^\n]*)?(?:\n[ ]+[^\n]*|\n
 
 
 def _api(names: str) -> str:
-    """What these names are: of the front door, interfaces, or dotted names of what is imported from elsewhere."""
+    """Document names of the front door, interfaces, or dotted names of other importable objects."""
     return "\n\n".join(_described(name) for name in names.split())
 
 
@@ -277,7 +277,7 @@ def _short(annotation: object) -> object:
 
 
 def _default(parameter: inspect.Parameter, made: dict[str, Any]) -> object:
-    """As a reader would write it: a function by its name, what a factory makes as its call, a path as text."""
+    """Format a default: a function by its name, a factory value as its call, a path as text."""
     value = parameter.default
     if parameter.name in made and made[parameter.name].default_factory is not dataclasses.MISSING:
         return _Bare(f"{made[parameter.name].default_factory.__name__}()")
@@ -287,7 +287,7 @@ def _default(parameter: inspect.Parameter, made: dict[str, Any]) -> object:
 
 
 class _Bare(str):
-    """A string without quotes in a signature."""
+    """A string whose repr has no quotes, for signatures."""
 
     __slots__ = ()
 
@@ -296,7 +296,7 @@ class _Bare(str):
 
 
 def _docstring(value: object) -> str:
-    """A Google style docstring as Markdown."""
+    """Convert a Google style docstring to Markdown."""
     parts = _SECTION.split(inspect.cleandoc(value.__doc__ or ""))
     sections = [f"**{title}**\n\n{_entries(body)}" for title, body in zip(parts[1::2], parts[2::2], strict=True)]
     return "\n\n".join([_with_doctests(parts[0].strip()), *sections])
@@ -315,7 +315,7 @@ def _entries(body: str) -> str:
 
 
 def _member(name: str, member: Any) -> str:
-    """One line about a method or property."""
+    """Return one line about a method or property."""
     call = getattr(member, "__func__", getattr(member, "fget", getattr(member, "func", member)))
     if not inspect.isfunction(call) or not call.__doc__:
         return ""
@@ -325,8 +325,8 @@ def _member(name: str, member: Any) -> str:
         if call is not getattr(member, "fget", getattr(member, "func", None))
         else name
     )
-    says = inspect.cleandoc(call.__doc__).split("\n\n")[0].replace("\n", " ")
-    return f"- `{spelled}`: {says}"
+    description = inspect.cleandoc(call.__doc__).split("\n\n")[0].replace("\n", " ")
+    return f"- `{spelled}`: {description}"
 
 
 # Commands.
@@ -341,7 +341,7 @@ def _commands(_: str) -> str:
 
 
 def _exit_statuses(_: str) -> str:
-    """What every exit status means."""
+    """Return a table of the exit statuses."""
     from optdock.cli.exit_status import EXIT_STATUSES
 
     rows = (f"| {status:d} | {meaning} |" for status, meaning in EXIT_STATUSES.items())
@@ -349,7 +349,7 @@ def _exit_statuses(_: str) -> str:
 
 
 def _leaves(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Every command by all of its words; groups are no commands."""
+    """Yield every command with its full name; command groups are omitted."""
     for name in group.list_commands(None):
         command = group.commands[name]
         if hasattr(command, "commands"):
@@ -377,7 +377,7 @@ def _option(parameter: Any) -> str:
 
 
 def _about(_: str) -> str:
-    """Version, Python and licence, from the metadata of the distribution."""
+    """Return version, Python and licence, from the metadata of the distribution."""
     from importlib.metadata import metadata
 
     about = metadata("optdock")
@@ -403,7 +403,7 @@ _MAKERS: dict[str, Callable[[str], str]] = {
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Hook of MkDocs: lay the schema of scenario files beside the pages."""
+    """MkDocs hook: add the schema of scenario files to the site."""
     from mkdocs.structure.files import File
 
     from optdock.config import scenario_schema

@@ -1,8 +1,8 @@
-"""Markdown for mathematics: formulas as MathML, numbered equations, citations. Nothing is left for a browser to load.
+"""Markdown extension for mathematics: formulas as MathML, numbered equations, citations; rendered at build time.
 
-`$...$` is a formula in the text. A block between two lines `$$` is a formula of its own; `\\tag{S1}` numbers it, and a
-first line `% path/to/module.py: name` says where the code computes it. `(S1)` links to the equation from anywhere, and
-`[Piegl1997]` to the bibliography.
+`$...$` is an inline formula. A block between two lines `$$` is a display formula; `\tag{S1}` numbers it, and a first
+line `% path/to/module.py: name` names the implementing code. `(S1)` links to the equation, and `[Piegl1997]` to the
+bibliography.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ EQUATION_PAGES = {
     "T": "timing",
     "K": "controller",
 }
-"""The letter of an equation's number, and the page of the theory that has it."""
+"""First letter of an equation's number, and the theory page that contains it."""
 
 _BLOCK = re.compile(r"^\$\$\n(?:% *(?P<where>[^\n]+)\n)?(?P<tex>.+?)\n\$\$$", re.DOTALL)
 _TAG = re.compile(r"\s*\\tag\{(\w+)\}")
@@ -54,13 +54,15 @@ _OPERATORS = {
     "<mi>&#x027FA;</mi>": '<mo lspace="0.6em" rspace="0.6em">&#x027FA;</mo>',  # if and only if, a relation
     "<mi>&#x0007E;</mi>": '<mo lspace="0.28em" rspace="0.28em">&#x0223C;</mo>',
     "<mi>&#x000B1;</mi>": "<mo>&#x000B1;</mo>",
-    "<mo>&#x0005E;</mo>": '<mo stretchy="false">&#x002C6;</mo>',  # a hat that sits on its letter
+    "<mo>&#x0005E;</mo>": '<mo stretchy="false">&#x002C6;</mo>',  # a hat directly above its letter
 }
 _CAPITALS = re.compile(r"<mi>(&#x003(?:9|A)[0-9A-F];)</mi>")
 
 
 def mathml(tex: str, display: str) -> str:
-    """A formula as MathML, set as TeX does: bars as fences, large primes, upright Greek capitals, limits below."""
+    """Return a formula as MathML with TeX typography: stretched bars, large primes, upright Greek capitals, limits
+    below.
+    """
     tex = re.sub(
         r"(?<!left)(?<!right)\\([lr])([vV])ert(?![A-Za-z])",
         lambda m: rf"\{'left' if m[1] == 'l' else 'right'}\{m[1]}{m[2]}ert ",
@@ -96,7 +98,7 @@ class _Blocks(BlockProcessor):
         tex, number = found["tex"], _TAG.search(found["tex"])
         box = etree.SubElement(parent, "div", {"class": "equation"})
         body = etree.SubElement(box, "div", {"class": "formula"})
-        # Formulas side by side may stand one above the other on narrow screens.
+        # Adjacent formulas may be stacked on narrow screens.
         whole = _TAG.sub("", tex)
         pieces = [whole] if "\\begin" in whole else re.split(r"\s*\\qquad\s*", whole)
         body.text = self.parser.md.htmlStash.store("".join(mathml(piece, "block") for piece in pieces))
@@ -110,7 +112,7 @@ class _Blocks(BlockProcessor):
 
 
 def _place_named(box: etree.Element, where: str) -> None:
-    """`path: names` below the formula, the path as a link into the map."""
+    """Render `path: names` below the formula, with the path as a link into the map."""
     path, _, names = (part.strip() for part in where.partition(":"))
     page = f"{_Place.page.removesuffix('.md')}.html"
     line = etree.SubElement(box, "div", {"class": "where"})
@@ -123,7 +125,7 @@ def _place_named(box: etree.Element, where: str) -> None:
 
 
 class _Formula(InlineProcessor):
-    """A formula in the text; a punctuation mark after it stays with it."""
+    """An inline formula; a following punctuation mark is kept on the same line."""
 
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:  # noqa: N802, ARG002 - Markdown's form
         formula = mathml(m[1], "inline")
@@ -132,7 +134,7 @@ class _Formula(InlineProcessor):
 
 
 class _Citation(InlineProcessor):
-    """A link to the bibliography; there, the place that it leads to."""
+    """A link to the bibliography; on the bibliography page, the link target."""
 
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[etree.Element, int, int]:  # noqa: N802, ARG002
         if _Place.page == "bibliography.md":
@@ -153,7 +155,7 @@ class _EquationLink(InlineProcessor):
 
 
 class Maths(Extension):
-    """Everything above, for Markdown."""
+    """Markdown extension that registers all processors."""
 
     def extendMarkdown(self, md: Markdown) -> None:  # noqa: N802 - Markdown's form
         """Register the processors: after code spans, before links."""
@@ -171,6 +173,6 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Hook of MkDocs: note which page comes."""
+    """MkDocs hook: store the current page."""
     _Place.page = Path(page.file.src_uri).as_posix()
     return markdown

@@ -1,14 +1,14 @@
-"""Figures of the documentation that a command prints, compared with what it prints now.
+"""Comparison of figures in the documentation with the present output of the commands that print them.
 
-A table below a line `<!-- measured: COMMAND -->` holds columns of the first table that the command prints with all of
-them; of the rows those that begin as its own do, or all where several begin alike. `python docs/tools/measured.py`
-(`make figures`) runs the commands and fails where a figure is another one by now; `--write` puts the new ones in. Words
-after it choose among commands: those that contain one of them.
+A table below a line `<!-- measured: COMMAND -->` contains columns of the first table printed by the command that has
+all of these columns. Rows are matched by their first cells; all rows are compared if several begin alike. `python
+docs/tools/measured.py` (`make figures`) runs the commands and fails if a figure has changed; `--write` updates the
+pages. Additional arguments select the commands that contain one of them.
 
-A line `<!-- measured by hand: REASON -->` stands above a table that no command prints as it is.
+A line `<!-- measured by hand: REASON -->` marks a table that is not printed by a command.
 
-A number in a sentence that the code knows stands before a comment with the expression: 54<!-- len(optdock.__all__) -->.
-The tests compare those, and what snippets print with the blocks below them.
+A computed number in a sentence is followed by a comment with its expression: 54<!-- len(optdock.__all__) -->. The tests
+compare these numbers, and the output of snippets with the blocks below them.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ __all__ = [
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "DESIGN.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
-# Plans of a call depend a little on what its budget allows, and so do figures of runs with deadlines.
-_WITHIN = 0.1  # [1]: of a figure
-_OF_TIME = 0.5  # [1]: of a figure of computing time, which differs from machine to machine by a factor of two
+# Plans depend slightly on the available time budget, and so do figures of runs with deadlines.
+_WITHIN = 0.1  # [1]: relative tolerance of a figure
+_OF_TIME = 0.5  # [1]: relative tolerance of computing times, which differ between machines by a factor of two
 _TIME = re.compile(r"\b(ms|CPU)\b", re.IGNORECASE)
 
 _MARKER = re.compile(
@@ -56,7 +56,7 @@ _WORDS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight"
 
 
 class Measured(NamedTuple):
-    """A table of a page: its command, or the reason why there is none, and its rows of cells, the head first."""
+    """A table of a page: its command, or the reason of a missing command, and its rows of cells, the head first."""
 
     page: Path
     command: str
@@ -66,14 +66,14 @@ class Measured(NamedTuple):
 
 
 class Counted(NamedTuple):
-    """A number of a sentence, and the expression that says what it is."""
+    """A number in a sentence, and the expression of its value."""
 
     number: int
     expression: str
 
 
 def measured_in(page: Path) -> list[Measured]:
-    """The marked tables of a page."""
+    """Return the marked tables of a page."""
     text = page.read_text(encoding="utf-8")
     return [
         Measured(page, found["command"] or "", found["reason"] or "", _cells(found["table"]), found["table"])
@@ -82,7 +82,7 @@ def measured_in(page: Path) -> list[Measured]:
 
 
 def tables_of(page: Path) -> list[list[list[str]]]:
-    """Every table of a page, marked or not, as rows of cells."""
+    """Return every table of a page, marked or not, as rows of cells."""
     return [_cells(found[0]) for found in _TABLE.finditer(page.read_text(encoding="utf-8"))]
 
 
@@ -93,7 +93,7 @@ def _cells(table: str) -> list[list[str]]:
 
 
 def counted_in(page: Path) -> list[Counted]:
-    """The numbers of a page that the code knows."""
+    """Return the numbers of a page that have an expression."""
     return [
         Counted(_as_int(found["number"]), found["expression"])
         for found in _COUNTED.finditer(page.read_text(encoding="utf-8"))
@@ -106,7 +106,7 @@ def _as_int(number: str) -> int:
 
 
 def printed_tables(text: str) -> list[list[list[str]]]:
-    """The tables that a command has printed: lines of as many columns as the line above, two spaces between them."""
+    """Yield the tables printed by a command: lines with the same number of columns, separated by two spaces."""
     tables: list[list[list[str]]] = [[]]
     for line in text.splitlines():
         cells = _GAP.split(line.strip())
@@ -120,10 +120,10 @@ def printed_tables(text: str) -> list[list[list[str]]]:
 
 
 def updated(table: Measured, printed: str) -> list[list[str]]:
-    """The rows of a table as its command prints them now, the head first.
+    """Return the rows of a table as printed by its command now, the head first.
 
     Raises:
-        LookupError: It prints no table with these columns.
+        LookupError: If it prints no table with these columns.
     """
     head = table.rows[0]
     rows = next((rows for rows in printed_tables(printed) if set(head) <= set(rows[0])), None)
@@ -137,7 +137,7 @@ def updated(table: Measured, printed: str) -> list[list[str]]:
 
 
 def compared(table: Measured, printed: str) -> list[str]:
-    """What of a table is not what its command prints now; empty: nothing."""
+    """Return the differences between a table and the present output of its command."""
     try:
         now = updated(table, printed)
     except LookupError as error:
@@ -145,23 +145,23 @@ def compared(table: Measured, printed: str) -> list[str]:
     if len(now) != len(table.rows):
         return [f"{len(table.rows) - 1} rows, printed are {len(now) - 1}"]
     return [
-        f"row {i}, {name}: {said!r}, printed is {found!r}"
+        f"row {i}, {name}: {documented!r}, printed: {found!r}"
         for i, (row, other) in enumerate(zip(table.rows[1:], now[1:], strict=True), start=1)
-        for name, said, found in zip(table.rows[0], row, other, strict=True)
-        if not are_alike(said, found, _OF_TIME if _TIME.search(name) else _WITHIN)
+        for name, documented, found in zip(table.rows[0], row, other, strict=True)
+        if not are_alike(documented, found, _OF_TIME if _TIME.search(name) else _WITHIN)
     ]
 
 
-def are_alike(said: str, found: str, within: float) -> bool:
-    """Whether two texts are the same but for their numbers, and these within a share of the larger one.
+def are_alike(documented: str, found: str, within: float) -> bool:
+    """Return whether two texts are equal except for their numbers, and these agree within a relative tolerance.
 
-    A unit in the last place that is said is always allowed.
+    A difference of one unit in the last printed place is always accepted.
     """
-    if _NUMBER.sub("#", said).split() != _NUMBER.sub("#", found).split():
+    if _NUMBER.sub("#", documented).split() != _NUMBER.sub("#", found).split():
         return False
     return all(
         math.isclose(_value(a), _value(b), rel_tol=within, abs_tol=1.01 * _unit(a))
-        for a, b in zip(_NUMBER.findall(said), _NUMBER.findall(found), strict=True)
+        for a, b in zip(_NUMBER.findall(documented), _NUMBER.findall(found), strict=True)
     )
 
 
@@ -170,17 +170,17 @@ def _value(number: str) -> float:
 
 
 def _unit(number: str) -> float:
-    """Of the last place; none of a count."""
+    """Return one unit in the last place; 0 for a count."""
     mantissa, _, exponent = number.partition("e")
     digits = len(mantissa.partition(".")[2])
     return 10.0 ** (int(exponent or 0) - digits) if digits else 0.0
 
 
 def run(command: str) -> str:
-    """What a command prints, here and now.
+    """Return the output of a command.
 
     Raises:
-        subprocess.CalledProcessError: It fails.
+        subprocess.CalledProcessError: If it fails.
     """
     words = shlex.split(command)
     if words[0] == "python":
@@ -190,11 +190,11 @@ def run(command: str) -> str:
 
 
 def main() -> int:
-    """Run, compare, say what differs; the exit status is 1 where something does."""
+    """Run the commands and print the differences; the exit status is 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("words", nargs="*", help="parts of commands; default: all")
-    parser.add_argument("--write", action="store_true", help="put the new figures in")
-    parser.add_argument("--list", action="store_true", help="name the commands and run nothing")
+    parser.add_argument("words", nargs="*", help="select the commands that contain one of these texts; default: all")
+    parser.add_argument("--write", action="store_true", help="write the new figures into the pages")
+    parser.add_argument("--list", action="store_true", help="list the commands without running them")
     options = parser.parse_args()
     tables = [table for page in PAGES for table in measured_in(page) if table.command]
     tables = [table for table in tables if not options.words or any(word in table.command for word in options.words)]

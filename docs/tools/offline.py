@@ -1,4 +1,4 @@
-"""The finished site works from any folder and without a network: a page that would load from elsewhere is an error."""
+"""MkDocs hook for offline use of the site: a page that would load external content is an error."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _LOST = """<h1>No such page</h1>
 
 
 def on_post_build(config: MkDocsConfig, **_: object) -> None:
-    """Hook of MkDocs: mend the page for what is not found, and look through every page and style sheet."""
+    """MkDocs hook: fix the links of the 404 page, and check every page and style sheet."""
     site = Path(config.site_dir)
-    for nothing in site.glob("sitemap.xml*"):  # it lists addresses, and there is none
+    for nothing in site.glob("sitemap.xml*"):  # a sitemap needs a site address, which does not exist
         nothing.unlink()
     lost = site / "404.html"
     text = lost.read_text(encoding="utf-8")

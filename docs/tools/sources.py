@@ -1,7 +1,7 @@
-"""The code beside the documentation: a page for every module, and links to its lines from every place that names it.
+"""MkDocs hook that adds source pages, and links from code references in pages to the source lines.
 
-`path/to/module.py` in a page leads to the map of the code, the names that follow it, as in `module.py`: `name`, to the
-lines where they are defined; in the map itself and for scripts outside the packages the path leads to the code too.
+`path/to/module.py` in a page links to the map of the code; names that follow, as in `module.py`: `name`, link to the
+lines of their definitions. In the map, and for scripts outside the packages, the path links to the source too.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ pre {{ counter-reset: line; font: 13px/1.45 ui-monospace, "DejaVu Sans Mono", mo
 pre span::before {{ counter-increment: line; content: counter(line); display: inline-block; width: 3.2em;
   padding-right: 1em; text-align: right; color: GrayText; }}
 pre span:target {{ background: color-mix(in srgb, Highlight 25%, transparent); }}
-</style></head><body><p><a href="{back}">{says}</a></p><h1>{path}</h1>
+</style></head><body><p><a href="{back}">{label}</a></p><h1>{path}</h1>
 <pre>{lines}</pre></body></html>
 """
 
 
 @functools.cache
 def defined_in(path: str) -> dict[str, int]:
-    """The line of every function, class, method (as `Class.method`) and constant of a module."""
+    """Return the line of every function, class, method (as `Class.method`) and constant of a module."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     found: dict[str, int] = {}
     for node in tree.body:
@@ -81,7 +81,7 @@ def _is_in_map(path: str) -> bool:
 
 
 def link_to_map(path: str, page: str) -> str:
-    """From a page, `theory/timing.html`, to a module's entry in the map; to its code where the map has none."""
+    """Return a link from a page such as `theory/timing.html` to a module's entry in the map, or else to its source."""
     if not _is_in_map(path):
         return link_to_source(path, "", page)
     anchor = f"#{path.replace('/', '-')}"
@@ -89,13 +89,13 @@ def link_to_map(path: str, page: str) -> str:
 
 
 def link_to_source(path: str, name: str, page: str) -> str:
-    """From a page to the line of a module at which a name is defined, or to its first line."""
+    """Return a link from a page to the line of a module that defines a name, or to its first line."""
     line = defined_in(path).get(name)
     return _relative(f"source/{path}.html", page) + (f"#L{line}" if line else "")
 
 
 def on_page_content(html: str, page: Page, **_: object) -> str:
-    """Hook of MkDocs: link what names code."""
+    """MkDocs hook: link code references."""
     return _NAMED.sub(lambda found: _linked(found, page.file.dest_uri), html)
 
 
@@ -108,7 +108,7 @@ def _linked(found: re.Match[str], page: str) -> str:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Hook of MkDocs: lay the code beside the pages, and make pages of the two books at the root."""
+    """MkDocs hook: add the source pages, and pages for DESIGN.md and CHANGELOG.md."""
     from mkdocs.structure.files import File
 
     for folder in SHOWN:
@@ -125,6 +125,6 @@ def _source_page(path: str) -> str:
     lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
     shown = "\n".join(f'<span id="L{i}">{html.escape(line, quote=False)}</span>' for i, line in enumerate(lines, 1))
     page = f"source/{path}.html"
-    says = "in the map of the code" if _is_in_map(path) else "the documentation"
+    label = "in the map of the code" if _is_in_map(path) else "the documentation"
     back = link_to_map(path, page) if _is_in_map(path) else _relative("index.html", page)
-    return _PAGE.format(path=path, back=back, says=says, lines=shown)
+    return _PAGE.format(path=path, back=back, label=label, lines=shown)

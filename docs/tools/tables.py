@@ -1,4 +1,4 @@
-"""Tables for narrow screens: every cell knows its column's name, so that a style sheet can lay rows out as cards."""
+"""MkDocs hook for tables on narrow screens: labels every cell with its column, so that CSS can show rows as cards."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ROW = re.compile(r"<tr>.*?</tr>", re.DOTALL)
 
 
 def on_page_content(html: str, **_: object) -> str:
-    """Hook of MkDocs: label the cells."""
+    """MkDocs hook: label the cells."""
     return _TABLE.sub(lambda table: _labelled(table[0]), html)
 
 

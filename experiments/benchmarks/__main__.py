@@ -25,15 +25,15 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 def benchmarks() -> dict[str, Callable[[list[str]], None]]:
-    """The benchmarks by name."""
+    """Return the benchmarks by name."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__) if module.name != "__main__"]
     modules = {name: importlib.import_module(f"{package.__name__}.{name}") for name in names}
     return {name: module.main for name, module in modules.items() if hasattr(module, "main")}
 
 
 def run(arguments: list[str]) -> int:
-    """Run the benchmarks named in `arguments`, or all; returns the exit status."""
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # numpy reads them once, when a benchmark imports it
+    """Run the benchmarks named in `arguments`, or all; return the exit status."""
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # numpy reads them only when a benchmark imports it
     known = benchmarks()
     if arguments[:1] in (["-h"], ["--help"]):
         print(f"usage: python -m {package.__name__} [NAME ...] | NAME OPTIONS\n\n{__doc__}\nnames: {', '.join(known)}")

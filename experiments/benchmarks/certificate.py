@@ -1,4 +1,4 @@
-"""Time of certificates: `python -m experiments.benchmarks certificate`."""
+"""CPU time of certificates: `python -m experiments.benchmarks certificate`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 _TIME = 10.0  # [s] for every plan
-_REPEATS = 5  # the fastest counts
+_REPEATS = 5  # the fastest run counts
 
 
 class _Case(NamedTuple):
@@ -34,11 +34,11 @@ class _Case(NamedTuple):
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Certify smoothed paths of every family, and of the real maps where they are at hand."""
+    """Certify smoothed paths of every family, and of the real maps if available."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks certificate", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10, help="instances per family")
-    asked = parser.parse_args(list(arguments))
-    cases = [*_random_cases(asked.seeds), *_map_cases()]
+    parser.add_argument("--seeds", type=int, default=10, help="number of instances per family")
+    options = parser.parse_args(list(arguments))
+    cases = [*_random_cases(options.seeds), *_map_cases()]
     groups = {case.group: [one for one in cases if one.group == case.group] for case in cases}
     header = ("paths of", "count", "obstacles, most", "path m, longest", "ms p50", "ms worst", "units p50")
     unit = yardstick()
@@ -65,7 +65,7 @@ def _row(group: str, cases: Sequence[_Case], unit: float) -> tuple[object, ...]:
 def _fastest(case: _Case) -> float:
     times = []
     for _ in range(_REPEATS):
-        path = Path(case.path.segments)  # a new one: whole proofs are kept
+        path = Path(case.path.segments)  # a new path object, because complete proofs are cached per path
         timer = Timer()
         certify_path(path, case.problem)
         times.append(timer.cpu)
@@ -80,7 +80,7 @@ def _random_cases(seeds: int) -> Iterator[_Case]:
 
 
 def _map_cases() -> Iterator[_Case]:
-    """Docking scenarios on the maps that `real_maps` knows."""
+    """Return docking scenarios on the maps of `real_maps`."""
     if not maps_folder().is_dir():
         print(f"no maps at {maps_folder()}; set OPTDOCK_DATA", file=sys.stderr)
         return

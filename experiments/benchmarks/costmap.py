@@ -1,4 +1,4 @@
-"""Times of maps and costmaps: `python -m experiments.benchmarks costmap`; CPU milliseconds, best of several."""
+"""CPU times of maps and costmaps: `python -m experiments.benchmarks costmap`; milliseconds, best of several runs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def best_ms(work: Callable[[], object], repeats: int = 7) -> float:
-    """Smallest CPU time of several runs [ms]."""
+_REPEATS = 7
+
+
+def best_ms(work: Callable[[], object]) -> float:
+    """Return the smallest CPU time of several runs [ms]."""
     times = []
-    for _ in range(repeats):
+    for _ in range(_REPEATS):
         start = time.process_time()
         work()
         times.append(time.process_time() - start)
@@ -29,7 +32,7 @@ def best_ms(work: Callable[[], object], repeats: int = 7) -> float:
 
 
 def report_maps(paths: list[str]) -> None:
-    """Reading, and cells as rectangles: the whole map and 6 m x 6 m in its middle."""
+    """Measure map reading and the conversion of cells to rectangles, for the whole map and its central 6 m x 6 m."""
     print(f"{'map':<42}{'cells':>10}{'read':>8}{'whole':>8}{'pieces':>8}{'6 m':>8}{'pieces':>8}")
     for path in paths:
         costmap = load_map(path).costmap
@@ -46,9 +49,9 @@ def report_maps(paths: list[str]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Maps, where `arguments` names map YAML files, or where the real maps are found."""
+    """Measure the map YAML files in `arguments`, or the real maps if available."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks costmap", description=__doc__)
-    parser.add_argument("maps", nargs="*", help="map YAML files (default: Nav2's, where they are found)")
+    parser.add_argument("maps", nargs="*", help="map YAML files (default: Nav2's, if available)")
     given = parser.parse_args(arguments).maps
     default = Path(os.environ.get("OPTDOCK_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     paths = given or sorted(str(path) for path in default.glob("nav2/maps/*.yaml"))

@@ -1,7 +1,7 @@
-"""When `plan_dock` returns: lateness of whole calls against their budgets, on a quiet and on a busy machine.
+"""Return time of `plan_dock`: lateness of whole calls against their budgets, on an idle and on a loaded machine.
 
-With `--among-walls --cpu-clock --calls 2000` every call has a footprint that no call before it had, and CPU seconds
-count: what is late then is late because of the library, not of the machine.
+With `--among-walls --cpu-clock --calls 2000` every call has a new footprint and budgets count CPU seconds, so that
+lateness is caused by the library and not by the machine.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 __all__ = ["Answer", "among_walls", "answered", "main", "open_hall"]
 
 _BUDGETS = (0.01, 0.02, 0.05, 0.1)  # [s]
-_LATE = 0.003  # [s] of CPU after the budget: a call that takes longer is counted as late
+_LATE = 0.003  # [s] of CPU time after the budget: a call that takes longer counts as late
 _BUSY_LOOP = "while True: pass"
 
 
 class Answer(NamedTuple):
-    """One call: seconds on the wall clock and of CPU, and `certified`, `timed out` or the name of a refusal."""
+    """Result of one call: wall-clock and CPU seconds, and `certified`, `timed out` or the name of a refusal."""
 
     wall: float
     cpu: float
@@ -56,29 +56,33 @@ class Answer(NamedTuple):
 def main(arguments: Sequence[str]) -> None:
     """Call `plan_dock` with hard budgets on problems of every kind, in turn."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks deadlines", description=__doc__)
-    parser.add_argument("--calls", type=int, default=300, help="per budget")
-    parser.add_argument("--seeds", type=int, default=8, help="instances per family, 15 times as many in open halls")
-    parser.add_argument("--busy", type=int, default=0, help="processes that compute beside, 0 for a quiet machine")
-    parser.add_argument("--budgets", type=float, nargs="+", default=_BUDGETS, help="[s]")
-    parser.add_argument("--cpu-clock", action="store_true", help="budgets count CPU seconds")
+    parser.add_argument("--calls", type=int, default=300, help="number of calls per budget")
     parser.add_argument(
-        "--among-walls", action="store_true", help="only rooms with walls, every call with a footprint of its own"
+        "--seeds", type=int, default=8, help="number of instances per family, 15 times as many in open halls"
     )
-    asked = parser.parse_args(list(arguments))
-    if asked.cpu_clock:
+    parser.add_argument(
+        "--busy", type=int, default=0, help="number of processes that load the machine, 0 for an idle machine"
+    )
+    parser.add_argument("--budgets", type=float, nargs="+", default=_BUDGETS, help="budgets [s]")
+    parser.add_argument("--cpu-clock", action="store_true", help="count budgets in CPU seconds")
+    parser.add_argument(
+        "--among-walls", action="store_true", help="only rooms with walls, every call with a new footprint"
+    )
+    options = parser.parse_args(list(arguments))
+    if options.cpu_clock:
         count_cpu()
-    recorded = () if asked.among_walls else (*_problems(asked.seeds),)
+    recorded = () if options.among_walls else (*_problems(options.seeds),)
     warm_up()
     header = ("budget ms", "calls", "certified", "timed out", "refused")
     header = (*header, "late ms p50", "p99", "p99.9", "worst", "late cpu ms worst", "over 3 ms")
     header = (*header, "host ms p99", "p99.9", "worst")
-    with _busy(asked.busy):
+    with _busy(options.busy):
         unit, rows = yardstick(), []
-        for k, budget in enumerate(asked.budgets):
-            fresh = map(among_walls, itertools.count(k * asked.calls))
-            rows.append(_row(itertools.cycle(recorded) if recorded else fresh, budget, asked.calls, unit))
+        for k, budget in enumerate(options.budgets):
+            fresh = map(among_walls, itertools.count(k * options.calls))
+            rows.append(_row(itertools.cycle(recorded) if recorded else fresh, budget, options.calls, unit))
     note = (
-        f"{len(recorded) or asked.calls} problems in turn, {asked.busy} busy processes on {os.cpu_count()} cores. "
+        f"{len(recorded) or options.calls} problems in turn, {options.busy} busy processes on {os.cpu_count()} cores. "
         f"late: elapsed minus budget, negative when early. host: after every call plain work of as much CPU time, "
         f"the yardstick's {1e3 * unit:.2f} ms as often as fits, and how much longer than its median it takes."
     )
@@ -124,7 +128,7 @@ def _row(problems: Iterator[DockingProblem], budget: float, calls: int, unit: fl
 
 
 def answered(problem: DockingProblem, budget: float) -> Answer:
-    """One call of `plan_dock` with `budget` [s]."""
+    """Run one call of `plan_dock` with `budget` [s]."""
     timer = Timer()
     try:
         plan_dock(problem, time_budget=budget)
@@ -136,7 +140,7 @@ def answered(problem: DockingProblem, budget: float) -> Answer:
 
 
 def _problems(seeds: int) -> Iterator[DockingProblem]:
-    """Open halls, every family, and the real maps where they are at hand, mixed."""
+    """Return open halls, every family, and the real maps if available, mixed."""
     count = len(FEASIBLE_FAMILIES)
     for seed in range(seeds):
         for k, family in enumerate(FEASIBLE_FAMILIES):
@@ -149,9 +153,9 @@ def _problems(seeds: int) -> Iterator[DockingProblem]:
 
 
 def among_walls(seed: int) -> DockingProblem:
-    """A dock at a side of a room of 12 m with three to six walls in it, for a robot with a footprint of its own.
+    """Return a problem with a dock at a side of a room of 12 m with three to six inner walls and a random footprint.
 
-    Required are 3 cm, at the dock 0. The start is anywhere, so some problems have no solution.
+    Required are 3 cm, at the dock 0. The start is anywhere, so some problems are infeasible.
     """
     rng = np.random.default_rng((seed, 64))
     footprint = _footprint(rng)
@@ -170,7 +174,7 @@ def among_walls(seed: int) -> DockingProblem:
 
 
 def _footprint(rng: np.random.Generator) -> Footprint:
-    """A rectangle in one of eight, else up to 64 corners, with up to two notches, as between forks, in one of three."""
+    """Return a rectangle (one in eight), otherwise up to 64 corners, a third of them with notches as between forks."""
     length, width = rng.uniform(0.3, 0.8), rng.uniform(0.2, 0.5)  # [m] from the middle to the front and to the side
     if rng.random() < 0.125:
         return Footprint.rectangle(length, length, 2.0 * width)
@@ -185,7 +189,7 @@ def _footprint(rng: np.random.Generator) -> Footprint:
 
 
 def open_hall(seed: int) -> DockingProblem:
-    """A random dock in an empty hall of 20 m, a start 1 to 8 m before it, and a robot that turns tightly or widely."""
+    """Return a random dock in an empty hall of 20 m, a start 1 to 8 m before it, and a robot."""
     rng = np.random.default_rng(seed)
     goal = Pose2(*rng.uniform(-3.0, 3.0, 2), rng.uniform(-math.pi, math.pi))
     distance, side = rng.uniform(1.0, 8.0), rng.choice([-1.0, 1.0])

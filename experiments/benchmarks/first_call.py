@@ -1,4 +1,4 @@
-"""The first call of the smoother in a fresh process: `python -m experiments.benchmarks first_call`."""
+"""First call of the smoother in a new process: `python -m experiments.benchmarks first_call`."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _FAMILIES = ("open_s", "alcove", "parallel", "clutter", "long_approach")
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Start `--processes` processes per family, each with one first call and three more."""
+    """Start `--processes` processes per family, each with one first call and three further calls."""
     parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks first_call", description=__doc__)
-    parser.add_argument("--processes", type=int, default=5, help="per family")
-    parser.add_argument("--families", default=",".join(_FAMILIES), help="names with commas between them")
-    asked = parser.parse_args(list(arguments))
+    parser.add_argument("--processes", type=int, default=5, help="number of processes per family")
+    parser.add_argument("--families", default=",".join(_FAMILIES), help="comma-separated names")
+    options = parser.parse_args(list(arguments))
     header = ("family", "processes", "first ms p50", "first ms worst", "later ms p50")
-    rows = tuple(_row(family, asked.processes) for family in asked.families.split(","))
-    note = "wall clock, after the imports and without `warm_up`; a later call of the same process beside"
+    rows = tuple(_row(family, options.processes) for family in options.families.split(","))
+    note = "wall clock, after the imports and without `warm_up`; for comparison a later call of the same process"
     print(Table("First call in a fresh process", header, rows, note))
 
 

@@ -1,9 +1,9 @@
-"""The reference of `CasadiSmoother`: the whole problem as one nonlinear program for ipopt, with free separating lines.
+"""Reference of `CasadiSmoother`: the whole problem as one nonlinear program for ipopt, with free separating lines.
 
-Every near pair of interval and obstacle gets a line of its own (an angle and an offset) that must have the swept
-vertices on one side and the obstacle on the other. Unlike the sequential steps, nothing is linearized and no line is
-fixed, so a local optimum of the program is a local optimum of the problem. Slow: for comparison only. Its symbolic
-roll-out and cost are the oracle of the hand-written derivatives too.
+Every near pair of interval and obstacle has a separate line (an angle and an offset) that must have the swept vertices
+on one side and the obstacle on the other. Unlike in the sequential steps, nothing is linearized and no line is fixed,
+so a local optimum of the program is a local optimum of the problem. Slow: for comparison only. Its symbolic roll-out
+and cost are also the reference of the hand-written derivatives.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 
 __all__ = ["SymbolicModel", "cost_expression", "model_for", "smooth_by_ipopt", "solve_reference"]
 
-_ROUNDS = 8  # the set of near pairs and the dips between nodes are renewed after each
+_ROUNDS = 8  # the near pairs and the dips between nodes are updated after each round
 _REACH = 0.12  # [m]
 _SETTLED = 1e-4  # relative change of the cost
-_SHORTEST = 0.05  # [s], of a round
+_SHORTEST = 0.05  # [s], minimum time of a round
 _BUFFER = 2e-5  # [m]
 
 
@@ -54,10 +54,10 @@ _Option: TypeAlias = "bool | float | str | Mapping[str, float | str]"
 
 
 def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **parameters: object) -> SmoothingResult:
-    """What `CasadiSmoother(**parameters).smooth(path, max_time, problem=problem)` approximates.
+    """Solve the problem that `CasadiSmoother(**parameters).smooth(path, max_time, problem=problem)` approximates.
 
     Raises:
-        FailedToSmoothPath: ipopt ends with a path that is not certified.
+        FailedToSmoothPath: If ipopt ends with a path that is not certified.
     """
     smoother = CasadiSmoother(**parameters)
     deadline = Deadline(max_time)
@@ -77,12 +77,12 @@ def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **para
 
 
 def solve_reference(nlp: NonlinearProgram, guess: Variables, deadline: Deadline) -> tuple[Iterate, bool]:
-    """The best iterate ipopt finds, and whether the rounds settled.
+    """Return the best iterate of ipopt, and whether the rounds converged.
 
     Args:
         nlp: The problem.
-        guess: Where to begin.
-        deadline: Seconds left; the last round may overrun it by one of ipopt's iterations and the symbolic set-up.
+        guess: Initial iterate.
+        deadline: Seconds left; the last round may exceed it by one iteration of ipopt and the symbolic set-up.
     """
     ends = nlp.ends
     variables = onto_goal(nlp.basis, clipped(guess, nlp.bounds), ends, nlp.bounds, nlp.settings.projection)
@@ -92,7 +92,7 @@ def solve_reference(nlp: NonlinearProgram, guess: Variables, deadline: Deadline)
     for _ in range(_ROUNDS):
         body = body_at_nodes(nlp.scene, current.rollout.poses)
         near = broad_phase(nlp.scene, nlp.basis, current.rollout, body, _REACH + nlp.scene.rule.required)
-        # What was near once stays active, or two rounds could take turns in overlooking each other's obstacles.
+        # Near pairs stay active, because otherwise two rounds could alternate between ignoring different obstacles.
         seen = np.unique(np.concatenate((seen, np.column_stack(near))), axis=0)
         found = narrow_phase(nlp.scene, nlp.basis, current.rollout, ends.signs, body, Pairs(*seen.T))
         solved, success = _round(nlp, current, found, max(_SHORTEST, deadline.left))
@@ -146,7 +146,7 @@ def _round(nlp: NonlinearProgram, current: Iterate, found: Clearance, max_time: 
 
 
 def _options(max_time: float) -> dict[str, _Option]:
-    """Silent, and with a small first barrier: a large one throws the first step into another basin."""
+    """Return options: silent, with a small initial barrier that keeps the first step in its basin."""
     return {
         "print_time": False,
         "error_on_fail": False,
@@ -164,7 +164,7 @@ def _options(max_time: float) -> dict[str, _Option]:
 
 
 def _path_constraints(nlp: NonlinearProgram, model: SymbolicModel) -> _Program:
-    """Goal pose and curvature rate."""
+    """Add the constraints of goal pose and curvature rate."""
     basis = nlp.basis
     goal = model.poses[-1, :].T
     if not np.isfinite(nlp.bounds.rate):
@@ -180,7 +180,7 @@ def _path_constraints(nlp: NonlinearProgram, model: SymbolicModel) -> _Program:
 def _line_constraints(
     nlp: NonlinearProgram, current: Iterate, found: Clearance, lines: tuple[casadi.SX, casadi.SX]
 ) -> _Program:
-    """Swept vertices above their line by the requirement and the dip, obstacle vertices below it."""
+    """Keep swept vertices above their line by requirement and dip, obstacle vertices below it."""
     model, (angles, offsets) = model_for(nlp.basis.shape), lines
     count = found.hull.x.shape[0] // 2
     left = nlp.basis.left[found.pairs.interval]
@@ -205,13 +205,13 @@ def _line_constraints(
 
 
 def _required_expression(current: Iterate, found: Clearance, node: IntArray, pose: casadi.SX) -> casadi.SX:
-    """Required clearance at nodes, first order in their positions around the last round's."""
+    """Return the required clearance at nodes, to first order in their positions around those of the last round."""
     value, gradient = casadi.DM(found.required.value[node]), casadi.DM(found.required.gradient[node])
     return value + casadi.sum2(gradient * (pose[:, :2] - casadi.DM(current.rollout.poses[node, :2])))
 
 
 class SymbolicModel(NamedTuple):
-    """One shape's path as symbols.
+    """Symbolic path of one shape.
 
     Attributes:
         variables: Knot curvatures, then gear lengths, Shape (size, 1).
@@ -232,7 +232,7 @@ class SymbolicModel(NamedTuple):
 
 @lru_cache(maxsize=16)
 def model_for(shape: Shape) -> SymbolicModel:
-    """The model of a shape, built once."""
+    """Return the model of a shape, cached."""
     basis = basis_for(shape)
     variables = casadi.SX.sym("z", basis.size)
     start, signs = casadi.SX.sym("start", 3), casadi.SX.sym("signs", basis.num_gears)
@@ -253,12 +253,12 @@ def model_for(shape: Shape) -> SymbolicModel:
 
 
 def _spread(matrix: FloatArray) -> casadi.DM:
-    """A constant matrix without its zeros."""
+    """Return a constant matrix in sparse form."""
     return casadi.sparsify(casadi.DM(matrix))
 
 
 def cost_expression(model: SymbolicModel, cost: CostModel) -> casadi.SX:
-    """The cost of `smoothers.scp.cost` as an expression in the model's symbols."""
+    """Return the cost of `smoothers.scp.cost` as an expression in the model's symbols."""
     basis: Basis = cost.basis
     bend, jerk = cost.factors
     curvature, lengths = model.variables[: basis.num_knots], model.variables[basis.num_knots :]

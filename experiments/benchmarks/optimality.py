@@ -1,4 +1,4 @@
-"""Costs of the smoother against its own model solved by ipopt: `python -m experiments.benchmarks optimality`."""
+"""Cost of the smoother relative to its model solved by ipopt: `python -m experiments.benchmarks optimality`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _TIME = 60.0  # [s] for each call
 def main(arguments: Sequence[str]) -> None:
     """Print the gap of every family over `--seeds` instances each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=2, help="instances per family")
-    asked = parser.parse_args(list(arguments))
-    rows = tuple(_row(family, asked.seeds) for family in FEASIBLE_FAMILIES)
-    note = "cost over ipopt's minus 1, in per cent, where both end with a certified path"
+    parser.add_argument("--seeds", type=int, default=2, help="number of instances per family")
+    options = parser.parse_args(list(arguments))
+    rows = tuple(_row(family, options.seeds) for family in FEASIBLE_FAMILIES)
+    note = "cost over ipopt's minus 1, in per cent, for instances that both solve with a certified path"
     print(Table("Cost against ipopt on the same model", ("family", "both", "of", "median %", "worst %"), rows, note))
 
 
@@ -38,7 +38,7 @@ def _row(family: str, seeds: int) -> tuple[object, ...]:
 
 
 def _gap(family: str, seed: int) -> float | None:
-    """Per cent above the reference; None where one of the two has no certified path."""
+    """Return the gap to the reference in per cent; None if one of the two has no certified path."""
     task = instance(family, seed)
     try:
         found = CasadiSmoother().smooth(task.raw_path, _TIME, problem=task.problem)

@@ -1,6 +1,6 @@
-"""Replanning in motion: whole calls of `replan` among 20 obstacles, and of `still_holds` in worlds that changed.
+"""Replanning in motion: calls of `replan` among 20 obstacles, and of `still_holds` in changed worlds.
 
-`plan_dock` from the same joint stands beside.
+For comparison, `plan_dock` plans from the same joint.
 
     python -m experiments.benchmarks replanning
 """
@@ -38,15 +38,15 @@ __all__ = ["main"]
 
 _FAMILIES = ("open_s", "reverse_cusp", "pillar", "collision", "angled_hexagon", "many_obstacles")
 _OBSTACLES = 20
-_BUDGET = 0.02  # [s]: what the calls are meant for
-_AMPLE = 0.2  # [s]: of the calls whose work is measured, on whatever machine
-_ENDLESS = 5.0  # [s]: of the plans that are made beforehand and beside
+_BUDGET = 0.02  # [s]: intended budget of the calls
+_AMPLE = 0.2  # [s]: budget of the calls whose work is measured, on any machine
+_ENDLESS = 5.0  # [s]: budget of the initial plans and of those for comparison
 _LEAD = 0.05  # [s]
-_MORE_CLEAR = 0.05  # [m]: posts of such scenes could be so much larger
+_MORE_CLEAR = 0.05  # [m]: possible growth of the posts of such scenes
 
 
 class Kind(NamedTuple):
-    """A change: when, as shares of the drive; how far the dock moves [m] and turns [deg]; or an obstacle beside it."""
+    """Kind of change: when, as shares of the drive; displacement of the dock [m], [deg]; or a new obstacle."""
 
     name: str
     when: tuple[float, float]
@@ -78,17 +78,17 @@ def main(arguments: Sequence[str]) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--seeds", type=int, default=10, help="plans per family")
-    parser.add_argument("--repeats", type=int, default=1, help="calls of each; the quickest counts")
-    asked = parser.parse_args(list(arguments))
+    parser.add_argument("--seeds", type=int, default=10, help="number of plans per family")
+    parser.add_argument("--repeats", type=int, default=1, help="repetitions of each call; the fastest counts")
+    options = parser.parse_args(list(arguments))
     warm_up()
-    plans = [plan for family in _FAMILIES for seed in range(asked.seeds) for plan in _plans(family, seed)]
-    print(_replan_table(plans, asked.repeats))
-    print(_holds_table(plans, asked.repeats))
+    plans = [plan for family in _FAMILIES for seed in range(options.seeds) for plan in _plans(family, seed)]
+    print(_replan_table(plans, options.repeats))
+    print(_holds_table(plans, options.repeats))
 
 
 def _plans(family: str, seed: int) -> Iterator[DockPlan]:
-    """A plan among 20 obstacles, of a robot whose drive is limited in every way."""
+    """Return a plan among 20 obstacles, for a robot with limits of every kind."""
     found = instance(family, seed).problem
     limits = dataclasses.replace(
         found.robot.limits, max_yaw_rate=1.2, max_yaw_acceleration=2.0, max_wheel_speed=0.6, track_width=0.4
@@ -106,14 +106,14 @@ def _plans(family: str, seed: int) -> Iterator[DockPlan]:
 
 
 def _posts(plan: DockPlan, count: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Posts around a plan that it stays clear of."""
+    """Return posts around a plan that keep clear of it."""
     posts: list[np.ndarray] = []
     while len(posts) < count:
         at = plan.path.pose_at(float(rng.uniform(0.0, plan.path.length)))
         side = math.copysign(rng.uniform(0.45, 1.5), rng.uniform(-1.0, 1.0))
         radius, corners = float(rng.uniform(0.05, 0.2)), int(rng.integers(3, 8))
         post = _post(at @ Pose2(0.0, side, 0.0), radius, corners)
-        # The post, grown by what is required less: the rule stays the plan's own.
+        # The post is grown by the difference of the required clearances: the rule stays that of the plan.
         grown = _post(at @ Pose2(0.0, side, 0.0), radius + _MORE_CLEAR, corners)
         if still_holds(plan, ObstacleSet.from_polygons([grown])):
             posts.append(post)
@@ -141,9 +141,9 @@ def _tasks(plans: Sequence[DockPlan], kind: Kind) -> Iterator[Task]:
 
 
 def _with_a_post(plan: DockPlan, time: float, rng: np.random.Generator) -> DockingProblem:
-    """The plan's problem with one more post, which stands 2 cm beside what the rest of the plan sweeps."""
+    """Return the plan's problem with an additional post, 2 cm from the swept area of the rest of the plan."""
     s = float(plan.trajectory.sample_at(time).s[0])
-    # At least a robot's length from both ends: before that nothing can be done, and behind it stands the dock.
+    # At least a robot's length from both ends: closer to the start nothing can be done, and at the end stands the dock.
     length = plan.problem.robot.footprint.length
     low, high = s + length, plan.path.length - plan.problem.dock.final_straight - length
     at = plan.path.pose_at(float(rng.uniform(low, max(low, high))))
@@ -184,7 +184,7 @@ def _replan_row(name: str, tasks: Sequence[Task], repeats: int) -> tuple[object,
         )
         cpu.append(took[0])
         outcomes.append(found.outcome)
-        with garbage_collection_paused():  # as timeit does: what plan_dock leaves behind is not replan's
+        with garbage_collection_paused():  # as timeit does: otherwise replan collects the garbage of plan_dock
             timer = Timer()
             outcome = replan(task.plan, task.target, state, _BUDGET, lead=_LEAD).outcome
             hurried.append((timer.cpu, timer.wall, outcome))
@@ -215,7 +215,7 @@ def _replan_row(name: str, tasks: Sequence[Task], repeats: int) -> tuple[object,
 
 
 def _best(call: Callable[[], Replanned], repeats: int) -> tuple[Replanned, tuple[float, float]]:
-    """What a call returns, and the CPU and wall seconds of the quickest of some calls."""
+    """Return the result of a call, and the CPU and wall seconds of the fastest of several calls."""
     took = []
     for _ in range(repeats):
         timer = Timer()
@@ -249,7 +249,7 @@ def _worlds(plans: Sequence[DockPlan]) -> dict[str, list[tuple[DockPlan, object,
 
 
 def _mapped(plan: DockPlan, rng: np.random.Generator) -> tuple[DockPlan, Costmap, Costmap]:
-    """The plan on a costmap, and two costmaps that come later."""
+    """Return the plan on a costmap, and two later costmaps."""
     middle = plan.path.pose_at(0.5 * plan.path.length)
     origin = (middle.x - 5.0, middle.y - 5.0)
     x, y = np.meshgrid(origin[0] + 0.05 * np.arange(200), origin[1] + 0.05 * np.arange(200))

@@ -1,6 +1,6 @@
-"""Time of a simulated robot: `python -m experiments.benchmarks simulated_robot`; CPU microseconds for one `advance`.
+"""CPU time of a simulated robot: `python -m experiments.benchmarks simulated_robot`; microseconds per `advance`.
 
-Plant, localization, odometry, a detector of the dock at 15 Hz, contact and record. Best of several runs.
+With plant, localization, odometry, a dock detector at 15 Hz, contact and record. Best of several runs.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ RATES = (20, 50, 100)  # [Hz]
 
 
 def microseconds(plant: Plant, rate: float, steps: int) -> float:
-    """CPU time of one `advance` [us]."""
+    """Return the CPU time of one `advance` [us]."""
     robot = SimulatedRobot(plant, Pose2(-2.0, 0.1, 0.1), Pose2(0.0, 0.0, 0.0), SENSORS, station=Station())
     commands = [Twist2(0.2 * math.sin(0.01 * k), 0.3 * math.cos(0.013 * k)) for k in range(steps)]
     start = time.thread_time()
@@ -68,7 +68,7 @@ def microseconds(plant: Plant, rate: float, steps: int) -> float:
 def main(arguments: list[str]) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="simulated_robot", description=__doc__)
-    parser.add_argument("--steps", type=int, default=2000, help="of each of 5 runs")
+    parser.add_argument("--steps", type=int, default=2000, help="number of steps of each of 5 runs")
     steps = parser.parse_args(arguments).steps
     rows = tuple(
         (name, *(min(microseconds(plant, rate, steps) for _ in range(5)) for rate in RATES))

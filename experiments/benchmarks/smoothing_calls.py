@@ -1,4 +1,4 @@
-"""One call of a smoother, measured and judged by the certificate and by the dense check."""
+"""Single smoother calls: their times, and their verdicts by the certificate and by the dense check."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ GENEROUS = 5.0  # seconds: no limit in practice
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """What one call did.
+    """Result of one call.
 
     Args:
-        wall: Seconds on the wall clock.
+        wall: Wall-clock seconds.
         cpu: CPU seconds.
-        path: The result, None without one.
-        completed: The smoother's own word.
-        reason: Why there is no result: `timed out`, or the smoother's reason; empty with a result.
-        report: The smoother's report.
+        path: The result; None without one.
+        completed: Whether the smoother reports completion.
+        reason: Reason of a missing result: `timed out`, or the smoother's reason; empty with a result.
+        report: Report of the smoother.
     """
 
     wall: float
@@ -45,26 +45,26 @@ class Call:
     report: SmoothingReport
 
     def number(self, name: str) -> float:
-        """A number of the report, NaN where it has none."""
+        """Return a number of the report; NaN if it is missing."""
         value = getattr(self.report, name)
         return float(value) if isinstance(value, (int, float)) else math.nan
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Both judgements of a path."""
+    """Both verdicts on a path."""
 
     certificate: Certificate
     dense: DenseReport
 
     @property
     def is_certified(self) -> bool:
-        """The certificate's word."""
+        """Whether the certificate holds."""
         return self.certificate.certified
 
     @property
     def is_false(self) -> bool:
-        """The certificate holds, the dense check shows a violation: must never be."""
+        """Whether the certificate holds although the dense check finds a violation; must never be true."""
         return self.certificate.certified and not self.dense.ok
 
 
@@ -92,10 +92,10 @@ def _reason(error: SmootherException) -> str:
 
 
 def best_of(calls: list[Call]) -> Call:
-    """The call with the least CPU time; all of them did the same work."""
+    """Return the call with the least CPU time; all calls do the same work."""
     return min(calls, key=lambda call: call.cpu)
 
 
 def judged(path: Path, problem: DockingProblem) -> Verdict:
-    """Both judgements, not timed."""
+    """Return both verdicts; not timed."""
     return Verdict(certify_path(path, problem), dense_check(path, problem))

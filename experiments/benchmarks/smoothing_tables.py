@@ -1,4 +1,4 @@
-"""The tables of the smoothing benchmark: what is asked of the smoother, and how the answers are counted."""
+"""Tables of the smoothing benchmark: the smoother's tasks, and statistics of its results."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "baseline_table", "budget_table", "family_table", "reasons_table", "solved", "warm_table"]
 
-MAX_SHIFT, MAX_TURN = 0.04, math.radians(2.0)  # how far a re-plan finds the dock moved [m, rad]
+MAX_SHIFT, MAX_TURN = 0.04, math.radians(2.0)  # largest displacement of the dock at a re-plan [m, rad]
 
 
 class Run(NamedTuple):
-    """One instance, what the smoother made of it, the judgement, and the call that stops at the first certified path.
+    """One instance, the smoother's result, its verdicts, and the call that stops at the first certified path.
 
-    The last two are None where there is no result, or where they were not asked for.
+    The last two are None without a result, or if not requested.
     """
 
     drawn: Instance
@@ -41,35 +41,35 @@ class Run(NamedTuple):
 
     @property
     def is_certified(self) -> bool:
-        """Whether a certified path came out."""
+        """Whether the result is a certified path."""
         return self.verdict is not None and self.verdict.is_certified
 
     @property
     def is_false(self) -> bool:
-        """Whether the two judgements contradict each other."""
+        """Whether the two verdicts contradict each other."""
         return self.verdict is not None and self.verdict.is_false
 
 
 def solved(
-    smoother: Smoother, families: Iterable[str], seeds: int, repeats: int, hasty: Smoother | None = None
+    smoother: Smoother, families: Iterable[str], seeds: int, repeats: int, early: Smoother | None = None
 ) -> list[Run]:
-    """Every instance, smoothed without a time limit; of `repeats` calls the fastest counts.
+    """Smooth every instance without a time limit; of `repeats` calls the fastest counts.
 
     Args:
-        smoother: What is measured.
+        smoother: The measured smoother.
         families: Names.
-        seeds: Instances per family.
-        repeats: Calls per instance.
-        hasty: The same smoother, told to stop at the first certified path.
+        seeds: Number of instances per family.
+        repeats: Number of calls per instance.
+        early: The same smoother, stopping at the first certified path.
     """
     runs: list[Run] = []
     for family in families:
-        called(smoother, *_input(instance(family, 0)))  # what is built once per size is built now
+        called(smoother, *_input(instance(family, 0)))  # builds the cached models, which are created once per size
         for seed in range(seeds):
             drawn = instance(family, seed)
             call = _fastest(smoother, drawn, repeats)
             verdict = None if call.path is None else judged(call.path, drawn.problem)
-            first = None if hasty is None or call.path is None else _fastest(hasty, drawn, repeats)
+            first = None if early is None or call.path is None else _fastest(early, drawn, repeats)
             runs.append(Run(drawn, call, verdict, first))
     return runs
 
@@ -93,7 +93,7 @@ def _by_family(runs: Sequence[Run]) -> list[tuple[str, list[Run]]]:
 
 
 def family_table(runs: Sequence[Run], unit: float) -> Table:
-    """Certified rate and times, per feasible family."""
+    """Return certified rate and times, per feasible family."""
     header = (
         *("family", "certified", "of", "false", "iterations p50", "first ms p50", "p90"),
         *("converged ms p50", "p90", "p99", "max", "cpu ms p50", "p99", "units p50"),
@@ -123,7 +123,7 @@ def _family_row(family: str, group: list[Run], unit: float) -> tuple[object, ...
 
 
 def reasons_table(runs: Sequence[Run]) -> Table:
-    """Verdicts and their times, per infeasible family."""
+    """Return verdicts and their times, per infeasible family."""
     header = ("family", "expected reason", "right", "of", "others", "cpu ms p50", "p90", "max", "wall ms max")
     rows = []
     for family, group in _by_family(runs):
@@ -137,7 +137,7 @@ def reasons_table(runs: Sequence[Run]) -> Table:
 
 
 def warm_table(smoother: Smoother, runs: Sequence[Run], repeats: int) -> Table:
-    """The dock is found a little elsewhere: solved again from the last result, and from the raw path."""
+    """Re-smooth after a displacement of the dock: from the last result, and from the raw path."""
     header = (
         *("family", "cold certified", "warm certified", "of", "cold cpu ms p50", "warm cpu ms p50", "warm p90"),
         *("cold iterations p50", "warm iterations p50"),
@@ -165,7 +165,7 @@ def _warm_row(pairs: list[tuple[Run, Run]]) -> tuple[object, ...]:
 
 
 def _again(smoother: Smoother, run: Run, repeats: int) -> tuple[Run, Run]:
-    """The moved problem solved from the raw path, and from the last result."""
+    """Solve the moved problem from the raw path, and from the last result."""
     problem = _with_moved_dock(run.drawn)
     pair = []
     for warm_start in (None, run.call.path):
@@ -186,7 +186,7 @@ def _with_moved_dock(drawn: Instance) -> DockingProblem:
 
 
 def budget_table(smoother: Smoother, runs: Sequence[Run], budgets: Sequence[float], calls: int) -> Table:
-    """Hard budgets [s]: how often a certified path comes in time, how late, how much worse than converged."""
+    """Return results of hard budgets [s]: rate of certified paths, lateness, cost relative to the converged result."""
     header = (
         *("budget ms", "calls", "certified", "timed out", "false", "late ms p50", "p99", "worst", "late cpu ms worst"),
         *("cost gap % p50", "p90", "max", "host ms p99", "worst"),
@@ -194,9 +194,9 @@ def budget_table(smoother: Smoother, runs: Sequence[Run], budgets: Sequence[floa
     feasible = [run for run in runs if run.is_certified]
     rows = [_budget_row(smoother, feasible, budget, max(1, calls // len(budgets))) for budget in budgets]
     note = (
-        "late: elapsed minus budget, negative when early; wall clock, so that other processes count; CPU time beside. "
-        "Instances: those that converge to a certified path without a limit, in turn. host: between the calls the "
-        "yardstick's work runs as often, and takes so much longer than its median: what the machine alone makes late."
+        "late: elapsed minus budget, negative when early; by wall clock (with other processes) and CPU time. "
+        "Instances: those that converge to a certified path without a limit, in turn. host: excess of the yardstick, "
+        "run between the calls, over its median: lateness caused by the machine alone."
     )
     return Table("Hard time budgets", header, tuple(rows) if feasible else (), note)
 
@@ -231,14 +231,14 @@ def _cost_gap(converged: Call, limited: Call) -> float:
 
 
 def baseline_table(runs_of: Mapping[str, Sequence[Run]], unit: float) -> Table:
-    """What different smoothers make of the same raw paths; `raw` is the input itself."""
+    """Compare smoothers on the same raw paths; `raw` is the input itself."""
     header = (
         *("smoother", "certified", "of", "collide", "too close", "over curvature", "over rate", "no straight end"),
         *("max curvature / limit p50", "wall ms p50", "p99", "cpu ms p50", "units p50"),
     )
     rows = [_baseline_row(name, runs, unit) for name, runs in runs_of.items()]
     note = (
-        "the feasible families asked for; counts of paths by the dense check. collide: overlap; too close: less than "
+        "selected feasible families; counts of paths by the dense check. collide: overlap; too close: less than "
         "the required clearance"
     )
     return Table("Smoothers compared on the same raw paths", header, tuple(rows), note)

@@ -1,4 +1,4 @@
-"""Tables of numbers on standard output, and the yardstick that makes runs on different machines comparable."""
+"""Tables of numbers on standard output, and a reference workload for comparing runs on different machines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Table", "Timer", "fixed_work", "percentile", "yardstick"]
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; `note` says how it was measured."""
+    """A titled table; `note` describes the measurement."""
 
     title: str
     header: tuple[str, ...]
@@ -35,7 +35,7 @@ class Table:
         return "\n".join((f"\n## {self.title}", *((self.note,) if self.note else ()), lines[0], rule, *lines[1:]))
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for a JSON file."""
+        """Return plain values for a JSON file."""
         rows = [dict(zip(self.header, map(_plain, row), strict=True)) for row in self.rows]
         return {"title": self.title, "note": self.note, "rows": rows}
 
@@ -57,13 +57,13 @@ def _plain(value: object) -> object:
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The smallest value that at least `share` percent of the finite values do not exceed; NaN without values."""
+    """Return the smallest value not exceeded by at least `share` percent of the finite values; NaN without values."""
     finite = [value for value in values if math.isfinite(value)]
     return float(np.percentile(finite, share, method="inverted_cdf")) if finite else math.nan
 
 
 class Timer:
-    """Wall and CPU seconds since its construction."""
+    """Wall and CPU seconds since construction."""
 
     def __init__(self) -> None:
         self._wall, self._cpu = time.perf_counter(), time.process_time()
@@ -79,10 +79,10 @@ class Timer:
         return time.process_time() - self._cpu
 
 
-def yardstick(repeats: int = 15) -> float:
-    """CPU seconds of `fixed_work`; the median of `repeats`."""
+def yardstick() -> float:
+    """Return the CPU seconds of `fixed_work`; the median of 15 runs."""
     seconds = []
-    for _ in range(repeats):
+    for _ in range(15):
         timer = Timer()
         fixed_work()
         seconds.append(timer.cpu)
@@ -90,7 +90,7 @@ def yardstick(repeats: int = 15) -> float:
 
 
 def fixed_work() -> None:
-    """Always the same few milliseconds: small arrays and a small factorization."""
+    """Run a constant workload of a few milliseconds: small arrays and a small factorization."""
     points = np.linspace(0.0, 1.0, 160)
     matrix = np.eye(40) + 0.01 * np.cos(np.outer(np.arange(40), np.arange(40)))
     for _ in range(100):

@@ -1,11 +1,11 @@
-"""Time parameterization: how close to the optimum, at what cost, and whether every limit holds.
+"""Time parameterization: optimality gap, cost, and compliance with every limit.
 
     python -m experiments.benchmarks timing                tables over the committed suites, 200 fresh paths, CPU times
-    python -m experiments.benchmarks timing --fresh 2000   that many fresh random paths
+    python -m experiments.benchmarks timing --fresh 2000   2000 fresh random paths
     python -m experiments.benchmarks timing --lateral-jerk 20   20 paths under limits of lateral jerk, against IPOPT
-    python -m experiments.benchmarks timing --recompute    the references too (minutes), kept in timing_reference.json
+    python -m experiments.benchmarks timing --recompute    recompute the references (minutes), timing_reference.json
 
-T is the duration found, B the jerk-limited optimum (a local one, by IPOPT), A the bound without jerk (TOPP-RA).
+T is the resulting duration, B the jerk-limited optimum (a local one, by IPOPT), A the bound without jerk (TOPP-RA).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _KEPT = 1.0 + 1e-6
 
 
 def methods() -> dict[str, TimeParameterizer]:
-    """Every method kept."""
+    """Return the compared methods."""
     return {
         "near-optimal": NearOptimal(),
         "  step 0.10 s": NearOptimal(step=0.10),
@@ -52,7 +52,7 @@ def methods() -> dict[str, TimeParameterizer]:
 
 
 class Run(NamedTuple):
-    """A timed call: its result and its CPU time, the least of the repetitions [s]."""
+    """A timed call: its result and its CPU time, the minimum of the repetitions [s]."""
 
     case: Case
     result: TimingResult
@@ -73,7 +73,7 @@ def run(method: TimeParameterizer, case: Case, repeat: int = 3) -> Run:
 
 
 def worst_quotient(case: Case, trajectory: Trajectory) -> float:
-    """Largest quotient of any quantity and its limit on a 1 ms grid plus all phase ends, the path's own curvature."""
+    """Return the largest ratio of any quantity to its limit on a 1 ms grid and all phase ends."""
     limits, path, law = case.limits, trajectory.path, trajectory.time_law
     t = np.union1d(np.arange(0.0, law.duration, 1e-3), law.times)
     s, v, a, _jerk = law.at(t).T
@@ -97,7 +97,7 @@ def worst_quotient(case: Case, trajectory: Trajectory) -> float:
 
 
 def clean(item: Run) -> bool:
-    """OK, within every limit, at rest at the end."""
+    """Whether the result is OK, within every limit, and at rest at the end."""
     trajectory = item.result.trajectory
     if item.result.status is not TimingStatus.OK or trajectory is None:
         return False
@@ -105,12 +105,12 @@ def clean(item: Run) -> bool:
     return worst_quotient(item.case, trajectory) <= _KEPT and bool(end < 1e-9)
 
 
-def recompute(names: Iterable[str] = _SUITES) -> None:
-    """Solve for A and B of some suites, B from two first iterates, and keep them."""
+def recompute() -> None:
+    """Compute and store A and B of some suites, B from two initial iterates."""
     from experiments.benchmarks.timing_reference import acceleration_bound
 
     found: dict[str, dict[str, float]] = json.loads(_REFERENCES.read_text()) if _REFERENCES.exists() else {}
-    for i, case in enumerate(case for name in names for case in suite(name)):
+    for i, case in enumerate(case for name in _SUITES for case in suite(name)):
         guesses = [run(method, case, 1).result.trajectory for method in (NearOptimal(), Windowed())]
         optima = [_optimum(case, guess, 300) for guess in guesses if guess is not None]
         row = {"A": acceleration_bound(case), "B": min(optima, default=np.inf)}
@@ -122,7 +122,7 @@ def recompute(names: Iterable[str] = _SUITES) -> None:
 
 
 def _optimum(case: Case, guess: Trajectory, intervals: int) -> float:
-    """Infinite where IPOPT does not converge."""
+    """Return the optimum; infinite if IPOPT does not converge."""
     from experiments.benchmarks.timing_reference import jerk_limited_optimum
 
     try:
@@ -133,7 +133,7 @@ def _optimum(case: Case, guess: Trajectory, intervals: int) -> float:
 
 
 def suite_table(name: str) -> Table:
-    """One suite: every method against B and A."""
+    """Return the table of one suite: every method against B and A."""
     references = json.loads(_REFERENCES.read_text())
     cases = suite(name)
     own = {case.name: references[case.name] for case in cases}
@@ -161,7 +161,7 @@ def _jerk_steps(runs: list[Run]) -> float:
 
 
 def cost_table(count: int) -> Table:
-    """CPU time of paths of 5 m, as clothoid splines."""
+    """Return CPU times for paths of 5 m, as clothoid splines."""
     kinds: dict[str, Callable[[int], Case]] = {
         "standard": lambda i: random_case(501, i, length=5.0, gears=1),
         "hard": lambda i: random_case(502, i, length=5.0, gears=1, hard=True),
@@ -179,7 +179,7 @@ def cost_table(count: int) -> Table:
 
 
 def lateral_jerk_table(count: int) -> Table:
-    """Paths whose lateral jerk may be a share of what they have without that limit, against the optimum by IPOPT."""
+    """Return results for paths with a limit below their unconstrained lateral jerk, and IPOPT's optimum."""
     rows: list[tuple[str | int, ...]] = []
     notes: list[str] = []
     for share in (0.8, 0.4, 0.2):
@@ -210,7 +210,7 @@ def lateral_jerk_table(count: int) -> Table:
 
 
 def _lateral_jerk(trajectory: Trajectory) -> float:
-    """The largest of a motion, on a grid of 1 ms [m/s^3]."""
+    """Return the largest lateral jerk of a motion, on a grid of 1 ms [m/s^3]."""
     _s, v, a, _j = trajectory.time_law.at(np.arange(0.0, trajectory.duration, 1e-3)).T
     s = np.clip(_s, 0.0, trajectory.path.length)
     k, rate = trajectory.path.curvature_at(s), trajectory.path.curvature_rate_at(s)
@@ -218,7 +218,7 @@ def _lateral_jerk(trajectory: Trajectory) -> float:
 
 
 def fresh_table(count: int, seed: int) -> Table:
-    """Fresh random paths of all kinds: how they end, and the worst quotient among those called OK."""
+    """Return results for fresh random paths of all kinds: status, and the worst ratio among those reported OK."""
     statuses: Counter[str] = Counter()
     repairs: Counter[str] = Counter()
     worst, broken = (0.0, ""), 0
@@ -240,12 +240,12 @@ def fresh_table(count: int, seed: int) -> Table:
 def main(arguments: list[str]) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recompute", action="store_true", help="solve for the references again")
+    parser.add_argument("--recompute", action="store_true", help="recompute the references")
     parser.add_argument("--fresh", type=int, default=200, help="number of fresh random paths")
-    parser.add_argument("--seed", type=int, default=_FRESH_SEED, help="of the fresh paths")
+    parser.add_argument("--seed", type=int, default=_FRESH_SEED, help="seed of the fresh paths")
     parser.add_argument("--cost", type=int, default=40, help="number of paths per CPU row")
     parser.add_argument(
-        "--lateral-jerk", type=int, default=0, help="number of paths under limits of lateral jerk, only"
+        "--lateral-jerk", type=int, default=0, help="only run this number of paths under limits of lateral jerk"
     )
     options = parser.parse_args(arguments)
     if options.lateral_jerk:

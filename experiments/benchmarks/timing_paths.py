@@ -1,4 +1,4 @@
-"""Seeded paths for the timing benchmark: analytic curvature, and clothoid splines like a smoother's."""
+"""Seeded paths for the timing benchmark: analytic curvature, and clothoid splines as from a smoother."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class GaussianSegment:
 
     @property
     def knots(self) -> FloatArray:
-        """Smooth everywhere."""
+        """Empty: the curve is smooth everywhere."""
         return frozen_array([0.0, self.length], "knots")
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Shape (n, 3), of a fine clothoid spline; the timing does not look at poses."""
+        """Return poses of a fine clothoid spline, Shape (n, 3); the timing does not depend on poses."""
         return self.poses.poses_at(s)
 
     def _bumps(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +86,7 @@ class GaussianSegment:
 
 
 class Case(NamedTuple):
-    """One timing problem; `curves` holds the analytic curves, one per gear, that the path samples if it does."""
+    """One timing problem; `curves` holds the analytic curves, one per gear, if the path samples such curves."""
 
     name: str
     path: Path
@@ -146,7 +146,7 @@ def _gaussian_segment(
 def random_case(
     seed: int, index: int, *, hard: bool = False, length: float | None = None, gears: int | None = None
 ) -> Case:
-    """One random path with its limits: analytic curves, sampled, 1 to 3 gears, a quarter of the starts in motion."""
+    """Return one random path with limits: analytic curves, sampled, 1 to 3 gears, some starts in motion."""
     rng = np.random.default_rng((seed, index))
     total = float(rng.uniform(1.0, 12.0)) if length is None else length
     parts = int(rng.choice((1, 2, 3), p=(0.5, 0.3, 0.2))) if gears is None else gears
@@ -166,7 +166,7 @@ def random_case(
 
 
 def clothoid_case(seed: int, index: int, *, length: float | None = None, hard: bool = False) -> Case:
-    """One gear that is a clothoid spline with knots 4 to 12 cm apart: curvature rate jumps at every knot."""
+    """Return one gear as a clothoid spline with knots 4 to 12 cm apart: the curvature rate jumps at every knot."""
     rng = np.random.default_rng((seed, index, 7))
     total = float(rng.uniform(1.0, 8.0)) if length is None else length
     steps = rng.uniform(0.04, 0.12, max(3, int(total / 0.08)))
@@ -179,13 +179,13 @@ def clothoid_case(seed: int, index: int, *, length: float | None = None, hard: b
 
 
 def _sampled(curve: GaussianSegment) -> ClothoidSegment:
-    """The curve as a clothoid spline, knots 5 mm apart."""
+    """Return the curve as a clothoid spline, knots 5 mm apart."""
     knots = np.linspace(0.0, curve.length, max(2, int(np.ceil(curve.length / _POSE_SPACING)) + 1))
     return ClothoidSegment(ClothoidSpline(curve.start, knots, curve.curvature_at(knots), curve.direction))
 
 
 def suite(name: str) -> list[Case]:
-    """A committed suite: `std` (48 paths), `hard` (24), `clothoid` (24) or `smoothed` (45, by CasadiSmoother)."""
+    """Return a committed suite: `std` (48 paths), `hard` (24), `clothoid` (24), `smoothed` (45, by CasadiSmoother)."""
     if name == "clothoid":
         return [clothoid_case(5, i, hard=i % 2 == 1) for i in range(24)]
     if name == "hard":

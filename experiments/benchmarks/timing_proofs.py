@@ -1,11 +1,11 @@
-"""Time parameterization against its proof: how often what a method calls OK is refused, and what a call costs at worst.
+"""Time parameterization against its certificate: rate of refused results that a method reports OK, and worst CPU time.
 
     python -m experiments.benchmarks timing_proofs                               # a minute
     python -m experiments.benchmarks timing_proofs --plans 5000 --paths 20000    # an hour
 
-Plans: random starts before docks on real maps (where the maps are) and in random families, at rest and in motion, zones
-that begin at a knot of the path among them. Paths: random clothoid splines, limits, zones and start states; half of the
-limits and lengths of the second table lie orders of magnitude from those of any robot.
+Plans: random starts before docks on real maps (if available) and in random families, at rest and in motion, including
+slow zones that begin at a knot of the path. Paths: random clothoid splines, limits, zones and start states; half of the
+limits and lengths of the second table are orders of magnitude away from those of real robots.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.plugins.interfaces import TimeParameterizer
 
-_SCENES = (0, 1, 4, 9, 17)  # of `SCENARIOS`: three walls, a pallet, a rack
+_SCENES = (0, 1, 4, 9, 17)  # indices into `SCENARIOS`: three walls, a pallet, a rack
 _TURNING = ("max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_wheel_speed")
 _WILD = 4.0  # decades
 
@@ -57,7 +57,7 @@ class Case(NamedTuple):
 
 
 class Tally:
-    """What became of calls: counts, refused results, and the CPU time of each [s]."""
+    """Statistics of calls: counts, refused results, and the CPU time of each [s]."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -66,7 +66,7 @@ class Tally:
         self.seconds: list[float] = []
 
     def call(self, name: str, method: TimeParameterizer, case: Case) -> None:
-        """Time one path, and prove what is called OK."""
+        """Time one path, and certify a result that is reported OK."""
         timer = Timer()
         speed, acceleration = case.start
         result = method.parameterize(
@@ -86,7 +86,7 @@ class Tally:
             self.refused.append(f"{name}: {proof.reason}")
 
     def table(self, title: str) -> Table:
-        """Everything, refused results first."""
+        """Return all statistics, refused results first."""
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         rows: list[tuple[object, ...]] = [("OK or planned, but refused by the proof", len(self.refused))]
         rows += [(f"  {words}", 1) for words in self.refused[:5]]
@@ -99,12 +99,12 @@ class Tally:
 
 
 def methods() -> dict[str, TimeParameterizer]:
-    """Every method, each in its modes."""
+    """Return every method, in each of its modes."""
     return {"NearOptimal": NearOptimal(), "NearOptimal smooth": NearOptimal(smooth=True), "Windowed": Windowed()}
 
 
 def random_problems(seed: int) -> Iterator[DockingProblem]:
-    """Random starts 1 to 2.5 m before docks with a zone as long as the final straight, every third start in motion."""
+    """Return random starts 1 to 2.5 m before docks with a zone as long as the final straight, every third in motion."""
     rng = np.random.default_rng((seed, 1))
     families = sorted(FEASIBLE_FAMILIES)
     while True:
@@ -125,7 +125,7 @@ def random_problems(seed: int) -> Iterator[DockingProblem]:
 
 
 def plans_table(count: int, seed: int) -> Table:
-    """Whole plans, and every method over their paths."""
+    """Run whole plans, and every method over their paths."""
     tally = Tally()
     for i, problem in zip(range(count), random_problems(seed), strict=False):
         try:
@@ -144,7 +144,7 @@ def plans_table(count: int, seed: int) -> Table:
 
 
 def random_path_case(rng: np.random.Generator, decades: float) -> Case:
-    """A random spline of 1 to 3 gears with random limits, zone and start; `decades` wider than usual in everything."""
+    """Return a random spline of 1 to 3 gears with random limits, zone and start; `decades` widens all ranges."""
     scale = 10.0 ** float(rng.uniform(-1.5 * decades, decades))
     segments, pose, sign = [], Pose2(0.0, 0.0, 0.0), int(rng.choice((1, -1)))
     for _ in range(int(rng.choice((1, 1, 1, 2, 3)))):
@@ -171,7 +171,7 @@ def random_path_case(rng: np.random.Generator, decades: float) -> Case:
 
 
 def paths_table(count: int, seed: int, decades: float) -> Table:
-    """Random paths under random limits, one method each."""
+    """Run one method per table on random paths under random limits."""
     rng, tally, known = np.random.default_rng((seed, 2)), Tally(), list(methods().items())
     for i in range(count):
         tally.call(*known[i % len(known)], random_path_case(rng, decades))

@@ -1,7 +1,7 @@
-"""References for the timing benchmark: the jerk-limited optimum by direct transcription, the bound without jerk.
+"""References of the timing benchmark: the jerk-limited optimum by direct transcription, the bound without jerk.
 
 B is a local optimum of a nonlinear program, not a certificate; the benchmark solves it from two initial guesses and
-checks its grid by doubling. A relaxes the jerk limit: no motion is faster.
+checks its grid by doubling. A relaxes the jerk limit: a lower bound of the duration.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ class _Stretch(NamedTuple):
 
 
 def jerk_limited_optimum(case: Case, guess: TimeLaw, intervals: int = 300) -> float:
-    """Duration of the whole path under all limits, jerk included [s].
+    """Return the duration of the whole path under all limits, jerk included [s].
 
     Args:
         case: The problem.
-        guess: Any feasible time law, the first iterate.
-        intervals: Of constant jerk, per gear.
+        guess: Any feasible time law, the initial iterate.
+        intervals: Number of intervals of constant jerk, per gear.
 
     Raises:
-        RuntimeError: IPOPT does not converge.
+        RuntimeError: If IPOPT does not converge.
     """
     total, start = 0.0, case.start
     curves = case.curves or case.path.segments
@@ -62,7 +62,7 @@ def jerk_limited_optimum(case: Case, guess: TimeLaw, intervals: int = 300) -> fl
 
 
 def _shifted(guess: TimeLaw, begin: float, length: float) -> FloatArray:
-    """Time, distance, speed, acceleration of one gear of the guess, Shape (4, n)."""
+    """Return time, distance, speed, acceleration of one gear of the guess, Shape (4, n)."""
     times = np.linspace(0.0, guess.duration, 20000)
     s, v, a, _j = guess.at(times).T
     inside = (s >= begin) & (s <= begin + length)
@@ -106,7 +106,7 @@ def _gaussian_curve(segment: GaussianSegment, s: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 class _Program:
-    """Variables, constraints and first iterate of one gear's nonlinear program, stretch after stretch."""
+    """Variables, constraints and initial iterate of one gear's nonlinear program, stretch by stretch."""
 
     def __init__(self, limits: MotionLimits, guess: FloatArray) -> None:
         self.limits, self.guess = limits, guess
@@ -134,7 +134,7 @@ class _Program:
             self.g_upper.append(np.full(value.numel(), upper))
 
     def stretch(self, part: _Stretch, intervals: int, before: ca.SX | None) -> ca.SX:
-        """One stretch of `intervals` constant-jerk intervals; returns its last state."""
+        """Add one stretch of `intervals` constant-jerk intervals; return its last state."""
         limits = self.limits
         t, s, v, a = self.guess
         left, right = np.searchsorted(s, (part.left, part.right - 1e-12))
@@ -214,10 +214,10 @@ def _gear_optimum(
 
 
 def acceleration_bound(case: Case) -> float:
-    """Duration without the jerk limit by TOPP-RA, every other limit kept [s].
+    """Return the duration without the jerk limit by TOPP-RA, with all other limits [s].
 
     Raises:
-        RuntimeError: TOPP-RA finds no profile.
+        RuntimeError: If TOPP-RA finds no profile.
     """
     logging.getLogger("toppra").setLevel(logging.ERROR)
     total, speed = 0.0, case.start[0]

@@ -1,4 +1,4 @@
-"""Paths that CasadiSmoother made of the random instances of all families, kept so that the suite does not change."""
+"""Stored results of CasadiSmoother on random instances of all families, so that the suite stays constant."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BUDGET = 1.0  # [s]
 
 
 def smoothed_paths() -> dict[str, Path]:
-    """The kept paths by name."""
+    """Return the stored paths by name."""
     kept = json.loads(_FILE.read_text())
     return {name: Path(tuple(_segment(gear) for gear in gears)) for name, gears in kept.items()}
 
@@ -39,7 +39,7 @@ def _segment(gear: dict[str, list[float]]) -> ClothoidSegment:
 
 
 def harvest() -> None:
-    """Smooth every family again and keep the paths."""
+    """Smooth every family again and store the paths."""
     smoother, kept = create_plugin(Smoother, "CasadiSmoother"), {}
     for family in FEASIBLE_FAMILIES:
         for seed in range(_SEEDS):

@@ -1,17 +1,16 @@
-"""Docks that must stay in view: of 200 starts around real docks, how many are certified of those that can be.
+"""Docks that must stay in view: rate of certified plans among those of 200 starts that are feasible.
 
     python -m experiments.benchmarks views
     python -m experiments.benchmarks views --visible 2.0 --degrees 40 --count 60
 
-The robot has a camera with a cone of 60 degrees in front; the marker must be in it over the last 1.5 m. The docks are
-those of `real_maps` on the maps of this project that are entered forward, the starts 1 to 6 m around them with any
-bearing and any heading, as the manoeuvre benchmark draws them. Every start is planned with the view and without, each
-within the default time.
+The robot has a camera with a cone of 60 degrees in front; the marker must be in view over the last 1.5 m. The docks are
+the forward docks of `real_maps` on the maps of this project, the starts 1 to 6 m around them with any bearing and any
+heading, as in the manoeuvre benchmark. Every start is planned with and without the view, each within the default time.
 
-A way that sees the dock *exists* for this table where its length is at most 1.2 times that of the plan without the
-view, and where it is the plan without the view itself, the plan with it, a patient one (10 s), or a plan to a place on
-the dock's axis and straight on from there. Whether a path sees is judged here by bearings at dense samples; whether it
-is certified by `certify_path`.
+A solution *exists* for this table if it sees the dock and its length is at most 1.2 times that of the plan without the
+view. Candidates are the plan without the view, the plan with it, a plan with a long budget (10 s), and plans to a place
+on the dock's axis with a straight from there. Visibility of a path is decided here by bearings at dense samples,
+certification by `certify_path`.
 """
 
 from __future__ import annotations
@@ -41,22 +40,22 @@ if TYPE_CHECKING:
     from optdock.model.problem import DockingProblem
     from optdock.planning.plan import DockPlan
 
-LONGER = 1.2  # times the plan without the view: what still counts as a way that exists
+LONGER = 1.2  # ratio to the plan without the view: limit of a solution that counts
 PATIENT = 10.0  # [s]
-STAGES = (0.6, 1.0, 1.5, 2.0)  # [m] before the dock, on its axis, from where a plan goes straight on
-SPACING = 0.002  # [m] between the samples that are looked at
+STAGES = (0.6, 1.0, 1.5, 2.0)  # [m] before the dock, on its axis: start of the straight
+SPACING = 0.002  # [m] between samples
 MOUNT, MARKER = (
     Pose2(0.4, 0.0, 0.0),
     (0.55, 0.0),
 )  # on the robot, 5 cm behind its bumper; in the charger, 10 cm before it
-SAME_SIGHT = 1e-5  # [rad]: what rounding and the tolerance of the certificate make of a bearing at these distances
+SAME_SIGHT = 1e-5  # [rad]: effect of rounding and of the certificate's tolerance on a bearing at these distances
 
 
-class Asked(NamedTuple):
-    """One start: which dock, where as seen from it, what was found, and how long the plan with the view took [s].
+class ViewResult(NamedTuple):
+    """One start: dock, start in its frame, results, and the duration of planning with the view [s].
 
-    `free`, `seeing`: lengths of the plans without and with the view [m]; None: there is none. `shortest`: of the ways
-    known that see the dock. `reason`: why there is no plan with the view.
+    `free`, `seeing`: lengths of the plans without and with the view [m]; None: no plan. `shortest`: length of the
+    shortest known solution. `reason`: refusal of the plan with the view.
     """
 
     name: str
@@ -69,12 +68,12 @@ class Asked(NamedTuple):
 
     @property
     def exists(self) -> bool:
-        """Whether a way is known that sees the dock and is not much longer than without."""
+        """Whether a known path sees the dock and is not much longer than the plan without the view."""
         return self.free is not None and self.shortest is not None and self.shortest <= LONGER * self.free
 
 
 def starts(count: int, seed: int) -> Iterator[tuple[str, DockingProblem]]:
-    """Random starts around the docks that are entered forward, as many around each, in turn."""
+    """Yield random starts around the docks that are entered forward, the same number around each, in turn."""
     docks = [scenario for scenario in DRAWN_SCENARIOS if not scenario.backward]
     each = -(-count // len(docks))
     found = []
@@ -86,7 +85,7 @@ def starts(count: int, seed: int) -> Iterator[tuple[str, DockingProblem]]:
 
 
 def seeing(problem: DockingProblem, degrees: float, visible: float) -> DockingProblem:
-    """The problem with the camera and the marker."""
+    """Return the problem with the camera and the marker."""
     robot = dataclasses.replace(problem.robot, camera=Camera(MOUNT, math.radians(degrees)))
     dock = dataclasses.replace(problem.dock, marker=MARKER, visible_distance=visible)
     return dataclasses.replace(problem, robot=robot, dock=dock)
@@ -107,7 +106,7 @@ def sees(path: Path, problem: DockingProblem, degrees: float, visible: float) ->
 
 
 def planned(problem: DockingProblem, seconds: float) -> tuple[DockPlan | None, str]:
-    """A plan, or why there is none."""
+    """Return a plan, or the reason of its refusal."""
     try:
         return plan_dock(problem, time_budget=seconds), ""
     except OptdockError as error:
@@ -115,7 +114,7 @@ def planned(problem: DockingProblem, seconds: float) -> tuple[DockPlan | None, s
 
 
 def by_stages(problem: DockingProblem) -> Iterator[Path]:
-    """Plans to places on the dock's axis, and straight on from there."""
+    """Return plans to places on the dock's axis with a straight from there."""
     for distance in STAGES:
         stage = problem.goal @ Pose2(-distance, 0.0, 0.0)
         dock = Dock(stage, direction=DockDirection.FORWARD)
@@ -125,8 +124,8 @@ def by_stages(problem: DockingProblem) -> Iterator[Path]:
             yield Path((*there.path.segments, ClothoidSegment(line)), problem.frame)
 
 
-def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> Asked:
-    """One start."""
+def plan_start(name: str, problem: DockingProblem, degrees: float, visible: float) -> ViewResult:
+    """Plan one start in all ways."""
     wanted = seeing(problem, degrees, visible)
     free, _ = planned(problem, DEFAULT_TIME_BUDGET)
     began = time.perf_counter()
@@ -140,7 +139,7 @@ def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> A
     lengths = [path.driven for path in known if sees(path, problem, degrees, visible)]
     if plan is not None and not sees(plan.path, problem, degrees, visible):
         raise AssertionError(f"{name}: certified, and the marker is out of view")
-    return Asked(
+    return ViewResult(
         name,
         side_of(problem.dock, problem.start),
         None if free is None else free.path.driven,
@@ -151,8 +150,8 @@ def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> A
     )
 
 
-def row(side: str, some: list[Asked]) -> tuple[object, ...]:
-    """What came of some of the starts."""
+def row(side: str, some: list[ViewResult]) -> tuple[object, ...]:
+    """Return one row: results of some of the starts."""
     existing = [one for one in some if one.exists]
     hit = sum(one.seeing is not None for one in existing)
     longer = [one.seeing / one.free for one in some if one.seeing is not None and one.free is not None]
@@ -173,16 +172,21 @@ def row(side: str, some: list[Asked]) -> tuple[object, ...]:
 
 
 def main(arguments: list[str]) -> None:
-    """Print the table, and every start that has a way and no plan."""
+    """Print the table, and every start with a solution but without a plan."""
     parser = argparse.ArgumentParser(prog="views", description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=200, help="starts (default: %(default)s)")
-    parser.add_argument("--degrees", type=float, default=60.0, help="of the cone (default: %(default)s)")
-    parser.add_argument("--visible", type=float, default=1.5, help="metres before the dock (default: %(default)s)")
+    parser.add_argument("--count", type=int, default=200, help="number of starts (default: %(default)s)")
+    parser.add_argument(
+        "--degrees", type=float, default=60.0, help="opening angle of the cone [deg] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--visible", type=float, default=1.5, help="distance of the view before the dock [m] (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=SEED)
     options = parser.parse_args(arguments)
     warm_up()
     found = [
-        ask(name, problem, options.degrees, options.visible) for name, problem in starts(options.count, options.seed)
+        plan_start(name, problem, options.degrees, options.visible)
+        for name, problem in starts(options.count, options.seed)
     ]
     sides = ("before", "oblique", "beside or behind")
     table = tuple(row(side, [one for one in found if one.side == side]) for side in sides)

@@ -1,1 +1,1 @@
-"""Whether `optdock.calibration` finds what is hidden: robots of the field world, their drives, their truths."""
+"""Calibration study: compares the estimates of `optdock.calibration` with the hidden truth of simulated robots."""

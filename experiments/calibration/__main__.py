@@ -1,10 +1,9 @@
-"""The calibration study: robots of the field world with hidden truths; intervals, fresh dockings, the tube.
+"""Calibration study: robots of the field world with hidden properties; intervals, fresh dockings, the tube.
 
     python -m experiments.calibration                             # 50 robots of 6 recordings, 2 fresh pairs each
     python -m experiments.calibration --robots 4 --fresh 1
 
-Writes results/calibration/: recordings, which are not driven again where they are there, intervals.csv, pairs.csv and
-table.md.
+Writes results/calibration/: recordings, which are reused if they exist, intervals.csv, pairs.csv and table.md.
 """
 
 from __future__ import annotations
@@ -25,18 +24,22 @@ OUT = Path("results") / "calibration"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, calibrate, count, print."""
+    """Record, calibrate, compare, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", type=int, default=50, help="how many (default: %(default)s)")
-    parser.add_argument("--recordings", type=int, default=6, help="of each robot (default: %(default)s)")
-    parser.add_argument("--fresh", type=int, default=2, help="pairs of fresh dockings of each (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument("--robots", type=int, default=50, help="number of robots (default: %(default)s)")
+    parser.add_argument(
+        "--recordings", type=int, default=6, help="number of recordings of each robot (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fresh", type=int, default=2, help="pairs of fresh dockings of each robot (default: %(default)s)"
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(arguments)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before NumPy is loaded
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before NumPy is imported
         os.environ.setdefault(name, "1")
     from experiments.calibration.robots import hidden_robot
-    from experiments.calibration.study import Judged, RobotTask, studied
+    from experiments.calibration.study import QuantityResult, RobotTask, studied
     from experiments.calibration.tables import coverage_table, paired_table, tube_table
     from experiments.docking.field.outcome import FieldOutcome
 
@@ -49,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr.write(f"\r{len(found)} of {len(tasks)} robots")
     judged, pairs = [one for robot in found for one in robot.judged], [one for robot in found for one in robot.pairs]
     deviations = [robot.deviations for robot in found]
-    _write(options.out / "intervals.csv", Judged._fields, judged)
+    _write(options.out / "intervals.csv", QuantityResult._fields, judged)
     rows = [(one.robot, one.run, name, *outcome) for one in pairs for name, outcome in one.outcomes]
     _write(options.out / "pairs.csv", ("robot", "run", "settings", *FieldOutcome._fields), rows)
     radius = hidden_robot(0).layout.problem.robot.footprint.circumscribed_radius

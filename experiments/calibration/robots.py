@@ -1,4 +1,4 @@
-"""Robots of the field world, each with hidden properties of its own that stay the same in all of its drives."""
+"""Robots of the field world with hidden properties that stay constant in all of their runs."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 __all__ = ["TRACK_WIDTH", "HiddenRobot", "hidden_robot", "set_down"]
 
-TRACK_WIDTH = 0.4  # [m]: what the base believes in, see `Drive`
-# [m/s]: the limits of the robot need one where they have a track width; at full speed and yaw rate a rim has 0.4.
+TRACK_WIDTH = 0.4  # [m]: value assumed by the base, see `Drive`
+# [m/s]: required by the limits of a robot with a track width; a rim reaches 0.4 at full speed and yaw rate.
 _WHEEL_SPEED = 0.5
-_APART = 100_000  # seeds between two robots: the runs of two are different ones
+_APART = 100_000  # offset between the seeds of two robots, so that their runs differ
 
 
 class HiddenRobot(NamedTuple):
     """One robot at one dock.
 
     Attributes:
-        number: Which.
-        world: What is wrong with it.
+        number: Number of the robot.
+        world: Imperfections of the robot.
         radii: True radii of the wheels, left and right [m].
-        track_width: True distance between them [m].
+        track_width: True distance between the wheels [m].
         dead_bands: Left and right [m/s].
-        layout: Where everything stands; the start is that of no run.
+        layout: Problem and true dock pose; its start is not used.
     """
 
     number: int
@@ -51,7 +51,7 @@ class HiddenRobot(NamedTuple):
 
 
 def hidden_robot(number: int) -> HiddenRobot:
-    """The robot with a number; everything hidden is drawn from it."""
+    """Return the robot of a number, which determines all hidden properties."""
     random = np.random.default_rng([number, 2021])
     late, wait = random.uniform(0.04, 0.12), random.uniform(0.08, 0.2)
     is_dead, is_late, is_blind = random.random(3) < (0.5, 0.5, 0.3)
@@ -86,7 +86,7 @@ def hidden_robot(number: int) -> HiddenRobot:
 
 
 def set_down(hidden: HiddenRobot, run: int) -> tuple[Layout, FieldRobot]:
-    """The robot at the start of a run: of all that is random only the start and the noise differ between two."""
+    """Return the robot at the start of a run; only start and noise differ between runs."""
     seed = _APART * (hidden.number + 1) + run
     random = np.random.default_rng([seed, 1])
     spread, goal = SPREADS["wider"], hidden.layout.problem.goal

@@ -1,4 +1,4 @@
-"""What the study drives and counts: recordings of hidden robots, truths inside intervals, fresh dockings by pairs."""
+"""Calibration study: recordings of hidden robots, coverage of the intervals, paired fresh dockings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from experiments.calibration.robots import hidden_robot, set_down
 from experiments.calibration.truths import truths
 from experiments.docking.field.methods import by_executor
-from experiments.docking.field.outcome import field_outcome
-from experiments.docking.field.task import FieldTask
+from experiments.docking.field.outcome import FieldTask, field_outcome
 from optdock.calibration import calibrate, read_recording, written_values
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter
@@ -21,14 +20,14 @@ if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
     from optdock.calibration import Calibration, ReadFile
 
-__all__ = ["RATE", "Judged", "Paired", "RobotTask", "Studied", "studied"]
+__all__ = ["RATE", "PairedDocking", "QuantityResult", "RobotResult", "RobotTask", "studied"]
 
 RATE = 50.0  # [Hz]
-_FRESH = 1000  # number of the first run that nothing was calibrated with
+_FRESH = 1000  # number of the first run that is not used for calibration
 
 
 class RobotTask(NamedTuple):
-    """One robot: its number, how many recordings it is calibrated with, how many fresh dockings, and where logs go."""
+    """Task of one robot: its number, number of recordings, number of fresh dockings, and directory of the logs."""
 
     number: int
     recordings: int
@@ -36,8 +35,8 @@ class RobotTask(NamedTuple):
     folder: str
 
 
-class Judged(NamedTuple):
-    """One quantity of one robot: the truth, the estimate, its interval, and why there is none."""
+class QuantityResult(NamedTuple):
+    """One quantity of one robot: truth, estimate, interval, and the reason of a missing interval."""
 
     robot: int
     name: str
@@ -53,15 +52,15 @@ class Judged(NamedTuple):
         return self.low <= self.truth <= self.high
 
 
-class Paired(NamedTuple):
-    """A fresh docking of one robot, with the defaults and with what the calibration wrote.
+class PairedDocking(NamedTuple):
+    """A fresh docking of one robot, with the defaults and with the calibrated settings.
 
     Attributes:
-        robot: Which.
-        run: From which start, with which noise.
-        before: With the defaults.
-        after: With what was written.
-        deviation: How far the one with the defaults was off its path, see `ReadFile`.
+        robot: Number of the robot.
+        run: Number of the run, which determines start and noise.
+        before: Outcome with the defaults.
+        after: Outcome with the calibrated settings.
+        deviation: Deviation from the path with the defaults, see `ReadFile`.
     """
 
     robot: int
@@ -72,36 +71,36 @@ class Paired(NamedTuple):
 
     @property
     def outcomes(self) -> tuple[tuple[str, FieldOutcome], tuple[str, FieldOutcome]]:
-        """Both, by the names of their settings."""
+        """Both outcomes, by the names of their settings."""
         return ("defaults", self.before), ("calibrated", self.after)
 
 
-class Studied(NamedTuple):
-    """What came of one robot.
+class RobotResult(NamedTuple):
+    """Result of one robot.
 
     Attributes:
-        deviations: Of its recordings, see `ReadFile`; of fewer where one could not be driven again.
-        judged: All quantities whose truth is known.
+        deviations: Deviations of its recordings, see `ReadFile`; recordings that could not be repeated are missing.
+        judged: All quantities with known truth.
         pairs: Its fresh dockings.
     """
 
     deviations: list[tuple[float, float]]
-    judged: list[Judged]
-    pairs: list[Paired]
+    judged: list[QuantityResult]
+    pairs: list[PairedDocking]
 
 
-def studied(task: RobotTask) -> Studied:
-    """Drive what is not recorded yet, calibrate, compare with what is true, and dock by pairs."""
+def studied(task: RobotTask) -> RobotResult:
+    """Record missing runs, calibrate, compare with the truth, and run paired dockings."""
     hidden, read = hidden_robot(task.number), [_recorded(task, run) for run in range(task.recordings)]
     deviations = [one.deviation for one in read if one.deviation is not None]
     found = calibrate([one.recording for one in read], deviations)
     known = truths(hidden, RATE)
     judged = [
-        Judged(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
+        QuantityResult(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
         for one in found.quantities
         if one.name in known
     ]
-    return Studied(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
+    return RobotResult(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
 
 
 def _recorded(task: RobotTask, run: int) -> ReadFile:
@@ -115,16 +114,16 @@ def _recorded(task: RobotTask, run: int) -> ReadFile:
     return read_recording(file)
 
 
-def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
+def _paired(task: RobotTask, run: int, found: Calibration) -> PairedDocking:
     file = Path(task.folder) / f"fresh-{task.number:03d}-{run:02d}.jsonl"
     with LogWriter(file) as log:
         before = _docked(task.number, run, None, log)
     after = _docked(task.number, run, found)
-    return Paired(task.number, run, before, after, read_recording(file).deviation)
+    return PairedDocking(task.number, run, before, after, read_recording(file).deviation)
 
 
 def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:
-    """A fresh docking: with what a calibration has written, or with the defaults and the dock as stored."""
+    """Run a fresh docking: with calibrated settings, or with the defaults and the stored dock."""
     layout, robot = set_down(hidden_robot(number), run)
     settings, controller = None, None
     if found is not None:

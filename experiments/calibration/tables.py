@@ -1,4 +1,4 @@
-"""The tables of the study."""
+"""Tables of the calibration study."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from optdock.reports.report import table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from experiments.calibration.study import Judged, Paired
+    from experiments.calibration.study import PairedDocking, QuantityResult
     from experiments.docking.field.outcome import FieldOutcome
 
 __all__ = ["coverage_table", "paired_table", "tube_table"]
 
 
-def coverage_table(judged: Sequence[Judged]) -> str:
-    """Of each quantity: how many intervals contain the truth, how wide they are, how far the estimates are off."""
+def coverage_table(judged: Sequence[QuantityResult]) -> str:
+    """Return coverage and width of the intervals and errors of the estimates, per quantity."""
     names = list(dict.fromkeys(one.name for one in judged))
-    rows = [("quantity", "truths inside", "cannot tell", "mean half interval", "mean error", "rms error")]
-    told = [one for one in judged if not one.reason]
+    rows = [("quantity", "truths inside", "no estimate", "mean half interval", "mean error", "rms error")]
+    estimated = [one for one in judged if not one.reason]
     for name in names:
-        mine = [one for one in told if one.name == name]
-        silent = sum(one.name == name for one in judged) - len(mine)
-        errors = np.array([one.value - one.truth for one in mine] or [np.nan])
-        half = np.mean([0.5 * (one.high - one.low) for one in mine] or [np.nan])
+        of_name = [one for one in estimated if one.name == name]
+        missing = sum(one.name == name for one in judged) - len(of_name)
+        errors = np.array([one.value - one.truth for one in of_name] or [np.nan])
+        half = np.mean([0.5 * (one.high - one.low) for one in of_name] or [np.nan])
         rows.append(
             (
                 name,
-                f"{sum(one.inside for one in mine)}/{len(mine)}",
-                str(silent),
+                f"{sum(one.inside for one in of_name)}/{len(of_name)}",
+                str(missing),
                 f"{half:.4f}",
                 f"{np.mean(errors):+.4f}",
                 f"{np.sqrt(np.mean(errors**2)):.4f}",
             )
         )
-    inside = sum(one.inside for one in told)
-    rows.append(("all", f"{inside}/{len(told)} = {100.0 * inside / max(len(told), 1):.1f} %", "", "", "", ""))
+    inside = sum(one.inside for one in estimated)
+    rows.append(("all", f"{inside}/{len(estimated)} = {100.0 * inside / max(len(estimated), 1):.1f} %", "", "", "", ""))
     return table(rows)
 
 
-def paired_table(pairs: Sequence[Paired]) -> str:
-    """The same fresh dockings with the defaults and with what the calibration wrote."""
+def paired_table(pairs: Sequence[PairedDocking]) -> str:
+    """Return the same fresh dockings with the defaults and with the calibrated settings."""
     head = (
         "",
         "good",
@@ -87,19 +87,19 @@ def _row(name: str, found: Sequence[FieldOutcome]) -> tuple[str, ...]:
 def tube_table(
     deviations: Sequence[Sequence[tuple[float, float]]], fresh: Sequence[tuple[float, float]], radius: float
 ) -> str:
-    """How often dockings stay in the tube that others have shown, for several coverages.
+    """Return how often dockings stay in the tube estimated from other dockings, for several coverages.
 
-    Fresh dockings are of the robots that have shown the tube with all of their recordings. The second check is harder:
-    half of the robots show a tube, and the recordings of the other half are held against it.
+    Fresh dockings are of the robots whose recordings determined the tube. The second check is harder: half of the
+    robots determine a tube, and the recordings of the other half are tested against it.
 
     Args:
-        deviations: Of each robot, of each of its recordings: largest distance across [m] and turn [rad].
-        fresh: Likewise of fresh dockings of all robots.
+        deviations: Per robot and recording: largest lateral distance [m] and rotation [rad].
+        fresh: The same for fresh dockings of all robots.
         radius: Circumscribed radius of the footprint [m].
     """
     every, half = ([one for robot in part for one in robot] for part in (deviations, deviations[::2]))
     others = [one for robot in deviations[1::2] for one in robot]
-    rows = [("asked for", "tube, cross", "tube, yaw", "fresh dockings inside", "those of robots never seen")]
+    rows = [("coverage", "tube, cross", "tube, yaw", "fresh dockings inside", "dockings of other robots inside")]
     for coverage in (0.8, 0.9, 0.95, 0.99):
         tube = conformal_tube(every, radius, coverage).tube
         width = ("-", "-") if tube is None else (f"{tube.cross:.4f} m", f"{tube.yaw:.4f} rad")
@@ -121,7 +121,7 @@ def _inside(
         return "-"
     tube = conformal_tube(shown, radius, coverage).tube
     if tube is None:
-        return f"cannot be told of {len(shown)} dockings"
+        return f"{len(shown)} dockings are too few"
     width = float(displacement(tube.cross, tube.yaw, radius)) * (1.0 + 1e-9)
     inside = sum(float(displacement(cross, yaw, radius)) <= width for cross, yaw in fresh)
     return f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"

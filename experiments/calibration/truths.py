@@ -1,4 +1,4 @@
-"""What is true of a hidden robot, under the names of `optdock.calibration`."""
+"""True values of a hidden robot, by the names used in `optdock.calibration`."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ if TYPE_CHECKING:
 __all__ = ["truths"]
 
 _INSTANT = 1e-9  # [s]: rounding of times that are sums
-_CYCLES = 20_000  # of which means are taken: a hundredth of a millisecond
-_MESSAGES = 400_000  # likewise, of ages, which are spread over 20 ms and depend on each other
-_MARKER_BEYOND_CAMERA = 0.2  # [m]: range is of the docked pose, the camera's of its marker, see `MARKER`, `Camera`
+_CYCLES = 20_000  # number of samples of a mean: standard error of 0.01 ms
+_MESSAGES = 400_000  # number of samples of mean ages, which vary over 20 ms and are correlated
+# [m]: the estimated range is of the docked pose, the camera's range of its marker, see `MARKER`, `Camera`
+_MARKER_BEYOND_CAMERA = 0.2
 
 
 def truths(hidden: HiddenRobot, rate: float) -> dict[str, float]:
-    """The values that intervals should contain.
+    """Return the values that the intervals should contain.
 
     Args:
         hidden: The robot.
         rate: Control cycles per second [Hz].
     """
     drive, camera, localization = hidden.world.drive, hidden.world.camera, hidden.world.localization
-    # The odometry is stamped after it was read: to whoever takes it at its word all else happens so much later, and
-    # detections so much earlier.
+    # The odometry is stamped after its reading: relative to its stamps, all other events are later and detections
+    # earlier by that delay.
     stamped = 0.5 * hidden.world.odometry.stamp_jitter
     latency = _latency(hidden, rate) + stamped
     slip = _slip_share(hidden)
@@ -78,10 +79,9 @@ def truths(hidden: HiddenRobot, rate: float) -> dict[str, float]:
 
 
 def _latency(hidden: HiddenRobot, rate: float) -> float:
-    """How much older the command in force is than it would be if none were late, in the mean [s].
+    """Return the mean additional age of the active command compared with commands without latency [s].
 
-    Commands wait for each other, so that it is more than the mean of the latencies; and one is taken at the next
-    sub-step.
+    Commands stay in order, so the mean exceeds the mean latency; and a command becomes active at the next sub-step.
     """
     random, drive = np.random.default_rng(7), hidden.world.drive
     dropped = random.random(_CYCLES) < hidden.world.dropped_cycles
@@ -96,7 +96,7 @@ def _latency(hidden: HiddenRobot, rate: float) -> float:
 
 
 def _odometry_age(hidden: HiddenRobot, rate: float) -> float:
-    """The age of the newest message by its stamp, in the mean [s]; robots differ in the window, which is not part."""
+    """Return the mean age of the newest message by its stamp [s], without the window, which differs between robots."""
     world = hidden.world
     return _mean_age(dataclasses.replace(world.odometry, window=0.04), world.drive, rate, _MESSAGES)
 
@@ -114,7 +114,7 @@ def _mean_age(odometry: Odometry, drive: Drive, rate: float, cycles: int) -> flo
 
 
 def _slip_share(hidden: HiddenRobot) -> float:
-    """The share of a wheel's way that is lost: of the time in bursts, in two of three of which a wheel slips."""
+    """Return the lost share of a wheel's distance: in two of three bursts a wheel slips."""
     drive = hidden.world.drive
     duration, share = 0.5 * sum(drive.slip_duration), 0.5 * sum(drive.slip_share)
     return duration / (duration + 1.0 / drive.slip_rate) * share * 2.0 / 3.0

@@ -1,4 +1,4 @@
-"""The docking study: the same dockings by every method, in every world, at every rate; tables, distributions, a film.
+"""Docking study: the same dockings by every method, in every world, at every control rate.
 
     python -m experiments.docking                                # 1,000 by the executor, 100 by the others: 30 min
     python -m experiments.docking --count 50 --world detected --method executor
@@ -7,8 +7,8 @@
     python -m experiments.docking --world "field, blind" --method executor --rate 50 --count 40
     python -m experiments.docking --undock --world field --rate 50 --count 40
 
-Writes results/docking/: runs.csv, table.md, cdf.png and, of the worst run by the executor, a film; of the field worlds
-field.csv, field.md and, of the worst run by the executor, field.png.
+Writes results/docking/: runs.csv, table.md, cdf.png and a film of the worst executor run; for the field worlds
+field.csv, field.md and field.png of the worst executor run.
 """
 
 from __future__ import annotations
@@ -42,28 +42,28 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, write, print."""
+    """Run the study, write and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--count", type=int, default=1000, help="dockings of each kind by the executor (default: %(default)s)"
+        "--count", type=int, default=1000, help="number of dockings of each kind by the executor (default: %(default)s)"
     )
     parser.add_argument(
-        "--world", action="append", choices=[*sorted(PLAN), *FIELD_WORLDS], help="only this one; may be repeated"
+        "--world", action="append", choices=[*sorted(PLAN), *FIELD_WORLDS], help="run only this world; may be repeated"
     )
-    parser.add_argument("--method", action="append", help="only this one; may be repeated")
-    parser.add_argument("--rate", action="append", type=float, help="only this one [Hz]; may be repeated")
+    parser.add_argument("--method", action="append", help="run only this method; may be repeated")
+    parser.add_argument("--rate", action="append", type=float, help="run only this control rate [Hz]; may be repeated")
     parser.add_argument(
         "--spread",
         choices=("nav2", "wider"),
-        help="starts (default: nav2; in the field worlds wider for the executor)",
+        help="distribution of starts (default: nav2; wider for the executor in the field worlds)",
     )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
-    parser.add_argument("--faults", action="store_true", help="the table of faults instead")
-    parser.add_argument("--undock", action="store_true", help="undock in the field worlds instead")
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes (default: %(default)s)")
+    parser.add_argument("--faults", action="store_true", help="run the table of faults instead")
+    parser.add_argument("--undock", action="store_true", help="run undockings in the field worlds instead")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(arguments)
-    for name in THREADS:  # before NumPy is loaded, here and in the processes
+    for name in THREADS:  # before NumPy is imported, here and in the worker processes
         os.environ.setdefault(name, "1")
     options.out.mkdir(parents=True, exist_ok=True)
     if options.faults:
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def study(options: argparse.Namespace) -> int:
-    """All tasks; 1 where a certificate was wrong within the tube."""
+    """Run all tasks. Return 1 if a certificate was violated within the tube."""
     todo = tasks(options)
     found = results_of(driven, todo, options.jobs)
     from experiments.docking import tables
@@ -99,7 +99,7 @@ def study(options: argparse.Namespace) -> int:
 
 
 def field_study(options: argparse.Namespace, worlds: list[str]) -> None:
-    """All tasks of the field worlds."""
+    """Run all tasks of the field worlds."""
     from experiments.docking.field.picture import draw_run
     from experiments.docking.field.tables import field_table
 
@@ -116,7 +116,7 @@ def field_study(options: argparse.Namespace, worlds: list[str]) -> None:
 
 
 def undocking_study(options: argparse.Namespace, worlds: list[str]) -> int:
-    """Undockings by the executor in the field worlds."""
+    """Run undockings by the executor in the field worlds."""
     from experiments.docking.field.undocking import undocked_in_field, undocking_table
 
     options.method = ["executor"]
@@ -129,7 +129,7 @@ def undocking_study(options: argparse.Namespace, worlds: list[str]) -> int:
 
 
 def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: int) -> list[Result]:
-    """What each task gives, in their order, from so many processes."""
+    """Return the results of the tasks in their order, computed by several processes."""
     found: list[Result] = []
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         for outcome in pool.map(drive, todo, chunksize=8):
@@ -141,7 +141,7 @@ def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: in
 
 
 def write_rows(target: Path, found: Sequence[Outcome | FieldOutcome | Undocking]) -> None:
-    """All outcomes, a line for each, under the names of their fields."""
+    """Write one CSV row per outcome, with the field names as header."""
     with target.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(type(found[0])._fields)
@@ -149,7 +149,7 @@ def write_rows(target: Path, found: Sequence[Outcome | FieldOutcome | Undocking]
 
 
 def film(target: Path, task: Task) -> None:
-    """A docking by the executor, as the robot drove it."""
+    """Write a film of a docking by the executor."""
     from experiments.docking.cases import SPREADS
     from experiments.docking.methods import executed
     from experiments.docking.worlds import WORLDS, case_of

@@ -1,4 +1,4 @@
-"""Which dockings are driven: a robot, a bay with a station, posts about, and where the robot starts."""
+"""Random docking layouts: a robot, a bay with a station, posts around it, and the start of the robot."""
 
 from __future__ import annotations
 
@@ -26,15 +26,17 @@ ROBOT = Robot(
     ),
     tracking=TrackingTube(cross=0.02, yaw=0.03),
 )  # fmt: skip
-STATION = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))  # touches the docked robot's front
+# touches the front of the docked robot
+STATION = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))
 CLEARANCE = ClearanceRule(0.05, 0.0, 0.5)
-POSTS, POST_SIDE = 20, 0.06  # how many; [m]
+POSTS, POST_SIDE = 20, 0.06  # number; side length [m]
 
 
 class Spread(NamedTuple):
-    """Starts around the staging pose, uniform.
+    """Uniform distribution of starts around the staging pose.
 
-    `staging`: its distance from the dock [m]. `radius`: of the disc [m]. `turn`: largest heading error [rad].
+    `staging`: distance of the staging pose from the dock [m]. `radius`: radius of the disc [m]. `turn`: largest heading
+    error [rad].
     """
 
     name: str
@@ -44,19 +46,19 @@ class Spread(NamedTuple):
 
 
 SPREADS = {
-    # What SimpleGoalChecker accepts by default, around Nav2's staging_x_offset.
+    # Default tolerances of SimpleGoalChecker, around Nav2's staging_x_offset.
     "nav2": Spread("Nav2's goal checker", 0.7, 0.25, 0.25),
     "wider": Spread("wider", 1.2, 0.5, 0.5),
 }
 
 
 class Layout(NamedTuple):
-    """Where everything stands.
+    """Problem and true dock pose of one docking.
 
     Attributes:
         direction: Gear into the dock.
-        problem: As the robot knows it: the dock as stored.
-        true_dock: Where the docked robot really stands.
+        problem: Problem with the stored dock pose, as known to the robot.
+        true_dock: True pose of the docked robot.
     """
 
     direction: DockDirection
@@ -73,15 +75,15 @@ def layout_of(
     robot: Robot = ROBOT,
     tolerances: DockTolerances | None = None,
 ) -> Layout:
-    """A random docking; equal generators give equal layouts.
+    """Return a random docking; equal generators give equal layouts.
 
     Args:
-        random: Everything is drawn from it.
-        spread: Of the starts.
+        random: Source of all random numbers.
+        spread: Distribution of the starts.
         direction: Gear into the dock, forward or backward.
-        moved: How far the true dock is from the stored one at most [m], and how far turned [rad].
-        robot: What drives.
-        tolerances: Of the dock; None: the default ones.
+        moved: Largest distance [m] and largest angle [rad] of the true dock from the stored dock.
+        robot: The robot.
+        tolerances: Tolerances of the dock; None: the defaults.
     """
     gear = 1.0 if direction is DockDirection.FORWARD else -1.0
     goal = Pose2(*random.uniform(-1.0, 1.0, 2), float(random.uniform(-math.pi, math.pi)))
@@ -103,11 +105,11 @@ def layout_of(
 
 
 def _posts(random: np.random.Generator, goal: Pose2, gear: float) -> ObstacleSet:
-    """A bay's two side walls, and posts around, all clear of the straight approach and of every start."""
+    """Return two side walls of a bay and posts around it, clear of the straight approach and of every start."""
     found = [[[0.45, side * 0.55], [0.0, side * 0.55], [0.0, side * 0.6], [0.45, side * 0.6]] for side in (1.0, -1.0)]
     while len(found) < POSTS + 2:
         x, y = random.uniform(-2.6, 0.5), random.uniform(-1.6, 1.6)
-        if abs(y) < 0.75 + 0.15 * abs(x):  # a robot turned by up to 0.5 rad, off by 0.5 m at 1.7 m
+        if abs(y) < 0.75 + 0.15 * abs(x):  # a robot turned by up to 0.5 rad, 0.5 m off at 1.7 m
             continue
         s = POST_SIDE
         found.append([[x, y], [x + s, y], [x + s, y + s], [x, y + s]])

@@ -1,4 +1,4 @@
-"""The table of faults: what goes wrong on the way, and how the executor ends."""
+"""Table of faults: faults injected during docking, and how the executor ends."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ if TYPE_CHECKING:
     from optdock.executor import Step
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FAULTS", "Told", "fault_table"]
+__all__ = ["FAULTS", "FaultOutcome", "fault_table"]
 
-COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each; [Hz]; [s]
+COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each fault; [Hz]; [s]
 TRACK = 0.4  # [m]
-BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], put on the path
+BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], obstacle on the path
 STAGING = 1.4  # [m]: far enough from the dock for an obstacle 0.5 m ahead
-FRONT = 0.3  # [m]: of the robot in either gear
+FRONT = 0.3  # [m]: distance of the robot's front from its origin in either gear
 DRIVING = (State.STAGING, State.APPROACHING, State.RETURNING, State.BACKING_OUT, State.PRESSING, State.UNDOCKING)
 STILL = 1e-3  # [m/s], [rad/s]
-LONGEST_STILL = 5.0  # [s]: to stand longer than this in a state that drives is standing without a name
-OVERLAP = -0.0075  # [m] with the station, which is touched: the front corners of a robot turned by 1.5 degrees
+LONGEST_STILL = 5.0  # [s]: longest allowed standstill in a driving state
+OVERLAP = -0.0075  # [m]: allowed overlap with the touched station: the front corners of a robot turned by 1.5 degrees
 
 
-class Told(NamedTuple):
-    """How a run with a fault ended.
+class FaultOutcome(NamedTuple):
+    """Result of one run with a fault.
 
     Attributes:
-        outcome: As in the study.
-        standing: Longest time without motion in a state that drives [s].
+        outcome: Outcome as in the docking study.
+        standing: Longest time without motion in a driving state [s].
         station: Smallest clearance to the station [m].
         at_rest: Whether the robot stands at the end.
-        struck: Whether the fault came at all.
+        struck: Whether the fault occurred.
     """
 
     outcome: Outcome
@@ -77,7 +77,7 @@ class Told(NamedTuple):
 
 @dataclass
 class Run:
-    """One run, as a fault sees it before every cycle."""
+    """State of one run that a fault can modify before every cycle."""
 
     case: Case
     robot: SimulatedRobot
@@ -88,7 +88,8 @@ class Run:
     clock: float = 0.0  # [s] added to every stamp
     struck: bool = False
     blind: bool = False
-    change: Callable[[Measurements], Measurements] | None = None  # of what is measured, as long as the fault lasts
+    # modification of the measurements while the fault is active
+    change: Callable[[Measurements], Measurements] | None = None
     lost_commands: bool = False
     box: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     memory: dict[str, float] = field(default_factory=dict)
@@ -99,40 +100,40 @@ class Run:
         return math.hypot(self.robot.error.x, self.robot.error.y)
 
     def once(self, *, when: bool) -> bool:
-        """True the first time that `when` is."""
+        """Return True the first time that the condition `when` holds."""
         if self.struck or not when:
             return False
         self.struck = True
         return True
 
-    def nearer_than(self, distance: float) -> bool:
-        """Whether the approach has come so near, the first time."""
+    def is_within(self, distance: float) -> bool:
+        """Return True the first time that the approach is within the distance."""
         approaching = self.step is not None and self.step.state is State.APPROACHING
         return self.once(when=approaching and self.to_go < distance)
 
 
-def nothing(run: Run) -> None:
+def no_fault(run: Run) -> None:
     """No fault, for comparison."""
     run.struck = True
 
 
 def lost(run: Run) -> None:
-    """Nothing is detected for 2 s."""
-    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+    """Lose all detections for 2 s."""
+    if run.is_within(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(run.robot.time + 2.0)
 
 
 def outlier(run: Run) -> None:
-    """One detection 30 cm aside."""
-    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+    """Shift one detection by 30 cm laterally."""
+    if run.is_within(0.5) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.displace_next(Pose2(0.0, 0.3, 0.1))
 
 
 def jump(distance: float, off: float) -> Callable[[Run], None]:
-    """Localization jumps sideways."""
+    """Let the localization jump laterally."""
 
     def fault(run: Run) -> None:
-        if run.nearer_than(distance):
+        if run.is_within(distance):
             yaw = run.robot.state.pose.yaw
             run.robot.pose_sensor.jump(Pose2(-off * math.sin(yaw), off * math.cos(yaw), 0.0))
 
@@ -140,20 +141,20 @@ def jump(distance: float, off: float) -> Callable[[Run], None]:
 
 
 def late(run: Run) -> None:
-    """Every second a cycle comes 100 ms late."""
+    """Delay one cycle per second by 100 ms."""
     run.struck = True
     run.period = 0.1 + 1.0 / RATE if math.floor(run.robot.time) > run.memory.get("late", 0.0) else 1.0 / RATE
     run.memory["late"] = float(math.floor(run.robot.time))
 
 
 def clock_back(run: Run) -> None:
-    """The clock goes back by half a second."""
-    if run.nearer_than(0.4):
+    """Set the clock back by half a second."""
+    if run.is_within(0.4):
         run.clock -= 0.5
 
 
 def obstacle(stays: float) -> Callable[[Run], None]:
-    """A box stands on the path, 0.5 m ahead of the robot's front; it is seen at once, and goes after a while."""
+    """Place a box on the path, 0.5 m ahead of the front; the robot detects it at once, and it disappears later."""
 
     def fault(run: Run) -> None:
         if run.step is not None and run.step.state is State.APPROACHING and not run.struck:
@@ -174,7 +175,7 @@ def obstacle(stays: float) -> Callable[[Run], None]:
 
 
 def _grid(case: Case, box: np.ndarray | None) -> Costmap:
-    """What a local costmap shows: 2 cm cells, 3 m around the dock, only the box in it."""
+    """Return a local costmap: 2 cm cells, 3 m around the dock, containing only the box."""
     side, cell = 300, 0.02
     origin = case.true_dock.x - 0.5 * side * cell, case.true_dock.y - 0.5 * side * cell
     data = np.zeros((side, side), dtype=np.uint8)
@@ -187,24 +188,24 @@ def _grid(case: Case, box: np.ndarray | None) -> Costmap:
 
 
 def pose_lost(run: Run) -> None:
-    """Localization has no pose any more."""
-    if run.nearer_than(0.6):
+    """Lose the localization."""
+    if run.is_within(0.6):
         run.blind = True
 
 
-def seen_no_more(run: Run) -> None:
-    """The dock is not seen any more."""
-    if run.nearer_than(0.6) and run.robot.dock_sensor is not None:
+def detections_lost(run: Run) -> None:
+    """Lose the dock detections."""
+    if run.is_within(0.6) and run.robot.dock_sensor is not None:
         run.robot.dock_sensor.lose(math.inf)
 
 
-def told_otherwise(
+def changed_measurements(
     distance: float, lasts: float, change: Callable[[Run], Callable[[Measurements], Measurements]]
 ) -> Callable[[Run], None]:
-    """What is measured is changed, from so near to the dock [m] and for so long [s]."""
+    """Return a fault that changes the measurements from a distance to the dock [m], for a duration [s]."""
 
     def fault(run: Run) -> None:
-        if run.nearer_than(distance):
+        if run.is_within(distance):
             run.memory["until"] = run.robot.time + lasts
             run.change = change(run)
         elif run.change is not None and run.robot.time >= run.memory["until"]:
@@ -214,42 +215,42 @@ def told_otherwise(
 
 
 def no_number(_: Run) -> Callable[[Measurements], Measurements]:
-    """Localization and odometry tell what is not a number."""
+    """Let localization and odometry return NaN."""
     return lambda now: now._replace(pose=math.nan, twist=math.nan)  # type: ignore[arg-type]  # on purpose
 
 
 def same_stamp(run: Run) -> Callable[[Measurements], Measurements]:
-    """The clock stands still."""
+    """Stop the clock."""
     stamp = run.robot.time + run.clock
     return lambda now: now._replace(stamp=stamp)
 
 
 def held(_: Run) -> Callable[[Measurements], Measurements]:
-    """An emergency stop."""
+    """Engage the emergency stop."""
     return lambda now: now._replace(held=True)
 
 
 def other_dock(_: Run) -> Callable[[Measurements], Measurements]:
-    """Every detection is that of another dock, 30 cm to the left."""
+    """Report another dock, 30 cm to the left, in every detection."""
     return lambda now: now._replace(
         detections=tuple(one._replace(pose=one.pose @ Pose2(0.0, 0.3, 0.0)) for one in now.detections)
     )
 
 
 def late_stamps(_: Run) -> Callable[[Measurements], Measurements]:
-    """Detections are stamped 150 ms after the picture."""
+    """Stamp detections 150 ms after the picture."""
     return lambda now: now._replace(detections=tuple(one._replace(stamp=one.stamp + 0.15) for one in now.detections))
 
 
 def glare(run: Run) -> Callable[[Measurements], Measurements]:
-    """The costmap is lethal everywhere for 1 s, and empty afterwards."""
+    """Make the costmap lethal everywhere for 1 s, and empty afterwards."""
     empty, until = _grid(run.case, None), run.robot.time + 1.0
     full = Costmap(np.full_like(empty.data, LETHAL), empty.resolution, empty.origin)
     return lambda now: now._replace(costmap=full if run.robot.time < until else empty)
 
 
 def signal(*, flickers: bool) -> Callable[[Run], Callable[[Measurements], Measurements]]:
-    """The switch says contact, all the time or in every other cycle."""
+    """Report contact by the switch, all the time or in every other cycle."""
 
     def change(_: Run) -> Callable[[Measurements], Measurements]:
         count = itertools.count()
@@ -259,12 +260,12 @@ def signal(*, flickers: bool) -> Callable[[Run], Callable[[Measurements], Measur
 
 
 def no_twist(_: Run) -> Callable[[Measurements], Measurements]:
-    """The odometry tells no velocity."""
+    """Remove the velocity from the odometry."""
     return lambda now: now._replace(twist=None)  # type: ignore[arg-type]  # as a driver that has stopped
 
 
-def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
-    """The pose of the odometry, which is perfect but for that, begins anew."""
+def odometry_restarted(run: Run) -> Callable[[Measurements], Measurements]:
+    """Restart the pose of an otherwise perfect odometry at its origin."""
     begins = run.robot.time
     origin = run.robot.state.pose
 
@@ -277,14 +278,14 @@ def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
 
 
 def pushed(run: Run) -> None:
-    """Somebody pushes the robot 3 cm to its left."""
-    if run.nearer_than(0.4):
+    """Push the robot 3 cm to its left."""
+    if run.is_within(0.4):
         run.robot.state = run.robot.state._replace(pose=run.robot.state.pose @ Pose2(0.0, 0.03, 0.0))
 
 
 def commands_lost(run: Run) -> None:
-    """The base gets no commands for 0.6 s and stops."""
-    if run.nearer_than(0.4):
+    """Lose all commands for 0.6 s; the base stops."""
+    if run.is_within(0.4):
         run.memory["until"] = run.robot.time + 0.6
         run.lost_commands = True
     elif run.lost_commands and run.robot.time >= run.memory["until"]:
@@ -292,7 +293,7 @@ def commands_lost(run: Run) -> None:
 
 
 def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Callable[[Run], None]:
-    """Cancelled in the first cycle of a state, which a fault may bring about."""
+    """Cancel in the first cycle of a state, which a fault may cause."""
 
     def fault(run: Run) -> None:
         if provoked is not None:
@@ -305,12 +306,12 @@ def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Ca
 
 
 FAULTS: dict[str, Callable[[Run], None]] = {
-    "none": nothing,
+    "none": no_fault,
     "detection lost for 2 s": lost,
     "outlier of 30 cm": outlier,
     "obstacle at 0.5 m, goes after 3 s": obstacle(3.0),
     "obstacle at 0.5 m, stays": obstacle(math.inf),
-    "stuck wheel": nothing,
+    "stuck wheel": no_fault,
     "cycles late by 100 ms": late,
     "pose jumps by 3 cm, 0.6 m before the dock": jump(0.6, 0.03),
     "pose jumps by 5 cm, 0.6 m before the dock": jump(0.6, 0.05),
@@ -318,33 +319,33 @@ FAULTS: dict[str, Callable[[Run], None]] = {
     "pose jumps by 5 cm, 0.27 m before the dock": jump(0.27, 0.05),
     "clock goes back by 0.5 s": clock_back,
     "pose lost": pose_lost,
-    "dock not seen any more": seen_no_more,
-    "pose and velocity no numbers for 1 s": told_otherwise(0.5, 1.0, no_number),
-    "velocity missing for 2 s": told_otherwise(0.5, 2.0, no_twist),
-    "stamps stand still for 1 s": told_otherwise(0.5, 1.0, same_stamp),
-    "held for 3 s": told_otherwise(0.4, 3.0, held),
-    "another dock is seen for 2 s": told_otherwise(0.5, 2.0, other_dock),
-    "detections stamped 150 ms late": told_otherwise(2.0, math.inf, late_stamps),
-    "costmap lethal everywhere for 1 s": told_otherwise(0.6, math.inf, glare),
-    "switch closed 0.6 m before the dock": told_otherwise(0.6, 1.0, signal(flickers=False)),
-    "switch flickers 0.1 m before the dock": told_otherwise(0.1, math.inf, signal(flickers=True)),
-    "odometry begins anew": told_otherwise(0.6, math.inf, began_anew),
+    "dock not seen any more": detections_lost,
+    "pose and velocity no numbers for 1 s": changed_measurements(0.5, 1.0, no_number),
+    "velocity missing for 2 s": changed_measurements(0.5, 2.0, no_twist),
+    "stamps stand still for 1 s": changed_measurements(0.5, 1.0, same_stamp),
+    "held for 3 s": changed_measurements(0.4, 3.0, held),
+    "another dock is seen for 2 s": changed_measurements(0.5, 2.0, other_dock),
+    "detections stamped 150 ms late": changed_measurements(2.0, math.inf, late_stamps),
+    "costmap lethal everywhere for 1 s": changed_measurements(0.6, math.inf, glare),
+    "switch closed 0.6 m before the dock": changed_measurements(0.6, 1.0, signal(flickers=False)),
+    "switch flickers 0.1 m before the dock": changed_measurements(0.1, math.inf, signal(flickers=True)),
+    "odometry begins anew": changed_measurements(0.6, math.inf, odometry_restarted),
     "robot pushed by 3 cm": pushed,
     "commands lost for 0.6 s": commands_lost,
 }
 PROVOKED: dict[State, Callable[[Run], None]] = {
-    State.WAITING_FOR_DETECTION: seen_no_more,
+    State.WAITING_FOR_DETECTION: detections_lost,
     State.WAITING_FOR_OBSTACLE: obstacle(math.inf),
     State.WAITING_FOR_POSE: pose_lost,
-    State.HELD: told_otherwise(0.4, 3.0, held),
+    State.HELD: changed_measurements(0.4, 3.0, held),
 }
-UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached where no signal comes
+UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached if no charging signal arrives
 CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
 FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
 
 
-def run_fault(name: str, number: int, world_name: str) -> Told:
-    """One docking with a fault."""
+def run_fault(name: str, number: int, world_name: str) -> FaultOutcome:
+    """Run one docking with a fault."""
     world, state = WORLDS[world_name], CANCELLED.get(name)
     case = case_of(number, SPREADS["wider"], world, seed=2)
     planning = WatchedPlanning()
@@ -377,24 +378,24 @@ def run_fault(name: str, number: int, world_name: str) -> Told:
         run.robot.advance(Twist2() if run.lost_commands else command, run.period)
     for _ in range(25):
         run.robot.advance(Twist2(), run.period)
-    return _told(run, name, longest)
+    return _outcome(run, name, longest)
 
 
 def _measured(run: Run) -> Measurements:
-    """What the executor is told, with the faults of clock and localization."""
+    """Return the measurements of the executor, with the faults of clock and localization applied."""
     now = run.robot.measurements
     seen = tuple(one._replace(stamp=one.stamp + run.clock) for one in now.detections)
     found = now._replace(stamp=now.stamp + run.clock, detections=seen, pose=None if run.blind else now.pose)
     return found if run.change is None else run.change(found)
 
 
-def _told(run: Run, name: str, longest: float) -> Told:
+def _outcome(run: Run, name: str, longest: float) -> FaultOutcome:
     ended, record, case = run.executor.ending, run.robot.record(), run.case
-    said = "never ended" if ended is None else ended.kind.value
+    ending = "never ended" if ended is None else ended.kind.value
     counts = run.planning.replans, 0 if ended is None else ended.num_retries, 0
     followed = [] if run.clock else run.planning.followed
     names = ("executor", "detected", name, RATE)
-    outcome = outcome_of(case, record, followed, names=names, ending=said, counts=counts, busy=0.0)
+    outcome = outcome_of(case, record, followed, names=names, ending=ending, counts=counts, busy=0.0)
     footprint = case.problem.robot.footprint
     assert case.problem.dock.footprint is not None
     station = ObstacleSet.from_footprint(case.problem.dock.footprint, case.true_dock, "dock")
@@ -404,7 +405,7 @@ def _told(run: Run, name: str, longest: float) -> Told:
         box = ObstacleSet.from_polygons([run.box])
         closest = min(closest, executed_clearance(footprint, record.poses[there], box))
     twist = run.robot.state.twist
-    return Told(
+    return FaultOutcome(
         outcome._replace(clearance=closest),
         longest,
         executed_clearance(footprint, record.poses, station),
@@ -414,53 +415,53 @@ def _told(run: Run, name: str, longest: float) -> Told:
 
 
 def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
-    """The robot; docked where it is to undock, with a wheel that sticks for 4 s, or at a station without a switch."""
+    """Return the robot: docked for undocking tasks, with a wheel that sticks for 4 s, or without a switch."""
     start = case.true_dock if name == f"cancel while {State.UNDOCKING.value}" else case.problem.start
     stuck = (StuckWheel(Wheel.LEFT, 2.0, 6.0),) if name == "stuck wheel" else ()
     plant = DifferentialDrive(case.problem.robot, world.actuation, wheels=Wheels(TRACK, stuck=stuck))
-    deeper = 0.02 if State.PRESSING.value in name else 0.0  # than planned: it has to be felt
+    deeper = 0.02 if State.PRESSING.value in name else 0.0  # pressed deeper than planned, so that contact is detected
     station = None if CANCELLED.get(name) in UNCHARGED else Station(direction=case.direction, depth=deeper)
     sensors = Sensors(pose=world.pose, dock=world.dock)
     return SimulatedRobot(plant, start, case.true_dock, sensors, case.obstacles(), station=station, seed=case.seed)
 
 
-def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
-    """The table, and whether all is well: no collision, nothing stood still without a name, every robot at rest."""
-    todo = [(name, number, "detected") for name in FAULTS for number in range(count)]
+def fault_table(jobs: int) -> tuple[str, bool]:
+    """Return the table and whether all runs are safe: no collision, no unnamed standstill, every robot at rest."""
+    todo = [(name, number, "detected") for name in FAULTS for number in range(COUNT)]
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
-    by_name: dict[str, list[Told]] = {}
-    for (name, _, _), told in zip(todo, found, strict=True):
-        by_name.setdefault(name, []).append(told)
+    by_name: dict[str, list[FaultOutcome]] = {}
+    for (name, _, _), run in zip(todo, found, strict=True):
+        by_name.setdefault(name, []).append(run)
     head = [
         "fault", "came", "ends", "within 10 mm, 1.5 degrees", "retries", "closest, mm", "into station, mm",
         "still, s", "longest, s",
         "over limit", "at rest",
     ]  # fmt: skip
     is_sound = all(
-        told.outcome.clearance >= 0.0
-        and told.station >= OVERLAP
-        and told.standing <= LONGEST_STILL
-        and told.at_rest
-        and told.outcome.ending != "never ended"
-        for told in found
+        run.outcome.clearance >= 0.0
+        and run.station >= OVERLAP
+        and run.standing <= LONGEST_STILL
+        and run.at_rest
+        and run.outcome.ending != "never ended"
+        for run in found
     )
     return table([head, *(_row(name, runs) for name, runs in by_name.items())]), is_sound
 
 
-def _row(name: str, runs: list[Told]) -> list[str]:
-    endings = collections.Counter(told.outcome.ending for told in runs)
-    exact = sum(told.outcome._replace(docked=True).succeeded for told in runs)
+def _row(name: str, runs: list[FaultOutcome]) -> list[str]:
+    endings = collections.Counter(run.outcome.ending for run in runs)
+    exact = sum(run.outcome._replace(docked=True).succeeded for run in runs)
     return [
         name,
-        f"{sum(told.struck for told in runs)}/{len(runs)}",
+        f"{sum(run.struck for run in runs)}/{len(runs)}",
         ", ".join(f"{count} {ending}" for ending, count in endings.most_common()),
         f"{exact}",
-        f"{max(told.outcome.retries for told in runs)}",
-        f"{1e3 * min(told.outcome.clearance for told in runs):.0f}",
-        f"{-1e3 * min(0.0, *(told.station for told in runs)):.1f}",
-        f"{max(told.standing for told in runs):.1f}",
-        f"{max(told.outcome.duration for told in runs):.0f}",
-        f"{max(told.outcome.over for told in runs):.3f}",
-        "all" if all(told.at_rest for told in runs) else f"{sum(not told.at_rest for told in runs)} not",
+        f"{max(run.outcome.retries for run in runs)}",
+        f"{1e3 * min(run.outcome.clearance for run in runs):.0f}",
+        f"{-1e3 * min(0.0, *(run.station for run in runs)):.1f}",
+        f"{max(run.standing for run in runs):.1f}",
+        f"{max(run.outcome.duration for run in runs):.0f}",
+        f"{max(run.outcome.over for run in runs):.3f}",
+        "all" if all(run.at_rest for run in runs) else f"{sum(not run.at_rest for run in runs)} not",
     ]

@@ -1,4 +1,4 @@
-"""The ways of docking that are compared; each drives a case in a world and tells what happened."""
+"""The compared docking methods; each runs a case in a world and returns its outcome."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.docking.outcome import Followed, Outcome, outcome_of
+from experiments.docking.outcome import FollowedPlan, Outcome, outcome_of
 from experiments.docking.watched import Cycles, WatchedPlanning
-from experiments.graceful_law import GracefulLaw
+from experiments.graceful_law import nav2_command, nav2_filtered
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
 from optdock.planning.pipeline import plan_dock
@@ -30,16 +30,13 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "executed"]
 
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
-PROJECTION = 0.25  # [m]: how far behind the dock Nav2 aims
-FILTER = 0.1  # Nav2's filter_coef of detected poses
-STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
+STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: stall that counts as contact
 TIMEOUT = 60.0  # [s]
 CHECKER = {"along_tolerance": 0.01}
 
 
 def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
-    """Nav2's docking law towards the dock as it detects it, until contact or stall: it has no other end on its own."""
+    """Run Nav2's docking law towards the detected dock until contact or stall, its only end conditions."""
     robot = case.world(world)
     now, goal, cycles = robot.measurements, case.problem.goal, Cycles()
     gear = Direction.FORWARD if case.direction is DockDirection.FORWARD else Direction.REVERSE
@@ -47,27 +44,17 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
     while robot.time < TIMEOUT and not now.contact and standing < PATIENCE:
         assert now.pose is not None
         for seen in now.detections:
-            goal = _filtered(goal, now.pose @ seen.pose)
-        target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
-        now = robot.advance(cycles.timed(partial(LAW.command, target, now.pose, gear)), 1.0 / rate)
+            goal = nav2_filtered(goal, now.pose @ seen.pose)
+        now = robot.advance(cycles.timed(partial(nav2_command, goal, now.pose, gear)), 1.0 / rate)
         case.push(robot, world)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
-    ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"
+    ending = "" if now.contact else "stalled without contact" if standing >= PATIENCE else "timeout"
     names = ("graceful law", world.name, spread, rate)
     return outcome_of(case, robot.record(), [], names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
 
-def _filtered(before: Pose2, seen: Pose2) -> Pose2:
-    """Nav2's first-order filter."""
-    return Pose2(
-        before.x + FILTER * (seen.x - before.x),
-        before.y + FILTER * (seen.y - before.y),
-        before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
-    )
-
-
 def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:
-    """The defaults, but for the localization's noise, which is known."""
+    """Return the default settings with the known noise of the localization."""
     return ExecutorSettings(
         use_detections=use_detections,
         position_sigma=max(world.pose.position_sigma, 1e-4),
@@ -76,7 +63,7 @@ def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:
 
 
 def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: bool) -> Outcome:
-    """One plan to the dock as stored, tracked to its end; its path raw or smoothed and certified."""
+    """Track one plan to the stored dock to its end, with the raw path or the smoothed and certified path."""
     names = (f"{'smoothed' if smoothed else 'raw'} + tracker", world.name, spread, rate)
     plan = plan_dock(case.problem)
     trajectory: Trajectory = (
@@ -108,7 +95,7 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
             break
         now = robot.advance(command, 1.0 / rate)
         case.push(robot, world)
-    followed = [Followed(0.0, plan)] if smoothed else []
+    followed = [FollowedPlan(0.0, plan)] if smoothed else []
     return outcome_of(case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
 
@@ -116,17 +103,17 @@ def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: M
     return controller.compute_velocity_commands(pose, now.twist, checker, stamp=now.stamp)
 
 
-class Executed(NamedTuple):
-    """What a run of the executor leaves behind; `told`: how often it said that the tube was left."""
+class ExecutorRun(NamedTuple):
+    """Record of an executor run; `reported`: how often it reported that the tube was left."""
 
     robot: SimulatedRobot
     executor: DockingExecutor
     planning: WatchedPlanning
     cycles: Cycles
-    told: int
+    reported: int
 
 
-def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> Executed:
+def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> ExecutorRun:
     """Dock by the executor: detections, replanning in motion, contact, retries."""
     robot, cycles, planning = case.world(world, has_switch=world.dock is not None), Cycles(), WatchedPlanning()
     executor = DockingExecutor(
@@ -136,23 +123,23 @@ def executed(case: Case, world: World, rate: float, controller: str = "TrackingC
         goal_checker=PluginChoice("DockGoalChecker", CHECKER),
         planning=planning,
     )
-    now, told = robot.measurements, 0
+    now, reported = robot.measurements, 0
     while robot.time < 5.0 * TIMEOUT:
         planned_before, began = sum(planning.spent), time.thread_time()
         step = executor.step(now)
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
-        told += sum(event.name == "tube left" for event in step.events)
+        reported += sum(event.name == "tube left" for event in step.events)
         if step.ending is not None and step.command == Twist2():
             break
         now = robot.advance(step.command, 1.0 / rate)
         case.push(robot, world)
-    return Executed(robot, executor, planning, cycles, told)
+    return ExecutorRun(robot, executor, planning, cycles, reported)
 
 
 def by_executor(
     case: Case, world: World, spread: str, rate: float, *, name: str, controller: str = "TrackingController"
 ) -> Outcome:
-    """The outcome of the executor."""
+    """Return the outcome of the executor."""
     run = executed(case, world, rate, controller)
     ended = run.executor.ending
     ending = "never ended" if ended is None else "" if ended.kind.succeeded else f"{ended.kind.value}: {ended.reason}"
@@ -162,7 +149,7 @@ def by_executor(
         run.planning.followed,
         names=(name, world.name, spread, rate),
         ending=ending,
-        counts=(run.planning.replans, 0 if ended is None else ended.num_retries, run.told),
+        counts=(run.planning.replans, 0 if ended is None else ended.num_retries, run.reported),
         busy=run.cycles.busy,
     )
 

@@ -1,4 +1,4 @@
-"""What is measured of a docking: where it ended, how, and whether limits and certificates held."""
+"""Evaluation of a docking: final pose, ending, and compliance with limits and certificates."""
 
 from __future__ import annotations
 
@@ -20,47 +20,48 @@ if TYPE_CHECKING:
     from optdock.planning.plan import DockPlan
     from optdock.simulation import Record
 
-__all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of", "worst_ratio"]
+__all__ = ["ACCEPTED", "FollowedPlan", "Outcome", "outcome_of", "worst_ratio"]
 
-ACCEPTED = 0.010, 0.010, math.radians(1.5)  # along, cross [m], yaw [rad] of the true dock: what counts as success
-_MOVING = 0.02  # [m/s]: curvature commanded below this speed is noise
-_ROUNDING = 1e-6  # relative, of limits
+# along, cross [m], yaw [rad] relative to the true dock: tolerances of success
+ACCEPTED = 0.010, 0.010, math.radians(1.5)
+_MOVING = 0.02  # [m/s]: below this speed the commanded curvature is noise
+_ROUNDING = 1e-6  # relative tolerance of limits
 
 
-class Followed(NamedTuple):
-    """A certified plan, and from when on it was followed [s]; None: from then on none was."""
+class FollowedPlan(NamedTuple):
+    """A certified plan and the time from which it was followed [s]; None: no plan from then on."""
 
     since: float
     plan: DockPlan | None
 
 
 class Outcome(NamedTuple):
-    """One docking.
+    """Outcome of one docking.
 
     Attributes:
-        method: How.
-        world: In which world.
-        spread: From which starts.
+        method: Name of the method.
+        world: Name of the world.
+        spread: Name of the distribution of starts.
         rate: Control cycles per second [Hz].
-        seed: Of the case.
+        seed: Seed of the case.
         direction: Gear into the dock.
-        ending: In words; empty where the method says it docked.
-        docked: Whether it says so.
-        along: The robot seen from the true dock at the end [m].
-        cross: Likewise to the left [m].
-        yaw: Likewise [rad].
+        ending: Description of the ending; empty if the method reports success.
+        docked: Whether the method reports success.
+        along: Final longitudinal error of the robot in the frame of the true dock [m].
+        cross: Final lateral error, positive left [m].
+        yaw: Final heading error [rad].
         duration: [s].
-        replans: Plans taken over in motion.
+        replans: Number of plans adopted in motion.
         retries: Approaches after the first one.
-        curvature: Largest commanded above 0.02 m/s [1/m].
-        over: Largest ratio of a commanded quantity to its limit, and which.
-        limit: See `over`.
-        clearance: Smallest distance to what is not the station [m].
-        short: By how much a pose within the tube was closer than proven, at most [m]; not above 0: never.
-        displacement: Largest way of a point of the footprint off the path that was followed [m].
-        left: How often the true robot left the tube.
-        told: How often whoever steers said so.
-        busy: Most CPU seconds of one control cycle without planning, 99th percentile [s].
+        curvature: Largest commanded curvature above 0.02 m/s [1/m].
+        over: Largest ratio of a commanded quantity to its limit.
+        limit: Name of that limit.
+        clearance: Smallest distance to obstacles other than the station [m].
+        short: Largest shortfall of the clearance of a pose within the tube from the proven clearance [m]; <= 0: none.
+        displacement: Largest displacement of a footprint point from the followed path [m].
+        left: Number of times that the true robot left the tube.
+        reported: Number of times that the method reported leaving the tube.
+        busy: 99th percentile of the CPU time of a control cycle without planning [s].
     """
 
     method: str
@@ -84,12 +85,12 @@ class Outcome(NamedTuple):
     short: float
     displacement: float
     left: int
-    told: int
+    reported: int
     busy: float
 
     @property
     def succeeded(self) -> bool:
-        """Docked, by what is true."""
+        """Whether the robot is reported docked and is within the tolerances of the true dock."""
         seen = abs(self.along), abs(self.cross), abs(self.yaw)
         return self.docked and all(value <= most for value, most in zip(seen, ACCEPTED, strict=True))
 
@@ -97,23 +98,23 @@ class Outcome(NamedTuple):
 def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     case: Case,
     record: Record,
-    followed: Sequence[Followed],
+    followed: Sequence[FollowedPlan],
     *,
     names: tuple[str, str, str, float],
     ending: str,
     counts: tuple[int, int, int],
     busy: float,
 ) -> Outcome:
-    """The outcome of a run.
+    """Return the outcome of a run.
 
     Args:
-        case: What was driven.
-        record: What happened.
-        followed: The plans, in order.
+        case: The docking.
+        record: Recorded run.
+        followed: The followed plans, in order.
         names: Method, world, spread, and rate.
-        ending: In words; empty where the method says that it docked.
-        counts: Replans, retries, leavings of the tube that were told.
-        busy: CPU of a control cycle [s].
+        ending: Description of the ending; empty if the method reports success.
+        counts: Numbers of replans, retries and reported departures from the tube.
+        busy: CPU time of a control cycle [s].
     """
     error = pose_errors(record.poses[-1:], record.docks[-1:])[0]
     moving = np.abs(record.commands[:, 0]) > _MOVING
@@ -122,7 +123,7 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     over, limit = worst_ratio(given, h, case.problem.robot.limits)
     clearances, _ = pose_clearances(record.poses, case.problem.robot.footprint, case.problem.obstacles, within=1.0)
     short, displacement, left = _tube(record, followed, clearances)
-    replans, retries, told = counts
+    replans, retries, reported = counts
     return Outcome(
         *names,
         case.seed,
@@ -140,23 +141,23 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
         short,
         displacement,
         left,
-        told,
+        reported,
         busy,
     )
 
 
 def worst_ratio(commands: FloatArray, periods: FloatArray, limits: MotionLimits) -> tuple[float, str]:
-    """The largest ratio of a commanded quantity to its limit, and which, by differences of the commands.
+    """Return the largest ratio of a commanded quantity to its limit and the limit's name, from command differences.
 
     Args:
         commands: Linear and angular, Shape (n, 2) [m/s, rad/s].
-        periods: Between each and the next, Shape (n - 1,) [s].
-        limits: Of the robot.
+        periods: Time between successive commands, Shape (n - 1,) [s].
+        limits: Limits of the robot.
     """
     (v, w), h = commands.T, periods
     a, turned = np.diff(v) / h, np.diff(w) / h
     speeding = np.where(np.abs(v[1:]) > np.abs(v[:-1]), limits.max_acceleration, limits.max_deceleration)
-    apart = np.concatenate((h[:1], 0.5 * (h[:-1] + h[1:])))  # an acceleration is that of the middle of its period
+    apart = np.concatenate((h[:1], 0.5 * (h[:-1] + h[1:])))  # an acceleration belongs to the middle of its period
     jerk = np.diff(np.concatenate(([0.0], a))) / apart
     ratios = {
         "speed": np.abs(v) / np.where(v >= 0.0, limits.max_speed, limits.max_reverse_speed),
@@ -169,8 +170,8 @@ def worst_ratio(commands: FloatArray, periods: FloatArray, limits: MotionLimits)
     return float(np.max(ratios[worst], initial=0.0)), worst
 
 
-def _tube(record: Record, followed: Sequence[Followed], clearances: FloatArray) -> tuple[float, float, int]:
-    """By how much the certificate was wrong within the tube, the largest displacement, and how often it was left."""
+def _tube(record: Record, followed: Sequence[FollowedPlan], clearances: FloatArray) -> tuple[float, float, int]:
+    """Return the largest shortfall within the tube, the largest displacement, and the number of exits."""
     short, displacement, left = -math.inf, 0.0, 0
     ends = [*(one.since for one in followed[1:]), math.inf]
     for (since, plan), until in zip(followed, ends, strict=False):
@@ -184,8 +185,8 @@ def _tube(record: Record, followed: Sequence[Followed], clearances: FloatArray) 
         at = plan.path.poses_at(found.s)
         from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
         start = end_clearances(problem).start
-        asked = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
-        short = max(short, float(np.max((asked - clearances[rows])[inside], initial=-math.inf)))
+        required = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
+        short = max(short, float(np.max((required - clearances[rows])[inside], initial=-math.inf)))
         displacement = max(displacement, float(found.displacement.max()))
         left += int(np.count_nonzero(np.diff(np.concatenate(([True], inside)).astype(int)) < 0))
     return short, displacement, left

@@ -1,4 +1,4 @@
-"""Which dockings the study drives, and each of them by its names."""
+"""Tasks of the docking study, and their execution."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ PLAN: dict[str, dict[str, tuple[tuple[float, ...], float]]] = {
     "detected": {**_OTHERS, "executor": (_USUAL, 1.0), **_WITH_MPC},
     "pushed": {"executor": (_USUAL, 0.3)},
 }
-"""The methods of every world, each with its rates [Hz] and which share of the dockings it drives."""
+"""Methods of every world, each with its rates [Hz] and its share of the dockings."""
 
 
 class Task(NamedTuple):
-    """One docking to be driven, by names, so that any process can."""
+    """One docking of the study, given by names so that any process can run it."""
 
     method: str
     world: str
@@ -39,7 +39,7 @@ class Task(NamedTuple):
 
 
 def driven(task: Task) -> Outcome:
-    """The outcome of a task."""
+    """Return the outcome of a task."""
     from experiments.cpu_budgets import count_cpu
     from experiments.docking.cases import SPREADS
     from experiments.docking.methods import METHODS
@@ -51,7 +51,7 @@ def driven(task: Task) -> Outcome:
 
 
 def tasks(options: argparse.Namespace) -> list[Task]:
-    """Everything that was asked for."""
+    """Return the selected tasks."""
     found = []
     for world, methods in PLAN.items():
         if options.world and world not in options.world:

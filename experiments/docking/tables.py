@@ -1,4 +1,4 @@
-"""Tables and distributions of the outcomes of the study."""
+"""Tables and distributions of the outcomes of the docking study."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["FORGIVEN", "draw_distributions", "table_of"]
 
-FORGIVEN = 1e-4  # [m]: the grid on which the nearest place of the path is looked for
+FORGIVEN = 1e-4  # [m]: grid of the search for the nearest path point
 
 
 def table_of(outcomes: Sequence[Outcome]) -> str:
-    """One line per world, rate and method; p50 / p95 / max."""
+    """Return one row per world, rate and method; p50 / p95 / max."""
     head = [
         "world", "Hz", "method", "success", "across, mm", "yaw, degrees", "along, mm", "time, s", "curvature, 1/m",
         "over limit", "of", "replans", "off path, mm", "clearance, mm", "wrong in tube", "left / logged",
@@ -54,7 +54,7 @@ def _row(key: tuple[str, float, str], found: list[Outcome]) -> list[str]:
         _spread((1e3 * one.displacement for one in followed), 1) if followed else "-",
         f"{1e3 * min(one.clearance for one in found):.0f}",
         f"{wrong}" if followed else "-",
-        f"{sum(one.left for one in followed)} / {sum(one.told for one in followed)}" if followed else "-",
+        f"{sum(one.left for one in followed)} / {sum(one.reported for one in followed)}" if followed else "-",
         f"{1e3 * max(one.busy for one in found):.2f}",
     ]
 
@@ -65,7 +65,7 @@ def _spread(values: Iterable[float], digits: int) -> str:
 
 
 def draw_distributions(target: Path, outcomes: Sequence[Outcome]) -> None:
-    """Cumulative distributions of the errors at the dock, one column per world, one line per method."""
+    """Draw cumulative distributions of the errors at the dock, one column per world, one line per method."""
     import matplotlib as mpl
 
     mpl.use("Agg")

@@ -1,4 +1,4 @@
-"""What is noted while a robot is steered: the CPU of every control cycle, and the plans that are followed."""
+"""Instrumentation of a run: CPU time of every control cycle, and the followed plans."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.docking.outcome import Followed
+from experiments.docking.outcome import FollowedPlan
 from optdock.executor.planning import InlinePlanning
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class Cycles:
         self.spent: list[float] = []
 
     def timed(self, work: Callable[[], Twist2]) -> Twist2:
-        """The command that `work` gives."""
+        """Return the command computed by `work`, and record its CPU time."""
         began = time.thread_time()
         try:
             return work()
@@ -40,27 +40,27 @@ class Cycles:
 
 
 class WatchedPlanning(InlinePlanning):
-    """Notes which certified plan is followed from when on."""
+    """Planning that records the followed certified plans and their start times."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.followed: list[Followed] = []
+        self.followed: list[FollowedPlan] = []
         self.replans = 0
         self.spent: list[float] = []
         self._job: Job | None = None
 
     def submit(self, job: Job) -> None:
-        """As the others; the CPU that it takes is not part of the control cycle."""
+        """Submit a request; its CPU time is not part of the control cycle."""
         self._job, began = job, time.thread_time()
         super().submit(job)
         self.spent.append(time.thread_time() - began)
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """As the others."""
+        """See `Planning.poll`."""
         result = super().poll(stamp)
         if result is not None and result.motion is not None and self._job is not None:
             in_motion = self._job.running is not None
             self.replans += in_motion
             since = self._job.stamp + self._job.lead if in_motion else stamp
-            self.followed.append(Followed(since, result.motion.plan))
+            self.followed.append(FollowedPlan(since, result.motion.plan))
         return result

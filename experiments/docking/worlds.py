@@ -1,4 +1,4 @@
-"""What the robot and its sensors are like in each world of the study, and the dockings in it."""
+"""Worlds of the docking study: robot and sensor models, and random dockings in them."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from optdock.simulation import (
 
 __all__ = ["WORLDS", "Case", "World", "case_of"]
 
-PUSHED_AT = 0.6  # [m] before the dock
+PUSHED_AT = 0.6  # [m] before the dock: distance of the robot at which the dock is pushed
 
 
 class World(NamedTuple):
-    """What differs from a perfect world.
+    """Differences from a perfect world.
 
     Attributes:
-        name: As in the tables.
-        actuation: Of the drive.
+        name: Name in the tables.
+        actuation: Actuation of the drive.
         pose: Localization.
-        dock: Detector of the dock; None: the dock stands where it is stored.
-        moved: How far the true dock is from the stored one at most [m], and how far turned [rad].
-        pushed: How far it is pushed, and turned, when the robot is 0.6 m away from it.
+        dock: Dock detector; None: the dock stands at its stored pose.
+        moved: Largest distance [m] and largest angle [rad] of the true dock from the stored dock.
+        pushed: Displacement and rotation of the dock when the robot is 0.6 m away from it.
     """
 
     name: str
@@ -67,10 +67,10 @@ class Case(NamedTuple):
     """One docking.
 
     Attributes:
-        seed: Of everything random in it.
+        seed: Seed of all random numbers.
         direction: Gear into the dock.
-        problem: As the robot knows it: the dock as stored.
-        true_dock: Where the docked robot really stands.
+        problem: Problem with the stored dock pose, as known to the robot.
+        true_dock: True pose of the docked robot.
     """
 
     seed: int
@@ -79,7 +79,7 @@ class Case(NamedTuple):
     true_dock: Pose2
 
     def push(self, robot: SimulatedRobot, world: World) -> None:
-        """Push the dock once, when the robot has come near it."""
+        """Push the dock once, when the robot is close to it."""
         near = math.hypot(robot.error.x, robot.error.y) < PUSHED_AT
         if world.pushed == (0.0, 0.0) or not near or robot.dock_pose != self.true_dock:
             return
@@ -89,13 +89,13 @@ class Case(NamedTuple):
         robot.dock_pose = self.true_dock @ by
 
     def obstacles(self) -> ObstacleSet:
-        """What really stands there."""
+        """Obstacles at their true poses."""
         assert self.problem.dock.footprint is not None
         station = ObstacleSet.from_footprint(self.problem.dock.footprint, self.true_dock, "dock")
         return self.problem.obstacles + station
 
     def world(self, kind: World, *, has_switch: bool = True) -> SimulatedRobot:
-        """The robot at its start, at rest; a station without a switch does not stop it either."""
+        """Return the robot at its start, at rest; a station without a switch does not stop it."""
         detector = kind.dock
         return SimulatedRobot(
             plant_of(self.problem.robot, kind.actuation),
@@ -109,7 +109,7 @@ class Case(NamedTuple):
 
 
 def case_of(number: int, spread: Spread, world: World, seed: int = 1) -> Case:
-    """A random docking, forward where `number` is even; equal numbers and seeds give equal cases."""
+    """Return a random docking, forward for even `number`; equal numbers and seeds give equal cases."""
     random = np.random.default_rng((seed, number))
     direction = (DockDirection.FORWARD, DockDirection.BACKWARD)[number % 2]
     return Case(number, *layout_of(random, spread, direction, world.moved))

@@ -1,7 +1,7 @@
-"""Docking problems drawn at random from named families, the same on every machine.
+"""Docking problems drawn at random from named families, identical on every machine.
 
-Every feasible instance carries its `witness`: a motion, found by construction and not by search, that keeps every
-bound. Every infeasible one states its reason, and its family the proof.
+Every feasible instance has a `witness`: a motion that satisfies every bound, found by construction and not by search.
+Every infeasible instance has a reason, which is proven in the docstring of its family.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class Instance:
 
     Args:
         family: Name of the family.
-        seed: Which of its members.
+        seed: Number of the instance.
         problem: The problem.
-        raw_path: What a planner would hand to the smoother: it starts and ends right, and breaks bounds in between.
-        feasible: Whether a path with the gears of `raw_path` keeps every bound; None when unknown.
-        expected_reason: `goal_unreachable`, `clearance`, `approach_blocked`, `start_in_collision`; None when feasible.
-        witness: A path that keeps every bound; None when infeasible.
+        raw_path: Input path of a smoother, as from a planner: correct ends, violated bounds in between.
+        feasible: Whether a path with the gears of `raw_path` satisfies every bound; None if unknown.
+        expected_reason: `goal_unreachable`, `clearance`, `approach_blocked`, `start_in_collision`; None if feasible.
+        witness: A path that satisfies every bound; None if infeasible.
     """
 
     family: str
@@ -84,14 +84,14 @@ class Instance:
 
 
 def instance(family: str, seed: int) -> Instance:
-    """Member `seed` of a family: always the same problem for the same arguments.
+    """Return instance `seed` of a family: always the same problem for the same arguments.
 
     Args:
         family: One of `FAMILIES`.
-        seed: Which member, >= 0.
+        seed: Number of the instance, >= 0.
 
     Raises:
-        InvalidValue: No family has this name, or the seed is negative.
+        InvalidValue: If no family has this name, or the seed is negative.
     """
     if family not in FAMILIES:
         raise InvalidValue(f"family: unknown {family!r}{closest(family, FAMILIES)}; known: {', '.join(FAMILIES)}")

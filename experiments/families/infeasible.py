@@ -1,4 +1,4 @@
-"""Families without an answer, each with the argument why there is none."""
+"""Infeasible families, each with a proof of its infeasibility."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ __all__ = ["approach_blocked", "gap_blocked", "start_collision", "too_close"]
 
 
 def too_close(rng: np.random.Generator) -> Scene:
-    """The goal lies too far to the side of the start for the smallest turning radius, in a room without space to loop.
+    """The goal is too far to the side of the start for the minimum turning radius, in a room without space for a loop.
 
-    Driving forward in this room, the robot's centre keeps 0.3 m from the walls, which leaves it less than 2 R = 1.33 m
-    across. To reach a heading of 90 degrees off the goal's and come back takes at least 2 R, so the heading stays
-    within 90 degrees. Then sin(yaw) changes by at most 1 / R per metre along x, and over d metres the robot moves
-    sideways by at most 2 R (1 - cos a) with 2 R sin a = d. The goal lies farther aside than that.
+    In this room, the robot's centre keeps 0.3 m from the walls, which leaves less than 2 R = 1.33 m across. Reaching a
+    heading of 90 degrees off the goal's heading and returning needs at least 2 R, so the heading stays within 90
+    degrees. Then sin(yaw) changes by at most 1 / R per metre along x, and over d metres the robot moves sideways by at
+    most 2 R (1 - cos a) with 2 R sin a = d. The lateral offset of the goal is larger.
     """
     aside, turned = rng.uniform(0.45, 0.6), rng.uniform(1.15, 1.25)
-    # Two turns tighter than allowed, scaled to the wanted offset: only a guide for the raw path.
+    # Two turns tighter than allowed, scaled to the offset, as reference of the raw path only.
     unscaled = Scene((_tight_s(turned, 1.0),), AMR_FRONT, ()).motion.start
     gear = _tight_s(turned, abs(unscaled.y) / aside)
     middle, half = 0.5 * Scene((gear,), AMR_FRONT, ()).motion.start.y, 0.94
@@ -54,7 +54,7 @@ def _tight_s(angle: float, sharpness: float) -> Gear:
 
 
 def gap_blocked(rng: np.random.Generator) -> Scene:
-    """The only door to the dock's chamber is narrower than the robot, which is nowhere narrower than 0.6 m."""
+    """The only door to the dock's chamber is narrower than the robot, whose minimum width is 0.6 m."""
     first, second = rng.uniform(1.6, 2.0), rng.uniform(1.8, 2.2)
     bend = rng.uniform(-0.2, 0.2)
     gear = forward(straight(first), turn(bend, 1.0, 5.0), straight(0.3), turn(-bend, 1.0, 5.0), straight(second))
@@ -70,14 +70,14 @@ def gap_blocked(rng: np.random.Generator) -> Scene:
 
 
 def approach_blocked(rng: np.random.Generator) -> Scene:
-    """A post behind the docked robot stands in its final straight run, which every answer must drive."""
+    """A post behind the docked robot stands in the mandatory final straight."""
     gear = s_curve(rng, 0.4, 0.8)
     blocking = post(-0.45 - rng.uniform(0.17, 0.2), rng.uniform(-0.15, 0.15), 0.08, 6, rng.uniform(0.0, 1.0))
     return Scene((gear,), AMR_FRONT, random_kinks(rng), (blocking,), feasible=False, reason="approach_blocked")
 
 
 def start_collision(rng: np.random.Generator) -> Scene:
-    """An obstacle reaches 5 to 15 cm into the robot where it stands."""
+    """An obstacle overlaps the robot at the start by 5 to 15 cm."""
     gear = s_curve(rng, 0.4, 0.8)
     start = Scene((gear,), AMR_FRONT, ()).motion.start
     depth, along = rng.uniform(0.05, 0.15), rng.uniform(-0.3, 0.3)

@@ -1,4 +1,4 @@
-"""Motions written down by hand: straights and turns that keep the curvature bounds, and raw paths beside them."""
+"""Constructed motions: straights and turns that satisfy the curvature bounds, and raw paths next to them."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ _HANDLE = 0.4  # length of a Bezier handle over its chord
 
 
 class Piece(NamedTuple):
-    """Curvature that moves linearly to `curvature` [1/m] over `length` [m]."""
+    """Curvature that changes linearly to `curvature` [1/m] over `length` [m]."""
 
     length: float
     curvature: float
 
 
 class Gear(NamedTuple):
-    """What is driven in one gear; begins and ends with curvature 0."""
+    """Motion in one gear; begins and ends with curvature 0."""
 
     direction: Direction
     pieces: tuple[Piece, ...]
 
 
 class Kink(NamedTuple):
-    """The fault of a raw path, in the middle of a gear.
+    """Deviation of a raw path in the middle of a gear.
 
     Args:
         angle: Jump of the heading [rad].
-        shift: Sideways distance of the middle from the motion, positive left [m].
+        shift: Lateral distance of the middle from the motion, positive left [m].
     """
 
     angle: float
@@ -47,12 +47,12 @@ class Kink(NamedTuple):
 
 
 def straight(length: float) -> tuple[Piece, ...]:
-    """Straight on for `length` [m]."""
+    """Return a straight of `length` [m]."""
     return (Piece(length, 0.0),)
 
 
 def turn(angle: float, curvature: float, rate: float) -> tuple[Piece, ...]:
-    """A turn by `angle` [rad] from straight to straight: clothoid, arc, clothoid.
+    """Return a turn by `angle` [rad] from straight to straight: clothoid, arc, clothoid.
 
     Args:
         angle: Change of yaw, positive left.
@@ -80,16 +80,16 @@ def _drive(start: Pose2, gears: tuple[Gear, ...]) -> tuple[ClothoidSpline, ...]:
 
 
 def motion_to(goal: Pose2, gears: tuple[Gear, ...]) -> Path:
-    """The path that drives `gears` and ends at `goal`; where it starts follows from that."""
+    """Return the path of `gears` that ends at `goal`; its start follows from the gears."""
     end = _drive(Pose2(0.0, 0.0, 0.0), gears)[-1].end
     return Path(tuple(ClothoidSegment(spline) for spline in _drive(goal @ end.inverse(), gears)))
 
 
 def raw_beside(motion: Path, kinks: tuple[Kink, ...], spacing: float) -> Path:
-    """A planner's raw path for `motion`: two cubic Bezier curves per gear that meet at a kink.
+    """Return a raw path near `motion`: two cubic Bezier curves per gear that meet at a kink.
 
     Args:
-        motion: Where the gears begin and end, and which way they go in between.
+        motion: Motion whose gear ends and directions are kept.
         kinks: One per gear.
         spacing: Largest distance between poses [m].
     """
@@ -126,7 +126,7 @@ def _bezier(start: FloatArray, start_yaw: float, end: FloatArray, end_yaw: float
 
 
 def _resampled(points: FloatArray, sign: int, spacing: float) -> FloatArray:
-    """Poses along a fine polyline, evenly spaced by at most `spacing`, yaw along (against, in reverse) the motion."""
+    """Return poses along a fine polyline, evenly spaced by at most `spacing`, with yaw along the motion."""
     step = np.diff(points, axis=0)
     s = np.concatenate(([0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))))
     at = np.linspace(0.0, s[-1], max(2, math.ceil(s[-1] / spacing)) + 1)

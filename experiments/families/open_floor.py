@@ -1,7 +1,7 @@
-"""Families with room to move: the raw path is wrong, the scene is not tight.
+"""Families with room to move: the raw path violates bounds, the scene is not tight.
 
-Each is feasible because its motion is: straights and turns within the limits, ending at the goal, with every obstacle
-placed beside what the robot sweeps.
+Each instance is feasible by its constructed motion: straights and turns within the limits, ending at the goal, with
+every obstacle outside of the swept area.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
 
 
 def s_curve(rng: np.random.Generator, low: float, high: float) -> Gear:
-    """Left, then right, by angles between `low` and `high` [rad], then straight into the dock."""
+    """Return a left turn, a right turn, by angles between `low` and `high` [rad], and a straight into the dock."""
     left, right = rng.uniform(low, high), rng.uniform(low, high)
     return forward(
         straight(rng.uniform(0.3, 0.7)),
@@ -65,7 +65,7 @@ def open_s(rng: np.random.Generator) -> Scene:
 
 
 def reverse_cusp(rng: np.random.Generator) -> Scene:
-    """Forward across the front of the dock, then back into it: one cusp."""
+    """Forward across the front of the dock, then backward into it: one cusp."""
     gears = (
         forward(straight(rng.uniform(0.5, 0.9)), amr_turn(-rng.uniform(0.2, 0.8)), straight(rng.uniform(0.2, 0.4))),
         reverse(straight(rng.uniform(0.1, 0.3)), amr_turn(-rng.uniform(0.7, 1.1)), straight(rng.uniform(1.0, 1.3))),
@@ -74,7 +74,7 @@ def reverse_cusp(rng: np.random.Generator) -> Scene:
 
 
 def pillar(rng: np.random.Generator) -> Scene:
-    """A pillar close beside the approach, on the inner side of the last turn."""
+    """A pillar close to the approach, on the inner side of the last turn."""
     scene = Scene((s_curve(rng, 0.5, 0.9),), AMR_FRONT, random_kinks(rng))
     radius = rng.uniform(0.1, 0.2)
     beside = _beside(scene.motion, rng.uniform(0.45, 0.7), -(0.3 + radius + rng.uniform(0.1, 0.16)))
@@ -82,7 +82,7 @@ def pillar(rng: np.random.Generator) -> Scene:
 
 
 def _beside(motion: Path, share: float, offset: float) -> Pose2:
-    """The pose `offset` [m] to the left of the motion at a share of its length."""
+    """Return the pose `offset` [m] to the left of the motion at a share of its length."""
     return motion.pose_at(share * motion.length) @ Pose2(0.0, offset, 0.0)
 
 
@@ -112,7 +112,7 @@ def long_approach(rng: np.random.Generator) -> Scene:
 
 
 def collision(rng: np.random.Generator) -> Scene:
-    """The raw path leads straight through a pillar; the motion swerves around it."""
+    """A raw path straight through a pillar; the motion swerves around it."""
     angle = rng.uniform(0.85, 0.95)
     gear = forward(
         straight(rng.uniform(0.5, 0.8)),
@@ -122,7 +122,7 @@ def collision(rng: np.random.Generator) -> Scene:
         straight(rng.uniform(0.7, 1.0)),
     )
     motion = Scene((gear,), AMR_FRONT, ()).motion
-    # The swerve is symmetric: half way through it the heading is the goal's.
+    # The swerve is symmetric: its heading in the middle is the goal's.
     before, after = gear.pieces[0].length, gear.pieces[-1].length
     top = motion.pose_at(before + 0.5 * (motion.length - before - after))
     radius = rng.uniform(0.12, 0.16)
@@ -137,8 +137,8 @@ HEXAGON = np.array([[0.5, 0.0], [0.25, 0.33], [-0.25, 0.33], [-0.5, 0.0], [-0.25
 
 
 def angled_hexagon(rng: np.random.Generator) -> Scene:
-    """A six-sided robot whose nose fits into a wedge, between two slanted jaws; a wall stands beside the approach."""
-    jaw = HEXAGON[:2] + GAP * np.array([[1.5, 0.0], [0.8, 0.6]])  # its nose and cheek, moved away from the robot
+    """A six-sided robot whose front fits into a wedge between two slanted jaws; a wall along the approach."""
+    jaw = HEXAGON[:2] + GAP * np.array([[1.5, 0.0], [0.8, 0.6]])  # front and side of the robot, moved away from it
     end = np.array([[0.75, jaw[1, 1]]])
     upper = np.vstack((jaw, end))
     wedge = np.vstack((upper, (upper * [1.0, -1.0])[:0:-1]))
@@ -148,7 +148,7 @@ def angled_hexagon(rng: np.random.Generator) -> Scene:
 
 
 def _free_of(scene: Scene, polygons: list[FloatArray]) -> tuple[FloatArray, ...]:
-    """The polygons that keep away from what the motion sweeps."""
+    """Return the polygons that do not touch the grown swept area of the motion."""
     import shapely
 
     area = swept_area(scene.robot, scene.motion)
@@ -156,7 +156,7 @@ def _free_of(scene: Scene, polygons: list[FloatArray]) -> tuple[FloatArray, ...]
 
 
 def many_obstacles(rng: np.random.Generator) -> Scene:
-    """Thirty convex polygons around the approach, the nearest about 8 cm from what the robot sweeps."""
+    """Thirty convex polygons around the approach, the nearest about 8 cm from the swept area."""
     scene = Scene((s_curve(rng, 0.5, 0.9),), AMR_FRONT, random_kinks(rng))
     kept: tuple[FloatArray, ...] = ()
     while len(kept) < 30:
@@ -165,14 +165,14 @@ def many_obstacles(rng: np.random.Generator) -> Scene:
 
 
 def _random_post(motion: Path, rng: np.random.Generator, near: float, far: float) -> FloatArray:
-    """A polygon with 3 to 7 corners, between `near` and `far` [m] to either side of the motion."""
+    """Return a polygon with 3 to 7 corners, between `near` and `far` [m] to either side of the motion."""
     offset = math.copysign(rng.uniform(near, far), rng.uniform(-1.0, 1.0))
     at = _beside(motion, rng.uniform(-0.05, 0.95), offset)
     return post(at.x, at.y, rng.uniform(0.06, 0.22), int(rng.uniform(3.0, 8.0)), rng.uniform(0.0, 6.0))
 
 
 def clutter(rng: np.random.Generator) -> Scene:
-    """Blobs around the approach, known only as occupied 5 cm cells of a grid."""
+    """Obstacles around the approach, given only as occupied 5 cm cells of a grid."""
     scene = Scene((s_curve(rng, 0.4, 0.8),), AMR_FRONT, random_kinks(rng))
     blobs = tuple(_random_post(scene.motion, rng, 0.35, 1.2) for _ in range(45))
     return Scene(scene.gears, scene.dock, scene.kinks, blobs, cell=0.05)

@@ -1,4 +1,4 @@
-"""A docking scene before it is placed in the world: everything in the frame of the docked robot."""
+"""Docking scenes in the frame of the docked robot, before they are placed in the world."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ __all__ = [
 GAP = 0.005  # between the docked robot and the dock [m]
 FINAL_STRAIGHT = 0.3  # [m]
 ORIGIN = Pose2(0.0, 0.0, 0.0)
-_AMR_RATE = 5.0  # of the ramps of hand-written motions; the limit is 6 [1/m^2]
-_CLEAR_OF_MOTION = 0.08  # random obstacles stay this far from the motion; 0.05 is required [m]
-_MAP_BORDER = 1.5  # free cells around the motion and the polygons of a drawn map [m]
+_AMR_RATE = 5.0  # of the ramps of constructed motions; the limit is 6 [1/m^2]
+_CLEAR_OF_MOTION = 0.08  # minimum distance of random obstacles from the motion; 0.05 is required [m]
+_MAP_BORDER = 1.5  # margin of free cells around the motion and the polygons of a drawn map [m]
 
 
 def _limits(curvature: float, rate: float) -> MotionLimits:
@@ -58,20 +58,20 @@ CAR = Robot(Footprint.rectangle(3.8, 0.9, 2.0), _limits(0.2, 0.35), Drive.ACKERM
 
 
 def box(low_x: float, low_y: float, high_x: float, high_y: float, at: Pose2 = ORIGIN) -> FloatArray:
-    """A rectangle standing at a pose. Shape (4, 2) [m]."""
+    """Return a rectangle at a pose. Shape (4, 2) [m]."""
     corners = np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]])
     placed: FloatArray = transform_points(at.as_array()[None], corners)[0]
     return placed
 
 
 def post(x: float, y: float, radius: float, sides: int, phase: float) -> FloatArray:
-    """A regular polygon with its corners at `radius` [m]. Shape (sides, 2) [m]."""
+    """Return a regular polygon with its corners at `radius` [m]. Shape (sides, 2) [m]."""
     angle = phase + 2.0 * math.pi * np.arange(sides) / sides
     return np.column_stack((x + radius * np.cos(angle), y + radius * np.sin(angle)))
 
 
-AMR_FRONT = box(0.45 + GAP, -0.3, 0.65, 0.3)  # what the robot touches with its nose
-AMR_BACK = box(-0.65, -0.3, -0.45 - GAP, 0.3)  # what it touches with its tail
+AMR_FRONT = box(0.45 + GAP, -0.3, 0.65, 0.3)  # touched by the front of the robot
+AMR_BACK = box(-0.65, -0.3, -0.45 - GAP, 0.3)  # touched by the rear of the robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +79,15 @@ class Scene:
     """A docking scene in the frame of the docked robot.
 
     Args:
-        gears: A motion to the goal. Of a feasible scene it keeps every bound; of an infeasible one it only shows
-            which way a planner would go.
+        gears: A motion to the goal. In a feasible scene it satisfies every bound; in an infeasible one it is only the
+            reference of the raw path.
         dock: Outline of the dock, Shape (n, 2) [m].
         obstacles: Polygons, Shape (n, 2) [m] each.
-        kinks: Faults of the raw path, one per gear.
-        robot: What drives.
-        feasible: Whether a path with these gears keeps every bound.
-        reason: Why there is none; None when feasible.
-        cell: Size of the grid cells that obstacles are drawn with [m]; None keeps the polygons.
+        kinks: Deviations of the raw path, one per gear.
+        robot: The robot.
+        feasible: Whether a path with these gears satisfies every bound.
+        reason: Reason of infeasibility; None if feasible.
+        cell: Size of the grid cells that represent the obstacles [m]; None keeps the polygons.
         spacing: Distance between the poses of the raw path [m].
     """
 
@@ -107,7 +107,7 @@ class Scene:
         return motion_to(ORIGIN, self.gears)
 
     def mirrored(self) -> Scene:
-        """The scene seen in a mirror along the x axis; the robot is symmetric."""
+        """Return the scene mirrored at the x axis; the robot is symmetric."""
         flip = np.array([1.0, -1.0])
         return Scene(
             tuple(Gear(g.direction, tuple(Piece(p.length, -p.curvature) for p in g.pieces)) for g in self.gears),
@@ -122,7 +122,7 @@ class Scene:
         )
 
     def dock_at(self, goal: Pose2) -> Dock:
-        """The dock with the docked robot at `goal`."""
+        """Return the dock with the docked robot at `goal`."""
         reverse = self.gears[-1].direction is Direction.REVERSE
         return Dock(
             goal,
@@ -135,12 +135,12 @@ class Scene:
 
 
 def amr_turn(angle: float, curvature: float = 1.2) -> tuple[Piece, ...]:
-    """A turn that keeps the small robot's limits."""
+    """Return a turn within the limits of the small robot."""
     return turn(angle, curvature, _AMR_RATE)
 
 
 def random_kinks(rng: np.random.Generator, count: int = 1, shift: float = 0.06) -> tuple[Kink, ...]:
-    """Kinks of 15 to 35 degrees to either side, moved sideways by up to `shift` [m]."""
+    """Return kinks of 15 to 35 degrees to either side with a lateral shift of up to `shift` [m]."""
     return tuple(
         Kink(
             math.copysign(math.radians(rng.uniform(15.0, 35.0)), rng.uniform(-1.0, 1.0)),
@@ -151,35 +151,35 @@ def random_kinks(rng: np.random.Generator, count: int = 1, shift: float = 0.06) 
 
 
 def forward(*pieces: tuple[Piece, ...]) -> Gear:
-    """A forward gear of straights and turns."""
+    """Return a forward gear of straights and turns."""
     return Gear(Direction.FORWARD, tuple(piece for group in pieces for piece in group))
 
 
 def reverse(*pieces: tuple[Piece, ...]) -> Gear:
-    """A reverse gear of straights and turns."""
+    """Return a reverse gear of straights and turns."""
     return Gear(Direction.REVERSE, tuple(piece for group in pieces for piece in group))
 
 
-def swept_area(robot: Robot, motion: Path, margin: float = _CLEAR_OF_MOTION) -> object:
-    """What the robot covers along a motion, grown by `margin` [m]: a shapely geometry, prepared for queries."""
+def swept_area(robot: Robot, motion: Path) -> object:
+    """Return the swept area of a motion, grown by 8 cm, as a shapely geometry prepared for queries."""
     import shapely
 
     poses = motion.sample(0.02).poses
     outlines = shapely.polygons(transform_points(poses, robot.footprint.vertices))
-    area = shapely.union_all(shapely.buffer(outlines, margin, quad_segs=4))
+    area = shapely.union_all(shapely.buffer(outlines, _CLEAR_OF_MOTION, quad_segs=4))
     shapely.prepare(area)
     return area
 
 
 def drawn_costmap(polygons: Sequence[FloatArray], robot: Robot, motion: Path, cell: float) -> Costmap:
-    """A map, with room around the motion, on which the cells that touch a polygon are occupied.
+    """Return a map, with a margin around the motion, on which the cells that touch a polygon are occupied.
 
-    Cells near what the robot sweeps along the motion stay free.
+    Cells near the swept area of the motion stay free.
 
     Args:
         polygons: Shape (n, 2) [m] each.
-        robot: What drives.
-        motion: What must stay possible.
+        robot: The robot.
+        motion: Motion that must stay feasible.
         cell: Side of a cell [m].
     """
     import shapely

@@ -1,6 +1,6 @@
-"""Families with little room: about twice the required clearance on either side, and no way around.
+"""Families with little room: about twice the required clearance on either side, and no detour.
 
-Each is feasible because its motion is: it is straight where the walls are close, and turns where they are not.
+Each instance is feasible by its constructed motion: straight next to walls, turning elsewhere.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SIDE = 0.4  # half the robot's width and 10 cm [m]
 
 
 def _alcove(depth: float) -> tuple[FloatArray, FloatArray]:
-    """Walls on both sides of an alcove that holds the first `depth` [m] of the robot."""
+    """Return walls on both sides of an alcove that holds the first `depth` [m] of the robot."""
     mouth = 0.45 - depth
     return (
         box(mouth, _SIDE, 0.65, _SIDE + 1.2),
@@ -55,7 +55,7 @@ def alcove(rng: np.random.Generator) -> Scene:
 
 
 def reverse_alcove(rng: np.random.Generator) -> Scene:
-    """The alcove, entered backwards."""
+    """The alcove, entered backward."""
     gear = reverse(
         straight(rng.uniform(0.6, 0.9)),
         amr_turn(rng.uniform(0.5, 0.9)),
@@ -69,7 +69,7 @@ def reverse_alcove(rng: np.random.Generator) -> Scene:
 
 
 def u_dock(rng: np.random.Generator) -> Scene:
-    """A U-shaped dock whose two arms hold the robot, reached by a quarter turn in front of them."""
+    """A U-shaped dock with an arm on either side of the robot, reached by a quarter turn in front of them."""
     arm = rng.uniform(0.6, 0.7)
     low, high = 0.45 - arm, 0.45 + GAP
     dock = _u_shape(low, high)
@@ -133,7 +133,7 @@ def narrow_gap(rng: np.random.Generator) -> Scene:
 
 
 def parallel(rng: np.random.Generator) -> Scene:
-    """Into a slot between two boxes as one parks at a kerb: forward, back, forward."""
+    """Parallel parking between two boxes: forward, back, forward."""
     last = rng.uniform(1.08, 1.15)
     swing = rng.uniform(0.85, 0.95)
     gears = (
@@ -148,7 +148,7 @@ def parallel(rng: np.random.Generator) -> Scene:
 
 
 def car_bay(rng: np.random.Generator) -> Scene:
-    """A car that parks backwards between two cars: forward along the lane, one cusp, a quarter turn into the bay."""
+    """A car that parks backward between two cars: forward along the lane, one cusp, a quarter turn into the bay."""
     gears = (
         forward(straight(rng.uniform(4.0, 6.0))),
         reverse(straight(rng.uniform(0.3, 0.8)), turn(-math.pi / 2.0, 0.18, 0.3), straight(rng.uniform(3.6, 4.0))),

@@ -1,4 +1,4 @@
-"""The command line of the fuzzer."""
+"""Command line of the fuzzer."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-# numpy reads these when it is first imported, here and in every process that is started from here.
+# numpy reads these when it is first imported, here and in every process started from here.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 ALL = (
@@ -30,21 +30,21 @@ ALL = (
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m experiments.fuzz", description="Fuzz optdock against an oracle.")
-    parser.add_argument("--seconds", type=float, default=600.0, help="how long (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="chooses all cases (default: %(default)s)")
-    parser.add_argument("--kinds", default=",".join(ALL), help="names, separated by commas (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--count", type=int, help="cases of every kind (default: until time is up)")
+    parser.add_argument("--seconds", type=float, default=600.0, help="duration [s] (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of all cases (default: %(default)s)")
+    parser.add_argument("--kinds", default=",".join(ALL), help="comma-separated names (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes (default: %(default)s)")
+    parser.add_argument("--count", type=int, help="number of cases of every kind (default: until the time is up)")
     parser.add_argument(
-        "--out", type=Path, default=Path("results/fuzz"), help="where failing cases go (default: %(default)s)"
+        "--out", type=Path, default=Path("results/fuzz"), help="directory of failing cases (default: %(default)s)"
     )
-    parser.add_argument("--plant", help="make this mistake in the certificate, and stop when it is found")
-    parser.add_argument("--replay", type=Path, help="judge the case in a file again")
+    parser.add_argument("--plant", help="plant this mistake in the certificate, and stop when it is found")
+    parser.add_argument("--replay", type=Path, help="check the case in a file again")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run; 0 when the library did not fail, 1 when it did, 2 for bad usage. With --plant: 0 when it was found."""
+    """Run; return 0 without failures, 1 with failures, 2 for bad usage; with --plant: 0 if it was found."""
     options = _parser().parse_args(arguments)
     if options.replay is not None:
         return _replay(options.replay, options.plant)

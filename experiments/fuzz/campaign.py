@@ -1,4 +1,4 @@
-"""Running cases: one process per job, faults counted, shrunk and saved, and nothing that can take the machine down."""
+"""Campaigns: run cases in one process per job with limits of memory and time; count, shrink and save failures."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ __all__ = ["Campaign", "Tally", "judge_once", "run"]
 _MEMORY = 3 << 30  # [bytes] of address space per process
 _HANG = 30  # [s] for one case
 _SAVED_PER_SIGNATURE = 3
-_REPORT = 15.0  # [s] between lines of progress
-# How the time is shared where nothing else is asked; a kind that costs more per case gets fewer of them.
+_REPORT = 15.0  # [s] between progress lines
+# Default shares of the time; a kind with expensive cases runs fewer of them.
 _SHARE = {
     "paths": 0.21,
     "trajectories": 0.12,
@@ -54,16 +54,16 @@ _SHARE = {
 
 @dataclass(frozen=True)
 class Campaign:
-    """What to run.
+    """Parameters of a campaign.
 
     Args:
         kinds: Names of kinds.
         seed: First number of every case's random state.
-        seconds: How long; whichever of time and count comes first ends it.
-        count: How many cases of every kind; None: until time is up.
-        out: Where failing cases are saved.
+        seconds: Duration; the campaign ends at the first limit reached, time or count.
+        count: Number of cases of every kind; None: until the time is up.
+        out: Directory of failing cases.
         stop_at_fault: End with the first false certificate.
-        plant: A mistake to make in every process, or None.
+        plant: A mistake to plant in every process, or None.
     """
 
     kinds: tuple[str, ...]
@@ -76,7 +76,7 @@ class Campaign:
 
 
 class _Report(NamedTuple):
-    """One case as a worker reports it."""
+    """Result of one case, as sent by a worker."""
 
     kind: str
     number: int
@@ -88,7 +88,7 @@ class _Report(NamedTuple):
 
 @dataclass
 class Tally:
-    """Counts of all cases so far."""
+    """Counts of all cases."""
 
     outcomes: dict[str, collections.Counter[str]] = field(default_factory=lambda: collections.defaultdict(
         collections.Counter))  # fmt: skip
@@ -97,7 +97,7 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def add(self, report: _Report, elapsed: float) -> None:
-        """Count a case; say at once when the library failed."""
+        """Count a case; print failures immediately."""
         self.outcomes[report.kind][report.verdict.outcome] += 1
         self.seconds[report.kind] += report.seconds  # type: ignore[assignment]
         self.peak = max(self.peak, report.peak)
@@ -108,11 +108,11 @@ class Tally:
 
     @property
     def failed(self) -> int:
-        """How many cases failed."""
+        """Number of failed cases."""
         return sum(n for kind in self.outcomes.values() for name, n in kind.items() if Verdict(name).is_fault)
 
     def lines(self) -> Iterator[str]:
-        """One line per kind."""
+        """Return one line per kind."""
         for kind, counts in self.outcomes.items():
             total = sum(counts.values())
             each = 1e3 * self.seconds[kind] / total
@@ -122,7 +122,7 @@ class Tally:
 
 
 class HangError(BaseException):
-    """A case took longer than any case should."""
+    """A case exceeded the time limit of a case."""
 
 
 def _give_up(_signal: int, _frame: FrameType | None) -> NoReturn:
@@ -130,28 +130,28 @@ def _give_up(_signal: int, _frame: FrameType | None) -> NoReturn:
 
 
 def judge_once(case: Case, plant: str | None = None) -> Verdict:
-    """The verdict on a case, whatever the library does; with a plant, faults that show without it do not count."""
+    """Return the verdict on a case, for any behaviour of the library; with a plant, only faults caused by it count."""
     with planted(plant):
-        verdict = _judged(case)
-    if plant is not None and verdict.is_fault and _judged(case).is_fault:
+        verdict = _verdict(case)
+    if plant is not None and verdict.is_fault and _verdict(case).is_fault:
         return Verdict("fails without the plant too")
     return verdict
 
 
-def _judged(case: Case) -> Verdict:
+def _verdict(case: Case) -> Verdict:
     try:
         signal.alarm(_HANG)
         return KINDS[case["kind"]].judge(case)
     except HangError:
         return Verdict("hang", f"more than {_HANG} s")
-    except Exception as error:  # whatever it is, it is what is looked for
+    except Exception as error:  # any exception is a possible fault
         return Verdict("untyped exception", f"{type(error).__name__}: {error}")
     finally:
         signal.alarm(0)
 
 
 def prepare() -> None:
-    """Limits of this process."""
+    """Set memory and signal handling of this process."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     signal.signal(signal.SIGALRM, _give_up)
     warnings.simplefilter("ignore")
@@ -159,7 +159,7 @@ def prepare() -> None:
 
 
 def _work(campaign: Campaign, job: int, jobs: int, out: multiprocessing.Queue[object], stop: Event) -> None:
-    """Every `jobs`-th case, kinds in turn by the time that each has used."""
+    """Run every `jobs`-th case; the kind with the least used share of time is next."""
     prepare()
     deadline = time.monotonic() + campaign.seconds
     used = dict.fromkeys(campaign.kinds, 0.0)
@@ -184,7 +184,7 @@ def _one(campaign: Campaign, kind: str, number: int, saved: collections.Counter[
     try:
         case = KINDS[kind].draw(rng_of(kind, campaign.seed, number))
         verdict = judge_once(case, campaign.plant)
-    except Exception as error:  # a generator that fails is a bug of ours, and must not end the run
+    except Exception as error:  # an exception of a generator is a bug of the fuzzer, and must not end the run
         verdict = Verdict("generator failed", f"{type(error).__name__}: {error}")
     seconds, place = time.process_time() - began, ""
     if verdict.is_fault or verdict.outcome == "generator failed":
@@ -196,7 +196,7 @@ def _one(campaign: Campaign, kind: str, number: int, saved: collections.Counter[
 
 
 def _saved(campaign: Campaign, case: Case, verdict: Verdict, number: int) -> str:
-    """The case, shrunk, in a file."""
+    """Shrink the case and save it to a file."""
     chosen = case if verdict.evidence is None else verdict.evidence
     again = judge_once(chosen, campaign.plant)
     if again.signature == verdict.signature and verdict.outcome not in ("hang", "late"):
@@ -208,7 +208,7 @@ def _saved(campaign: Campaign, case: Case, verdict: Verdict, number: int) -> str
 
 
 def run(campaign: Campaign, jobs: int) -> Tally:
-    """Run a campaign on `jobs` processes and print what it finds."""
+    """Run a campaign on `jobs` processes and print its results."""
     context = multiprocessing.get_context("spawn")
     reports: multiprocessing.Queue[object] = context.Queue()
     stop = context.Event()
@@ -230,11 +230,11 @@ def run(campaign: Campaign, jobs: int) -> Tally:
 
 
 class _Listener:
-    """Takes the reports of all workers until each has said that it is done, or has died."""
+    """Receives the reports of all workers until each has finished or died."""
 
     def __init__(self, campaign: Campaign, reports: multiprocessing.Queue[object], stop: Event) -> None:
         self.campaign, self.reports, self.stop = campaign, reports, stop
-        self.tally, self.began, self.told = Tally(), time.monotonic(), 0.0
+        self.tally, self.began, self.reported = Tally(), time.monotonic(), 0.0
         self.begun: set[tuple[str, int]] = set()
 
     @property
@@ -243,7 +243,7 @@ class _Listener:
         return time.monotonic() - self.began
 
     def listen(self, workers: list[multiprocessing.context.SpawnProcess]) -> None:
-        """Until nobody is left to report."""
+        """Receive reports until no worker is left."""
         running = len(workers)
         while running:
             try:
@@ -263,6 +263,6 @@ class _Listener:
                 self.stop.set()
         elif isinstance(message, tuple):
             self.begun.add(message)
-        if self.elapsed - self.told > _REPORT:
-            self.told = self.elapsed
+        if self.elapsed - self.reported > _REPORT:
+            self.reported = self.elapsed
             print(f"[{self.elapsed:7.1f} s] " + "; ".join(self.tally.lines()), flush=True)

@@ -1,4 +1,4 @@
-"""Cases as plain data, what a judgement of one says, and where random numbers come from."""
+"""Cases as plain data, their verdicts, and their random generators."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["FAULTS", "Case", "Verdict", "load_case", "rng_of", "save_case"]
 
 Case: TypeAlias = dict[str, Any]  # JSON: numbers, strings, lists and dicts of them; "kind" names the judge
 
-# What counts as a failure of the library, the worst first; every other outcome is a count.
+# Failures of the library, the worst first; all other outcomes are only counted.
 FAULTS = (
     "false certificate",
     "false proof",
@@ -33,12 +33,12 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one case.
+    """Verdict on one case.
 
     Args:
         outcome: `certified`, `refused: KIND`, the name of an error, or one of `FAULTS`.
-        detail: Which rule, where, by how much; for people.
-        evidence: A case that shows the fault without the clock, where there is one (a plan's own path).
+        detail: Violated rule, location and amount, for people.
+        evidence: A case that reproduces the fault without the clock, if there is one (a plan's path).
     """
 
     outcome: str
@@ -52,23 +52,23 @@ class Verdict:
 
     @property
     def signature(self) -> str:
-        """What two failures have in common that are one: the outcome and the first words of the detail."""
+        """Common signature of equal failures: the outcome and the first words of the detail."""
         return f"{self.outcome}: {self.detail.split(':')[0]}" if self.detail else self.outcome
 
 
 def rng_of(kind: str, seed: int, number: int) -> np.random.Generator:
-    """The random numbers of one case; the same on every machine."""
+    """Return the random generator of one case; identical on every machine."""
     return np.random.Generator(np.random.PCG64([zlib.crc32(kind.encode()), seed, number]))
 
 
 def save_case(target: Path, case: Case, verdict: Verdict, note: str) -> None:
-    """Write a failing case with what failed and how to see it again."""
+    """Write a failing case with its verdict and the command that repeats it."""
     target.parent.mkdir(parents=True, exist_ok=True)
     document = {"fault": verdict.outcome, "detail": verdict.detail, "note": note, "case": case}
     target.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def load_case(source: Path) -> Case:
-    """The case of a file that `save_case` wrote."""
+    """Return the case of a file written by `save_case`."""
     case: Case = json.loads(source.read_text(encoding="utf-8"))["case"]
     return case

@@ -1,4 +1,4 @@
-"""From plain case data to values of the library, through its public doors, and back."""
+"""Conversion between plain case data and values of the library, through its public interface."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["law_of", "path_of", "path_spec", "problem_of", "problem_spec", "zone
 
 
 def path_of(gears: list[Case]) -> Path:
-    """A path from its gears."""
+    """Return a path from its gears."""
     return Path(tuple(_segment(gear) for gear in gears))
 
 
@@ -47,7 +47,7 @@ def _segment(gear: Case) -> ClothoidSegment | PolylineSegment | TurnSegment:
 
 
 def path_spec(path: Path) -> list[Case]:
-    """The gears of a path that the library made."""
+    """Return the gears of a path of the library."""
     return [_gear_spec(segment) for segment in path.segments]
 
 
@@ -68,13 +68,13 @@ def _gear_spec(segment: object) -> Case:
 
 
 def zone_of(case: Case) -> SpeedZone:
-    """The slow zone of a case; a speed of None is not a limit."""
+    """Return the slow zone of a case; a speed of None is no limit."""
     speed, distance = case["zone"]
     return SpeedZone(np.inf if speed is None else speed, distance)
 
 
 def law_of(spec: Case) -> TimeLaw:
-    """A time law."""
+    """Return a time law."""
     return TimeLaw(
         np.array(spec["durations"], dtype=float),
         np.array(spec["jerks"], dtype=float),
@@ -84,7 +84,7 @@ def law_of(spec: Case) -> TimeLaw:
 
 
 def law_spec(law: TimeLaw) -> Case:
-    """A time law as `law_of` takes it."""
+    """Return a time law in the form read by `law_of`."""
     return {
         "durations": law.durations.tolist(),
         "jerks": law.jerks.tolist(),
@@ -94,7 +94,7 @@ def law_spec(law: TimeLaw) -> Case:
 
 
 def problem_of(case: Case) -> DockingProblem:
-    """The docking problem of a case; `grid_alone` hands the grid over as a costmap only."""
+    """Return the docking problem of a case; with `grid_alone` the grid is passed as a costmap only."""
     shape, dock, grid = case["footprint"], case["dock"], case.get("grid")
     footprint = Footprint(np.array(shape["polygon"])) if "polygon" in shape else Footprint.from_radius(shape["radius"])
     obstacles, costmap = ObstacleSet.from_polygons(case["obstacles"]), None
@@ -129,7 +129,7 @@ def problem_of(case: Case) -> DockingProblem:
 
 
 def problem_spec(problem: DockingProblem) -> Case:
-    """The case of a problem that the library made; obstacles as convex pieces."""
+    """Return the case of a problem of the library; obstacles as convex pieces."""
     dock, limits = problem.dock, problem.robot.limits
     approach = dock.approach
     grid = problem.costmap
@@ -160,5 +160,5 @@ def problem_spec(problem: DockingProblem) -> Case:
 
 
 def _ring(points: list[list[float]]) -> list[list[float]]:
-    """Corners without the repeated ones that pad a piece."""
+    """Return the corners without the repeated ones that pad a piece."""
     return [point for i, point in enumerate(points) if point != points[i - 1]]

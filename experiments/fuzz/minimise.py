@@ -1,4 +1,4 @@
-"""Shrinking a failing case: whatever can be left out while the same fault shows is left out."""
+"""Shrinking of a failing case: parts are removed as long as the same fault remains."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ __all__ = ["minimised"]
 _MOST_TURNS = 400
 
 
-def minimised(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict], seconds: float = 5.0) -> Case:
-    """The smallest case found that fails in the same way.
+_SECONDS = 5.0  # time limit
+
+
+def minimised(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict]) -> Case:
+    """Return the smallest case found that fails in the same way.
 
     Args:
         case: A failing case.
-        wanted: How it fails.
+        wanted: Verdict of the failure.
         judge: Judges a case; an exception counts as another failure.
-        seconds: When to stop trying.
     """
-    deadline, best, progress = time.monotonic() + seconds, case, True
+    deadline, best, progress = time.monotonic() + _SECONDS, case, True
     for _ in range(_MOST_TURNS):
         if not progress:
             break
@@ -47,7 +49,7 @@ def _fails_alike(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict]) 
 
 
 def _smaller(case: Case) -> Iterator[Case]:
-    """Cases with something left out, the largest parts first."""
+    """Yield cases with a part removed, the largest parts first."""
     for edit in (_without_obstacles, _without_grid, _without_extras, _shorter_paths, _plainer_limits):
         yield from edit(case)
 
@@ -100,7 +102,7 @@ def _plainer_limits(case: Case) -> Iterator[Case]:
 
 
 def _shorter_paths(case: Case) -> Iterator[Case]:
-    """Fewer gears at the end, fewer knots or poses; the goal moves with the end of the path."""
+    """Yield fewer gears at the end, fewer knots or poses; the goal moves with the end of the path."""
     path = case.get("path")
     if not path or "law" in case or case.get("kind") != "paths":
         return

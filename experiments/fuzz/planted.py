@@ -1,6 +1,6 @@
 """Mistakes planted in the certificate: the fuzzer must find each of them.
 
-A plant replaces one attribute of `optdock.verification` by a version with one mistake, until it is taken out again.
+A plant temporarily replaces one attribute of `optdock.verification` by a version with one mistake.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["PLANTS", "planted"]
 
 
 class Plant(NamedTuple):
-    """A mistake: whose attribute is replaced, and what takes its place."""
+    """A mistake: the owner and the name of the replaced attribute, and the replacement."""
 
     owner: Any
     attribute: str
@@ -39,7 +39,7 @@ class Plant(NamedTuple):
 
 @contextlib.contextmanager
 def planted(name: str | None) -> Iterator[None]:
-    """The certificate with one mistake; None: with none."""
+    """Plant one mistake in the certificate for the duration of the context; None: no mistake."""
     if name is None:
         yield
         return
@@ -94,7 +94,7 @@ def _middle_cell_less(honest: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _without(problem: Any, rows: Any) -> Any:  # noqa: ANN401
-    """The problem without the piece in the middle of `rows`."""
+    """Return the problem without the piece in the middle of `rows`."""
     if not len(rows):
         return problem
     kept = np.delete(np.arange(len(problem.all_obstacles)), rows[len(rows) // 2])
@@ -102,7 +102,7 @@ def _without(problem: Any, rows: Any) -> Any:  # noqa: ANN401
 
 
 class _View:
-    """A problem with other obstacles, as the proof reads it."""
+    """A problem with other obstacles, as read by the proof."""
 
     def __init__(self, problem: Any, all_obstacles: Any) -> None:  # noqa: ANN401
         self._problem, self.all_obstacles = problem, all_obstacles
@@ -129,7 +129,7 @@ def _no_bend_of_lateral_jerk(honest: dict[str, Any]) -> dict[str, Any]:
 
 
 def _at_rest(honest: Callable[..., Any]) -> Callable[..., Any]:
-    """The marker as if it did not move in the camera's frame but for the second order."""
+    """Return the marker as if it moved in the camera's frame only to second order."""
 
     def mistaken(*arguments: Any) -> Any:  # noqa: ANN401
         advance = honest(*arguments)
@@ -139,7 +139,7 @@ def _at_rest(honest: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _one_edge(honest: Callable[..., Any]) -> Callable[..., Any]:
-    """Of a narrow cone the edge on one side alone."""
+    """Check only one edge of a narrow cone."""
 
     def mistaken(camera: Any, advance: Any) -> Any:  # noqa: ANN401
         if camera.field_of_view > np.pi:

@@ -1,4 +1,4 @@
-"""Whether a verdict of the library is its truth value; asked about every verdict that a kind of cases meets."""
+"""Consistency of a verdict's truth value with its content; applied to every verdict in all kinds of cases."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ __all__ = ["UntruthfulError", "says_yes"]
 
 
 class UntruthfulError(Exception):
-    """A verdict counts as true though it says no, or the other way round."""
+    """The truth value of a verdict contradicts its content."""
 
 
-# What a verdict says, by its evidence and by its words; a word that it does not have is not asked for.
+# Evidence and flags of a verdict; attributes that it does not have are skipped.
 _EVIDENCE: dict[str, Callable[[object], bool]] = {
     "violations": lambda broken: len(broken) == 0,  # type: ignore[arg-type]
     "unproven": lambda left: isinstance(left, dict) or len(left) == 0,  # type: ignore[arg-type]
     "certified": bool,
     "holds": bool,
-    "proven": lambda said: said is not False,  # a bound in metres elsewhere
-    "refuted": lambda said: not said,
+    "proven": lambda content: content is not False,  # elsewhere a bound in metres
+    "refuted": lambda content: not content,
     "outcome": lambda outcome: outcome.value != "failed",  # type: ignore[attr-defined]
     "status": lambda status: int(status) == 0,  # type: ignore[call-overload]
 }
 
 
 def says_yes(verdict: object) -> bool:
-    """The truth value of a verdict.
+    """Return the truth value of a verdict.
 
     Raises:
-        UntruthfulError: That is not what its evidence or one of its words says.
+        UntruthfulError: If it contradicts the evidence or a flag.
     """
-    said = {name: means(getattr(verdict, name)) for name, means in _EVIDENCE.items() if hasattr(verdict, name)}
-    if not said or bool(verdict) != all(said.values()):
-        raise UntruthfulError(f"{type(verdict).__name__}: counts as {bool(verdict)}, says {said}")
+    content = {name: means(getattr(verdict, name)) for name, means in _EVIDENCE.items() if hasattr(verdict, name)}
+    if not content or bool(verdict) != all(content.values()):
+        raise UntruthfulError(f"{type(verdict).__name__}: counts as {bool(verdict)}; content: {content}")
     return bool(verdict)

@@ -1,4 +1,4 @@
-"""Manoeuvres: from anywhere into the dock, or the proof that there is no way. `python -m experiments.manoeuvres`."""
+"""Manoeuvre benchmark: plans or impossibility proofs for hard docking problems; `python -m experiments.manoeuvres`."""
 
 import os
 import time
@@ -9,10 +9,10 @@ _CLOCK = "MANOEUVRES_CLOCK"
 
 
 def count_cpu_seconds() -> None:
-    """Let time budgets count CPU seconds of the process instead of wall clock, here and in processes started from here.
+    """Let time budgets count CPU seconds of this process and of processes started from it instead of wall clock.
 
-    On a machine that others use too, shares by wall clock say how busy it was. Call it before optdock is imported,
-    which binds the clock.
+    Results of wall-clock budgets depend on the load of the machine. Call before optdock is imported, because the clock
+    is bound at import.
     """
     os.environ[_CLOCK] = "cpu"
     time.monotonic = time.process_time

@@ -1,11 +1,11 @@
-"""The manoeuvre benchmark: `plan_dock` on the cases of `cases` and `hard_cases`, one thread, fixed settings.
+"""Manoeuvre benchmark: `plan_dock` on the cases of `cases` and `hard_cases`, one thread, fixed settings.
 
     python -m experiments.manoeuvres                                   # every family
     python -m experiments.manoeuvres --family obca --family "dock starts" --every 20
     python -m experiments.manoeuvres --budget 0.25 --figures
     python -m experiments.manoeuvres budgets --every 20                # 50 to 1000 ms on the same cases
 
-Writes results/manoeuvres/cases.csv (or budgets.csv), versions.json and, where asked for, a figure per case.
+Writes results/manoeuvres/cases.csv (or budgets.csv), versions.json and, with --figures, a picture per case.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from experiments.manoeuvres.run import Record
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-STEPS = (0.05, 0.1, 0.25, 0.5, 1.0)  # [s], of the experiment with budgets
+STEPS = (0.05, 0.1, 0.25, 0.5, 1.0)  # [s], budgets of the budget experiment
 FAMILIES = (
     *("tpcap", "obca", "dock starts", "open hall", "near dock", "blocked"),
     *("rack halls", "maze", "wrong way", "along a wall", "contact", "bays", "buildings", "forklifts"),
@@ -35,7 +35,7 @@ FAMILIES = (
 
 
 def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
-    """How to make each family."""
+    """Return the constructor of each family."""
     from experiments.manoeuvres import cases, hard_cases
 
     return {
@@ -60,7 +60,7 @@ def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
-    """The cases asked for: of each family one in so many, drawn, because tags come with periods of their own."""
+    """Return the selected cases: a random subset of each family, because tags repeat periodically within a family."""
     import numpy as np
 
     makers, found = families(options.seed), []
@@ -72,7 +72,7 @@ def chosen(options: argparse.Namespace) -> list[Case]:
 
 
 def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
-    """The cases of a family; none, and a line on stderr, where its files are missing."""
+    """Return the cases of a family; none, with a message on stderr, if its files are missing."""
     from optdock.errors import InvalidFile
 
     try:
@@ -83,12 +83,12 @@ def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
 
 
 def measured(options: argparse.Namespace, cases: Sequence[Case], budget: float | None) -> list[Record]:
-    """All records; how far it is, on stderr."""
-    from experiments.manoeuvres.run import ask_all
+    """Return all records; print progress on stderr."""
+    from experiments.manoeuvres.run import run_cases
 
     records = []
     figures = options.out / "figures" if options.figures else None
-    for record in ask_all(cases, budget, figures, options.jobs):
+    for record in run_cases(cases, budget, figures, options.jobs):
         records.append(record)
         if len(records) % 50 == 0:
             print(f"{len(records)} of {len(cases)}: {record.family}", file=sys.stderr, flush=True)
@@ -96,7 +96,7 @@ def measured(options: argparse.Namespace, cases: Sequence[Case], budget: float |
 
 
 def cases_command(options: argparse.Namespace) -> list[Record]:
-    """Every case once."""
+    """Run every case once."""
     from experiments.manoeuvres.tables import report
 
     records = measured(options, chosen(options), options.budget)
@@ -106,7 +106,7 @@ def cases_command(options: argparse.Namespace) -> list[Record]:
 
 
 def budgets_command(options: argparse.Namespace) -> list[Record]:
-    """The same cases with each of the budgets."""
+    """Run the same cases with each of the budgets."""
     from experiments.manoeuvres.tables import budget_table
 
     cases = chosen(options)
@@ -117,31 +117,33 @@ def budgets_command(options: argparse.Namespace) -> list[Record]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The options."""
+    """Return the argument parser."""
     made = argparse.ArgumentParser(
         prog="python -m experiments.manoeuvres",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     made.add_argument("command", nargs="?", default="cases", choices=("cases", "budgets"))
-    made.add_argument("--family", action="append", choices=FAMILIES, help="may be given several times; default: all")
-    made.add_argument("--only", default="", help="cases whose name holds this text")
-    made.add_argument("--every", type=int, default=1, help="only one case in so many, drawn by the seed")
-    made.add_argument("--budget", type=float, help="[s], instead of each family's own")
-    made.add_argument("--seed", type=int, default=11, help="of the drawn families (default: %(default)s)")
-    made.add_argument("--jobs", type=int, default=1, help="processes; times are comparable with one only")
     made.add_argument(
-        "--cpu-clock", action="store_true", help="budgets in CPU seconds: on a machine that others use too"
+        "--family", action="append", choices=FAMILIES, help="family to run; may be repeated; default: all"
     )
-    made.add_argument("--figures", action="store_true", help="a picture of every case")
-    made.add_argument("--out", type=Path, default=Path("results/manoeuvres"), help="folder (default: %(default)s)")
+    made.add_argument("--only", default="", help="run only the cases whose name contains this text")
+    made.add_argument("--every", type=int, default=1, help="run one of N cases, drawn by the seed")
+    made.add_argument("--budget", type=float, help="time budget [s]; default: that of each family")
+    made.add_argument("--seed", type=int, default=11, help="seed of the drawn families (default: %(default)s)")
+    made.add_argument("--jobs", type=int, default=1, help="number of processes; times are comparable only with one")
+    made.add_argument("--cpu-clock", action="store_true", help="count budgets in CPU seconds, for a loaded machine")
+    made.add_argument("--figures", action="store_true", help="draw a picture of every case")
+    made.add_argument(
+        "--out", type=Path, default=Path("results/manoeuvres"), help="output directory (default: %(default)s)"
+    )
     return made
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; the exit status is 1 where the independent check refuted a plan."""
+    """Run the command; exit status 1 if the independent check refuted a plan."""
     options = parser().parse_args(arguments)
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them once, when it is imported
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them only when it is imported
     if options.cpu_clock:
         count_cpu_seconds()
     from experiments.manoeuvres.run import csv_text, versions

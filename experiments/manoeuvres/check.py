@@ -1,10 +1,10 @@
-"""Every plan of the benchmark looked at again: poses, clearances and instants by the oracle of the fuzzer and shapely.
+"""Independent check of the benchmark's plans: poses, clearances and time law by the fuzzer's oracle and shapely.
 
-Nothing of `optdock.verification` is used. The path is driven by the oracle's own clothoids, at most 1 cm and 2 mrad
-from pose to pose; the outline's distance to the obstacles is shapely's. Only the list of obstacles is the problem's own
-(its cells of a map as rectangles), because the union of a warehouse of cells takes seconds.
+No code of `optdock.verification` is used. The path is sampled with the oracle's clothoids, at most 1 cm and 2 mrad
+between poses; distances of the outline to the obstacles are computed by shapely. Only the list of obstacles is that of
+the problem (map cells as rectangles), because the union of a warehouse map takes seconds.
 
-A fault is claimed only where a pose or an instant shows it, beyond twice the tolerance that the certificate states.
+A fault is reported only if a sample violates a bound by more than twice the tolerance of the certificate.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from experiments.fuzz.doors import law_spec, path_spec, problem_spec
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, start_run
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.oracle.world import placed
 
 if TYPE_CHECKING:
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 __all__ = ["Check", "checked"]
 
 STEP, TURN, PERIOD = 0.01, 0.002, 0.005  # [m], [rad], [s]
-_FORGIVEN = 2e-6  # [m]: twice the certificate's tolerance
-_ON_PATH = 1e-6  # [m], [rad] between the samples of the trajectory and the path
+_FORGIVEN = 2e-6  # [m]: twice the tolerance of the certificate
+_ON_PATH = 1e-6  # [m], [rad] between trajectory samples and path
 _STEERING = 1.0 + 2e-6  # relative
 _INSTANT = 1e-6  # [s]
-_SAME_PLACE = 1e-7  # [m]: where the robot rests
+_SAME_PLACE = 1e-7  # [m]: tolerance of rest positions
 _BATCH = 5000
 
 
 class Check(NamedTuple):
-    """What the samples show.
+    """Result of the check.
 
     Args:
-        faults: The broken rules, each once, with numbers; empty: none.
-        min_clearance: Smallest distance seen [m].
-        margin: Smallest distance less what is required there [m].
-        poses: How many were looked at.
+        faults: The violated rules with values, each once; empty: none.
+        min_clearance: Smallest sampled distance [m].
+        margin: Smallest difference of sampled and required distance [m].
+        poses: Number of sampled poses.
     """
 
     faults: tuple[str, ...]
@@ -59,12 +59,12 @@ class Check(NamedTuple):
 
 
 def checked(plan: DockPlan, problem: DockingProblem, start_relief: float | None = None) -> Check:
-    """Whether `plan` keeps what `problem` asks, as far as samples show.
+    """Check at samples whether `plan` satisfies all bounds of `problem`.
 
     Args:
-        plan: What is looked at.
+        plan: The plan.
         problem: The problem.
-        start_relief: Of the clearance rule [m]; None: of the plan's certificate.
+        start_relief: Start relief of the clearance rule [m]; None: that of the plan's certificate.
     """
     gears = path_spec(plan.path)
     motion = motion_of(gears)
@@ -84,12 +84,12 @@ def checked(plan: DockPlan, problem: DockingProblem, start_relief: float | None 
 
 
 def _spec(problem: DockingProblem) -> Spec:
-    """The problem as plain data, without the map, which only the clearance needs."""
+    """Return the problem as plain data, without the map, which only the clearance check uses."""
     return problem_spec(dataclasses.replace(problem, costmap=None, obstacles=()))
 
 
 def _poses(motion: Motion) -> Floats:
-    """Poses all along, ends of the pieces included. Shape (n, 3)."""
+    """Return poses along the whole path, including the ends of its pieces. Shape (n, 3)."""
     parts = np.maximum(1, np.ceil(np.maximum(motion.way / STEP, motion.turn / TURN))).astype(np.int64)
     piece = np.repeat(np.arange(parts.size), parts + 1)
     rank = np.arange(piece.size) - np.repeat(np.cumsum(parts + 1) - (parts + 1), parts + 1)
@@ -97,7 +97,7 @@ def _poses(motion: Motion) -> Floats:
 
 
 def _clearances(poses: Floats, problem: DockingProblem) -> Floats:
-    """Distance of the outline to the nearest obstacle; minus infinity where it overlaps one by more than rounding."""
+    """Return the distance of the outline to the nearest obstacle; -inf if they overlap by more than rounding."""
     found = np.full(len(poses), np.inf)
     if not len(problem.all_obstacles):
         return found
@@ -122,13 +122,13 @@ def _nearest(tree: Any, outline: Floats, poses: Floats) -> Floats:  # noqa: ANN4
 
 
 def _relief_faults(relief: float, spec: Spec) -> Iterator[str]:
-    """The run without growing clearance is no longer than the rule allows."""
+    """Check that the start relief is no longer than the rule allows."""
     if not 0.0 <= relief <= start_run(spec) * (1.0 + 1e-9):
         yield f"start relief of {relief:.4f} m, {start_run(spec):.4f} m are allowed"
 
 
 def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) -> Iterator[str]:
-    """Speeds, accelerations and rests of the time law; and that its samples every 5 ms lie on the path."""
+    """Check speeds, accelerations and rests of the time law, and that its samples every 5 ms lie on the path."""
     law = plan.trajectory.time_law
     timed = {
         "path": gears,
@@ -138,7 +138,7 @@ def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) 
         "start_speed": abs(spec["start_speed"]),
         "wheels": "unknown" if spec.get("start_curvature") is None else "known",
     }
-    verdict = judged(timed, motion)
+    verdict = judge_timing(timed, motion)
     values = {**verdict.ratios, **verdict.structure}
     yield from (f"{name}, {values[name]:.6g} x" for name in verdict.broken)
     samples = plan.trajectory.sample(PERIOD)
@@ -149,15 +149,15 @@ def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) 
 
 
 def _places(motion: Motion, s: Floats) -> tuple[Ints, Floats]:
-    """Piece and share at arc lengths."""
+    """Return piece and share at arc lengths."""
     piece = np.clip(np.searchsorted(motion.s, s, side="right") - 1, 0, motion.s.size - 1)
     return piece, np.clip((s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)
 
 
 def _steering_faults(plan: DockPlan, motion: Motion, problem: DockingProblem) -> Iterator[str]:
-    """Steering angle and rate, where the robot has limits of them; at cusps there is time to turn the wheels.
+    """Check steering angle and rate, if the robot limits them; the wheels turn at rest at cusps.
 
-    In reverse the wheels stand the other way for the same curvature along the travel.
+    The steering angle changes sign in reverse for the same curvature along the direction of travel.
     """
     limits = problem.robot.limits
     base = getattr(limits, "wheelbase", 0.0)

@@ -1,23 +1,22 @@
-"""Hard docking problems by family, drawn from seeds: long ways, little room, starts and docks at walls.
+"""Hard docking problems by family, drawn from seeds: long routes, little room, starts and docks at walls.
 
-| family | what |
+| family | content |
 |---|---|
 | rack halls | halls of 20 to 100 m full of racks; from one aisle to the end of another, to a wall or to a rack's end |
 | maze | four rooms in a row, doors of 0.9, 1.1 or 1.4 m that do not face each other; from the first into the last |
-| wrong way | a corridor whose end is behind the robot; it turns in a niche, in a junction, or by many short gears |
-| along a wall | a long wall 2 to 30 mm beside the start, the dock or both, where 5 cm are required elsewhere |
-| contact | starts that touch something, or all but: ahead, at the side, along the side, in a corner |
-| bays | a small car parks between cars, across or along the aisle, and leaves a bay along it |
-| buildings | the docks of `real_maps` on Nav2's maps from 10 to 40 m away, as a wide robot drives |
+| wrong way | a corridor whose end is behind the robot; it turns in a niche, in a junction, or with many cusps |
+| along a wall | a long wall 2 to 30 mm from the start, the dock or both; 5 cm are required elsewhere |
+| contact | starts in contact or nearly so: ahead, at a corner, along one side, in a corner of two walls |
+| bays | a small car parks between cars, across or along the aisle, and leaves a bay along the aisle |
+| buildings | the docks of `real_maps` on Nav2's maps from a route of 10 to 40 m, for a wide robot |
 | forklifts | 10 to 20 m along an aisle into a bay between pallets, forks first or last |
-| blocked straight | the straight before the dock is obstructed, everything else is open; nothing gets in |
-| open straight | the same with the obstacles 1 to 20 mm farther away than needed |
-| barely open | walls around the sweep of a driven motion, 1 to 20 mm farther away than required |
+| blocked straight | the straight before the dock is obstructed in an otherwise open scene; infeasible |
+| open straight | the same with the obstacles 1 to 20 mm farther apart than necessary |
+| barely open | walls around the swept area of a driven motion, 1 to 20 mm farther away than required |
 
-A driver with the robot's limits solves every scene but the blocked ones: places to turn are sized from turning radius
-and outline.
+All scenes except the blocked ones are feasible: places to turn are sized from turning radius and outline.
 
-Nav2's maps are looked for as in `cases`; every other family needs no file.
+Nav2's maps are searched as in `cases`; the other families need no files.
 """
 
 from __future__ import annotations
@@ -81,20 +80,20 @@ __all__ = [
 ]
 
 HALLS = (20.0, 30.0, 45.0, 60.0, 80.0, 100.0)  # [m], sides of the halls with racks
-RACK, CROSS_AISLE = 1.0, 3.0  # [m]: depth of a row of racks; width of an aisle across
+RACK, CROSS_AISLE = 1.0, 3.0  # [m]: depth of a row of racks; width of a cross aisle
 DOORS = (0.9, 1.1, 1.4)  # [m]
-BESIDE = (0.002, 0.03)  # [m] from a wall: start or dock
-PARALLEL = (1.2, 1.3, 1.5)  # lengths of the car: bays along the aisle
+BESIDE = (0.002, 0.03)  # [m]: distance of start or dock from a wall
+PARALLEL = (1.2, 1.3, 1.5)  # bay lengths along the aisle, in car lengths
 ALONG_RULE = dataclasses.replace(RULE, dock_run=2.0)
-CURB = 0.15  # [m] beside a parked car: what its tail swings out to as it turns its nose out of the bay
-ROUTE = (10.0, 40.0)  # [m] of free way through a building
+CURB = 0.15  # [m] from a parked car to a wall: room for the swing-out of the tail when the car leaves the bay
+ROUTE = (10.0, 40.0)  # [m] of free route through a building
 SPARE = (0.001, 0.002, 0.005, 0.01, 0.02)  # [m]
 _LENGTH, _WIDTH = ROBOT.footprint.length, ROBOT.footprint.width
-_NOSE = 0.6  # [m] from the robot's origin to the wall that carries its charger
-_HALF = 0.5 * _WIDTH + RULE.required  # [m]: half the strip that the robot needs straight on
+_NOSE = 0.6  # [m] from the robot's origin to the wall with the charger
+_HALF = 0.5 * _WIDTH + RULE.required  # [m]: half the width that the robot needs for straight motion
 
-# A car of 1.0 m x 0.5 m that turns within 0.88 m; bays are measured in its lengths and widths. Its origin is the middle
-# of the rear axle.
+# A car of 1.0 m x 0.5 m with a turning radius of 0.88 m; bays are given in its lengths and widths. Its origin is the
+# middle of the rear axle.
 CAR = Robot(
     Footprint.rectangle(0.8, 0.2, 0.5),
     MotionLimits(
@@ -111,7 +110,7 @@ CAR = Robot(
     Drive.ACKERMANN,
 )
 CAR_RULE = ClearanceRule(required=0.03, at_dock=0.0, taper=0.3)
-# A forklift of 2.6 m x 1.0 m, forks behind; it turns within 1.2 m about its load axle, which is its origin.
+# A forklift of 2.6 m x 1.0 m, forks behind, with a turning radius of 1.2 m around its load axle, which is its origin.
 FORKLIFT = Robot(
     Footprint.rectangle(1.7, 0.9, 1.0),
     MotionLimits(
@@ -142,12 +141,12 @@ def _sign(rng: np.random.Generator) -> float:
 def rack_halls(per_length: int = 5, seed: int = SEED) -> list[Case]:
     """From one aisle of a hall of racks to the end of another, to a wall, or to the end face of a rack.
 
-    Rows of racks run along y in blocks with cross aisles between them; the last block stands at the wall, so that its
-    aisles are dead ends. The robot starts along its aisle, either way. Tags name the side of the hall.
+    Rows of racks run along y in blocks with cross aisles between them; the last block stands at the wall, so its aisles
+    are dead ends. The robot starts along its aisle in either direction. Tags give the side length of the hall.
 
     Args:
-        per_length: How many in each hall.
-        seed: Of the draws.
+        per_length: Number of cases per hall size.
+        seed: Seed of the cases.
     """
     return [
         _rack_hall(side, number, _rng(seed, 1, round(side), number)) for side in HALLS for number in range(per_length)
@@ -159,7 +158,7 @@ class _Racks(NamedTuple):
 
     Args:
         rows: Middles of the rows, x [m].
-        aisle: Width of the aisles between them [m].
+        aisle: Width of the aisles between rows [m].
         blocks: Least and largest y of each block [m].
     """
 
@@ -175,7 +174,7 @@ class _Racks(NamedTuple):
 
     @property
     def polygons(self) -> list[FloatArray]:
-        """A rectangle per row and block."""
+        """Return a rectangle per row and block."""
         return [
             rectangle(x, 0.5 * (low + high), RACK, high - low) for x in self.rows.tolist() for low, high in self.blocks
         ]
@@ -218,13 +217,13 @@ def _at_rack_end(racks: _Racks, _: float, rng: np.random.Generator) -> Pose2:
 
 
 def maze(per_door: int = 8, seed: int = SEED) -> list[Case]:
-    """Four rooms in a row, joined by doors on alternating sides; from the first, any heading, to the end of the last.
+    """Four rooms in a row with doors on alternating sides; from any heading in the first to the end of the last.
 
-    Tags name the width of the doors.
+    Tags give the width of the doors.
 
     Args:
-        per_door: How many with each width.
-        seed: Of the draws.
+        per_door: Number of cases per door width.
+        seed: Seed of the cases.
     """
     return [
         _maze(wide, number, _rng(seed, 2, round(100 * wide), number)) for wide in DOORS for number in range(per_door)
@@ -247,14 +246,14 @@ def _maze(wide: float, number: int, rng: np.random.Generator) -> Case:
 
 
 def wrong_way(per_kind: int = 8, seed: int = SEED) -> list[Case]:
-    """A corridor with the dock at its end, which is behind the robot.
+    """A corridor with the dock at its end, behind the robot.
 
-    Tags say where it can turn: in a `niche` 1.3 to 1.6 m wide and as deep, at a `junction` with a side corridor, both
-    off a corridor of 1.35 to 1.6 m; or nowhere but in the corridor itself, `wide`, of 1.8 to 2.2 m.
+    Tags give the place to turn: a `niche` 1.3 to 1.6 m wide and as deep, or a `junction` with a side corridor, both
+    next to a corridor of 1.35 to 1.6 m; or only the corridor itself, `wide`, of 1.8 to 2.2 m.
 
     Args:
-        per_kind: How many of each kind.
-        seed: Of the draws.
+        per_kind: Number of cases per tag.
+        seed: Seed of the cases.
     """
     return [
         _wrong_way(kind, number, _rng(seed, 3, place, number))
@@ -276,7 +275,7 @@ def _wrong_way(kind: str, number: int, rng: np.random.Generator) -> Case:
 
 
 def _side_room(length: float, half: float, depth: float, rng: np.random.Generator) -> list[FloatArray]:
-    """A corridor of a length and half width with a room beside it, on the left of who comes from the dock or not."""
+    """Return a corridor of given length and half width with a room on one side, left or right as seen from the dock."""
     at, wide, top = rng.uniform(2.5, length - 3.0), rng.uniform(1.3, 1.6), half + depth
     low, high = at - 0.5 * wide, at + 0.5 * wide
     beside = [
@@ -288,16 +287,16 @@ def _side_room(length: float, half: float, depth: float, rng: np.random.Generato
 
 
 def along_a_wall(draws: int = 8, seed: int = SEED) -> list[Case]:
-    """A long wall 2 to 30 mm beside the robot, parallel to it, where it starts, where it docks or at both.
+    """A long wall 2 to 30 mm from the robot, parallel to it, at the start, at the dock or at both.
 
-    A docked robot stands as at a conveyor that is loaded from the side, and comes along the wall by a straight of
-    0.3 m; its clearance rule has a `dock_run` of 2 m. Tags say which. In those with `wall ends`, half as many, the wall
-    ends where the robot must begin to keep more distance than it has, so that straight on is a way. `dock, tapered` has
-    no `dock_run`, and is blocked: at 0.3 m before the dock 3 cm are required.
+    A docked robot stands as at a conveyor that is loaded from the side, and arrives along the wall by a straight of 0.3
+    m; its clearance rule has a `dock_run` of 2 m. Tags give the variant. With `wall ends` (half as many cases) the wall
+    ends where the robot must begin to increase its distance, so that straight motion is a solution. `dock, tapered` has
+    no `dock_run` and is infeasible: 0.3 m before the dock 3 cm are required.
 
     Args:
-        draws: How many with each tag that has no ending wall.
-        seed: Of the draws.
+        draws: Number of cases per tag without `wall ends`.
+        seed: Seed of the cases.
     """
     makers = {
         "start": (_start_along, draws),
@@ -320,23 +319,23 @@ def _gap_beside(rng: np.random.Generator) -> float:
 
 
 def _wall_below(begin: float, end: float) -> FloatArray:
-    """A wall under the x axis from one x to another."""
+    """Return a wall under the x axis between two x."""
     return rectangle(0.5 * (begin + end), -0.1, end - begin, 0.2)
 
 
 def _away(rng: np.random.Generator) -> Pose2:
-    """3 to 6 m away from the origin, well above the x axis, any heading."""
+    """Return a pose 3 to 6 m away from the origin, well above the x axis, any heading."""
     distance, bearing = rng.uniform(3.0, 6.0), rng.uniform(0.6, math.pi - 0.6)
     return Pose2(distance * math.cos(bearing), distance * math.sin(bearing), rng.uniform(-math.pi, math.pi))
 
 
 def _beside(gap: float, rng: np.random.Generator) -> Pose2:
-    """At the origin, parallel to a wall under the x axis, either way."""
+    """Return a pose at the origin, parallel to a wall under the x axis, in either direction."""
     return Pose2(0.0, 0.5 * _WIDTH + gap, 0.0 if rng.integers(2) else math.pi)
 
 
 def _start_along(rng: np.random.Generator) -> Scene:
-    """The dock stands free, or at a wall opposite."""
+    """Start along a wall; the dock is free, or at an opposite wall."""
     start, wall = _beside(_gap_beside(rng), rng), _wall_below(-15.0, 15.0)
     if rng.integers(2):
         return Scene(start, dock_at(_away(rng)), [wall])
@@ -361,13 +360,13 @@ def _both_along(rng: np.random.Generator) -> Scene:
 
 
 def _start_at_end(rng: np.random.Generator) -> Scene:
-    """After its own length straight on the robot is past the wall."""
+    """Start along a wall that ends after one robot length of straight motion."""
     start = Pose2(0.0, 0.5 * _WIDTH + _gap_beside(rng), 0.0)
     return Scene(start, dock_at(_away(rng)), [_wall_below(-15.0, rng.uniform(-0.2, 0.5 * _LENGTH - 0.05))])
 
 
 def _dock_at_end(rng: np.random.Generator) -> Scene:
-    """The wall begins beside the docked robot's nose, where straight on its clearance is the required one."""
+    """Dock along a wall that begins at the front of the docked robot, so that straight motion is a solution."""
     gap = _gap_beside(rng)
     begin = 0.5 * _LENGTH - 0.9 * gap / RULE.required * RULE.taper
     goal = Pose2(0.0, 0.5 * _WIDTH + gap, 0.0)
@@ -375,15 +374,15 @@ def _dock_at_end(rng: np.random.Generator) -> Scene:
 
 
 def contact(per_kind: int = 6, seed: int = SEED) -> list[Case]:
-    """Starts that touch, or have up to 1 mm (every other one), in a field that is open otherwise.
+    """Starts in contact, or (every other case) with up to 1 mm of clearance, in an otherwise open field.
 
-    Tags say what: a wall at the `nose`, a `post` at the side, a wall `flush` along the side, or both walls, `corner`.
-    The dock stands free, 2.5 to 5 m away on the open side. A car that touches a wall with its side cannot turn away
-    from it: it drives on beyond the wall's end, as out of a dock (`at_start` 0, `dock_run` 3 m).
+    Tags give the obstacle: a wall at the `nose`, a `post` at the side, a wall `flush` along the side, or both walls,
+    `corner`. The dock is free, 2.5 to 5 m away on the open side. A car with a wall along its side cannot turn away: it
+    drives on beyond the end of the wall, as out of a dock (`at_start` 0, `dock_run` 3 m).
 
     Args:
-        per_kind: How many of each kind.
-        seed: Of the draws.
+        per_kind: Number of cases per tag.
+        seed: Seed of the cases.
     """
     open_sides = {"nose": (math.pi, 1.0), "post": (0.0, math.pi), "flush": (-0.5 * math.pi, 1.0)}
     open_sides["corner"] = (-0.75 * math.pi, 0.6)
@@ -401,7 +400,7 @@ def contact(per_kind: int = 6, seed: int = SEED) -> list[Case]:
 
 
 def _touching(kind: str, gap: float, rng: np.random.Generator) -> list[FloatArray]:
-    """What stands `gap` from the robot at the origin [m]."""
+    """Return obstacles at distance `gap` from the robot at the origin [m]."""
     nose, side = 0.5 * _LENGTH + gap, 0.5 * _WIDTH + gap
     size = rng.uniform(0.06, 0.2)
     ahead, left = rectangle(nose + 0.1, 0.0, 0.2, 4.0), rectangle(0.0, side + 0.1, 4.0, 0.2)
@@ -410,15 +409,15 @@ def _touching(kind: str, gap: float, rng: np.random.Generator) -> list[FloatArra
 
 
 def bays(per_kind: int = 6, seed: int = SEED) -> list[Case]:
-    """A small car (`CAR`) and bays between cars of its own size, off an aisle of 1.8 to 2.2 m.
+    """A small car (`CAR`) and bays between cars of the same size, next to an aisle of 1.8 to 2.2 m.
 
-    Tags: `perpendicular`, into bays of 1.3 or 1.5 car widths; `parallel` with the bay's length in car lengths, and
-    `at a wall` where that is 5 cm beside the parked car, not 15; and `out of 1.2`, from such a bay to a dock along the
-    aisle. Into bays the last gear is forward, backward or either, in turn, and there is no straight at the end.
+    Tags: `perpendicular`, into bays of 1.3 or 1.5 car widths; `parallel` with the bay's length in car lengths, and `at
+    a wall` if the wall is 5 cm instead of 15 cm from the parked car; and `out of 1.2`, from such a bay to a dock along
+    the aisle. For bays the last gear is forward, backward or either, in turn, and there is no final straight.
 
     Args:
-        per_kind: How many with each tag.
-        seed: Of the draws.
+        per_kind: Number of cases per tag.
+        seed: Seed of the cases.
     """
     directions = tuple(DockDirection)
     cases = []
@@ -436,7 +435,7 @@ def bays(per_kind: int = 6, seed: int = SEED) -> list[Case]:
 
 
 def _parked(gap: float, size: tuple[float, float], aisle: float, behind: float) -> list[FloatArray]:
-    """Two cars on both sides of a gap, a wall so far `behind` them, and one across the aisle, which begins at y = 0.
+    """Return cars on both sides of a gap, a wall `behind` them, and one across the aisle, which begins at y = 0.
 
     `size`: extent of a car along x and y [m].
     """
@@ -447,13 +446,13 @@ def _parked(gap: float, size: tuple[float, float], aisle: float, behind: float) 
 
 
 def _in_aisle(aisle: float, rng: np.random.Generator) -> Pose2:
-    """A car along the aisle, either way, 1.5 to 4 m aside of the bay."""
+    """Return a pose along the aisle in either direction, 1.5 to 4 m from the bay."""
     x, y = _sign(rng) * rng.uniform(1.5, 4.0), 0.5 * aisle + rng.uniform(-0.2, 0.2)
     return Pose2(x, y, (0.0 if rng.integers(2) else math.pi) + rng.uniform(-0.1, 0.1))
 
 
 def _perpendicular(direction: DockDirection, rng: np.random.Generator) -> Scene:
-    """Nose in where the last gear is forward, tail in where it is backward, else one of the two."""
+    """Park nose in for a forward last gear, tail in for a backward one, otherwise at random."""
     length, wide, aisle = CAR.footprint.length, CAR.footprint.width, rng.uniform(1.8, 2.2)
     nose_in = direction is DockDirection.FORWARD or (direction is DockDirection.AUTO and bool(rng.integers(2)))
     goal = Pose2(0.0, -0.2, -0.5 * math.pi) if nose_in else Pose2(0.0, 0.2 - length, 0.5 * math.pi)
@@ -462,7 +461,7 @@ def _perpendicular(direction: DockDirection, rng: np.random.Generator) -> Scene:
 
 
 def _parallel(share: float, direction: DockDirection, rng: np.random.Generator, curb: float = CURB) -> Scene:
-    """Past the bay or before it, the car starts as it is to stand."""
+    """Park along the aisle; the car starts beyond or before the bay, with its final heading."""
     length, wide, aisle = CAR.footprint.length, CAR.footprint.width, rng.uniform(1.8, 2.2)
     start, goal = _in_aisle(aisle, rng), Pose2(0.2 - 0.5 * length, -0.5 * wide, 0.0)
     aligned = Pose2(start.x, start.y, rng.uniform(-0.1, 0.1))
@@ -477,17 +476,17 @@ def _out_of_bay(rng: np.random.Generator) -> Scene:
 
 
 def buildings(per_dock: int = 1, seed: int = SEED) -> list[Case]:
-    """To the docks of `real_maps` on Nav2's maps from elsewhere in the building, any heading. Tags name the map.
+    """To the docks of `real_maps` on Nav2's maps from other places of the building, any heading. Tags give the map.
 
-    The start's way to the scenario's own start, with a disc of 0.6 m radius, in which the robot can turn any corner, is
-    10 to 40 m long: drawn evenly by length, of what the map has.
+    The route from the start to the scenario's start, for a disc of 0.6 m radius in which the robot can turn, is 10 to
+    40 m long: drawn uniformly by length among the available routes.
 
     Args:
-        per_dock: How many starts for each dock.
-        seed: Of the draws.
+        per_dock: Number of starts per dock.
+        seed: Seed of the cases.
 
     Raises:
-        InvalidFile: A map is missing or broken.
+        InvalidFile: If a map is missing or broken.
     """
     cases = []
     for number, scenario in enumerate(SCENARIOS):
@@ -501,12 +500,12 @@ def buildings(per_dock: int = 1, seed: int = SEED) -> list[Case]:
 
 
 _DISC = 0.6  # [m]
-_COARSE = 0.15  # [m]: steps of the ways through a building, at most
+_COARSE = 0.15  # [m]: largest step of the routes through a building
 
 
 @functools.cache
 def _room_map(source: str) -> tuple[FloatArray, BoolArray]:
-    """Cells of a map: their middles, Shape (rows, columns, 2) [m], and whether the disc is free there."""
+    """Return the cell centres of a map, Shape (rows, columns, 2) [m], and whether the disc is free there."""
     from scipy import ndimage
 
     costmap = problem_of(next(one for one in SCENARIOS if one.map_name == source), data_folder() / "nav2/maps").costmap
@@ -519,9 +518,9 @@ def _room_map(source: str) -> tuple[FloatArray, BoolArray]:
 
 
 def _routes(scenario: MapScenario, problem: DockingProblem) -> tuple[FloatArray, FloatArray]:
-    """Places where the disc is free, Shape (n, 2) [m], and how long its way is from there to the scenario's start [m].
+    """Return free places of the disc, Shape (n, 2) [m], and the length of the route from each [m].
 
-    Ways are those of a king on the coarse cells: longer than the shortest by 8 % at most.
+    Routes end at the scenario's start and are 8-connected on a coarse grid: at most 8 % longer than the shortest route.
     """
     from scipy import sparse
 
@@ -546,7 +545,7 @@ def _routes(scenario: MapScenario, problem: DockingProblem) -> tuple[FloatArray,
 
 
 def _far_start(places: FloatArray, lengths: FloatArray, problem: DockingProblem, rng: np.random.Generator) -> Pose2:
-    """One of the places, the way from which has a drawn length or, where all are shorter, more than 10 m."""
+    """Return a place whose route has a drawn length or, if all are shorter, is longer than 10 m."""
     low, high = ROUTE
     longest = min(high, float(lengths[np.isfinite(lengths)].max()))
     wanted = rng.uniform(low, longest)
@@ -560,14 +559,14 @@ def _far_start(places: FloatArray, lengths: FloatArray, problem: DockingProblem,
 
 
 def forklifts(per_heading: int = 8, seed: int = SEED) -> list[Case]:
-    """A forklift (`FORKLIFT`), 10 to 20 m along an aisle of 4.4 to 5.2 m, and a bay between pallets beside it.
+    """A forklift (`FORKLIFT`), 10 to 20 m along an aisle of 4.4 to 5.2 m, into a bay between pallets next to the aisle.
 
-    It enters the bay forks first (backward) or last. Tags say how it stands in the aisle at the start: `towards` the
+    It enters the bay forks first (backward) or last. Tags give the heading in the aisle at the start: `towards` the
     bay, `away` from it, or `across`.
 
     Args:
-        per_heading: How many with each heading.
-        seed: Of the draws.
+        per_heading: Number of cases per heading.
+        seed: Seed of the cases.
     """
     turned = {"towards": math.pi, "away": 0.0, "across": 0.5 * math.pi}
     cases = []
@@ -580,14 +579,14 @@ def forklifts(per_heading: int = 8, seed: int = SEED) -> list[Case]:
 
 
 def _pallet_bay(heading: float, direction: DockDirection, rng: np.random.Generator) -> Scene:
-    """The bay is 1.35 to 1.5 m wide, below the x axis at x = 0; the aisle, above it, leads to the start at x > 0."""
+    """Return a bay 1.35 to 1.5 m wide, below the x axis at x = 0; the aisle above it leads to the start at x > 0."""
     aisle, half, deep = rng.uniform(4.4, 5.2), 0.5 * rng.uniform(1.35, 1.5), 1.3
     reach = rng.uniform(10.0, 20.0)
     backward = direction is DockDirection.BACKWARD
-    bottom = -deep + 0.05  # where the end of the forks, or of the bow, is
+    bottom = -deep + 0.05  # position of the end of the forks, or of the front
     goal = Pose2(0.0, bottom + 0.9, 0.5 * math.pi) if backward else Pose2(0.0, bottom + 1.7, -0.5 * math.pi)
     x, y = reach, 0.5 * aisle
-    if abs(math.cos(heading)) < 0.5:  # across the aisle, in its middle, either way
+    if abs(math.cos(heading)) < 0.5:  # across the aisle, in its middle, in either direction
         heading = _sign(rng) * heading
         y -= 0.4 * math.copysign(1.0, heading)
     else:
@@ -604,14 +603,14 @@ def _pallet_bay(heading: float, direction: DockDirection, rng: np.random.Generat
 
 
 def blocked_straight(draws: int = 4, seed: int = SEED) -> list[Case]:
-    """The straight before the dock is obstructed, everything else is open: nothing gets in.
+    """The straight before the dock is obstructed in an otherwise open scene: infeasible.
 
-    Tags say by what: a `post` on one side, a `gate` of two, or a `box` in the middle; and by how many centimetres the
-    strip, as wide as the robot and the required clearance on both sides, is too narrow there.
+    Tags give the obstacle: a `post` on one side, a `gate` of two, or a `box` in the middle; and by how many centimetres
+    the strip is narrower than the robot plus the required clearance on both sides.
 
     Args:
-        draws: Of every kind and every missing width.
-        seed: Of the draws.
+        draws: Number of cases per obstacle and missing width.
+        seed: Seed of the cases.
     """
     cases = []
     for number in range(draws):
@@ -624,11 +623,11 @@ def blocked_straight(draws: int = 4, seed: int = SEED) -> list[Case]:
 
 
 def open_straight(draws: int = 4, seed: int = SEED) -> list[Case]:
-    """The posts and gates of `blocked_straight`, 1 to 20 mm farther apart than needed. Tags say by how much.
+    """The posts and gates of `blocked_straight`, 1 to 20 mm farther apart than necessary. Tags give this width.
 
     Args:
-        draws: Of every kind and every width to spare.
-        seed: Of the draws.
+        draws: Number of cases per obstacle and spare width.
+        seed: Seed of the cases.
     """
     cases = []
     for number in range(draws):
@@ -642,10 +641,10 @@ def open_straight(draws: int = 4, seed: int = SEED) -> list[Case]:
 
 
 def _straight(kind: str, missing: float, rng: np.random.Generator, *, backward: bool) -> Scene:
-    """Obstacles along the strip of the straight, where all of the required clearance is asked for."""
+    """Return obstacles along the part of the straight where the full clearance is required."""
     straight, before = rng.uniform(0.6, 1.0), -1.0 if not backward else 1.0
     size = rng.uniform(0.1, 0.3)
-    # Behind the docked robot by 10 cm and more, and beside it somewhere on the straight.
+    # At least 10 cm behind the docked robot, and laterally next to the straight.
     away = rng.uniform(0.5 * _LENGTH + 0.1 + 0.5 * size, straight + 0.5 * _LENGTH - 0.1)
     posts, side = _posts(kind, missing, size), _sign(rng)
     placed = [post * [1.0, side] + [before * away, 0.0] for post in posts]
@@ -662,7 +661,7 @@ def _straight(kind: str, missing: float, rng: np.random.Generator, *, backward: 
 
 
 def _posts(kind: str, missing: float, size: float) -> list[FloatArray]:
-    """Square posts around x = 0 beside the strip, or a box in its middle."""
+    """Return square posts around x = 0 at the strip, or a box in its middle."""
     if kind == "box":
         return [rectangle(0.0, 0.0, size, size)]
     reach = _HALF - (missing if kind == "post" else 0.5 * missing)
@@ -671,12 +670,12 @@ def _posts(kind: str, missing: float, size: float) -> list[FloatArray]:
 
 
 class Witness(NamedTuple):
-    """A motion that docks, around which a scene is made.
+    """A feasible motion around which a scene is built.
 
     Args:
         case: The scene.
-        poses: All along the motion, its end is the docked pose, Shape (n, 3). It begins where the open part ends.
-        spare: What is to spare on each side [m].
+        poses: Poses of the motion to the docked pose, Shape (n, 3), from the end of the open part on.
+        spare: Spare width on each side [m].
     """
 
     case: Case
@@ -685,20 +684,20 @@ class Witness(NamedTuple):
 
 
 def barely_open(draws: int = 2, seed: int = SEED) -> list[Case]:
-    """Walls around the sweep of a driven motion, 1 to 20 mm farther away than required: never impossible.
+    """Walls around the swept area of a driven motion, 1 to 20 mm farther away than required: always feasible.
 
     Tags: a `straight slot` or an `arc slot` around the last 2 to 3 m, or a wall across the only room with a `gap` that
-    lets an arc through; and how much is to spare on each side. The room before it is open.
+    admits an arc; and the spare width on each side. The room before it is open.
 
     Args:
-        draws: Of every kind and every width to spare.
-        seed: Of the draws.
+        draws: Number of cases per obstacle and spare width.
+        seed: Seed of the cases.
     """
     return [one.case for one in witnesses(draws, seed)]
 
 
 def witnesses(draws: int = 2, seed: int = SEED) -> list[Witness]:
-    """The cases of `barely_open` and what was driven."""
+    """Return the cases of `barely_open` with their motions."""
     found = []
     for place, kind in enumerate(("straight slot", "arc slot", "gap")):
         for spare in SPARE:
@@ -709,7 +708,7 @@ def witnesses(draws: int = 2, seed: int = SEED) -> list[Witness]:
 
 
 def _witness(kind: str, spare: float, number: int, rng: np.random.Generator) -> Witness:
-    """The motion begins at the origin along x; the start lies up to 2.5 m before it."""
+    """Return a scene whose motion begins at the origin along x; the start lies up to 2.5 m before it."""
     drive = _drive(kind, rng)
     poses = drive.poses_at(np.linspace(0.0, drive.length, math.ceil(drive.length / 0.01) + 1))
     goal = Pose2(*poses[-1].tolist())
@@ -723,23 +722,23 @@ def _witness(kind: str, spare: float, number: int, rng: np.random.Generator) -> 
 
 
 def _drive(kind: str, rng: np.random.Generator) -> ClothoidSpline:
-    """1 m straight on, an arc with its run-in and run-out, and straight on; or straight on only."""
+    """Return a motion: 1 m straight, an arc with its transitions, and straight; or straight only."""
     bend, turn = _sign(rng) * rng.uniform(0.6, 1.1), rng.uniform(0.7, 1.2)
     if kind == "straight slot":
         bend = turn = 0.0
-    run = 0.35  # [m]: of the curvature, up and down; half of its rate's limit
+    run = 0.35  # [m]: transition of the curvature, up and down; half of the rate limit
     arc = max(turn / abs(bend) - run, 0.1) if bend else 1.0
     knots = np.cumsum([0.0, 1.0, run, arc, run, 0.5])
     return ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, np.array([0.0, 0.0, bend, bend, 0.0, 0.0]))
 
 
-# [m]: what the polygons around the sweep are wider for their own roundness: chords of arcs, corners between two poses,
-# and corners that are left out.
+# [m]: additional width of the polygons around the swept area, for chords of arcs, corners between two poses, and
+# omitted corners.
 _ROUNDNESS, _LEFT_OUT = 4e-4, 2e-4
 
 
 def _sweep(poses: FloatArray, spare: float) -> BaseGeometry:
-    """All that the robot needs on its way: outline, required clearance and the spare width around it."""
+    """Return the swept area of the outline, grown by the required clearance and the spare width."""
     import shapely
 
     goal = poses[-1, :2]
@@ -751,7 +750,7 @@ def _sweep(poses: FloatArray, spare: float) -> BaseGeometry:
 
 
 def _slot(poses: FloatArray, spare: float) -> list[FloatArray]:
-    """A wall around the sweep, open towards the start."""
+    """Return a wall around the swept area, open towards the start."""
     import shapely
 
     sweep = _sweep(poses, spare)
@@ -762,7 +761,7 @@ def _slot(poses: FloatArray, spare: float) -> list[FloatArray]:
 
 
 def _gap_wall(poses: FloatArray, spare: float) -> list[FloatArray]:
-    """A room with a wall across; its gap is the sweep's where the motion is in the middle of its bend."""
+    """Return a room with a wall across; its gap is the swept area in the middle of the bend."""
     import shapely
 
     low, high = poses[:, :2].min(axis=0) - [4.0, 2.0], poses[:, :2].max(axis=0) + 1.5

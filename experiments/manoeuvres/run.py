@@ -1,4 +1,4 @@
-"""One case asked once, what came of it, and tables of many."""
+"""Run of single cases, their records, and the CSV of all records."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from experiments.manoeuvres.cases import Case, Truth
     from optdock.planning.plan import DockPlan
 
-__all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "ask_all", "csv_text", "versions"]
+__all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "csv_text", "run_case", "run_cases", "versions"]
 
-# [s] of wall clock, fixed before any run: what a user of each family would wait for. Nothing else is set: every case is
-# `plan_dock(problem, time_budget=...)` with its defaults.
+# Budgets [s] of wall clock, fixed before any run: acceptable waiting times of each family. Nothing else is set: every
+# case is `plan_dock(problem, time_budget=...)` with its defaults.
 BUDGETS = {"tpcap": 5.0, "obca": 1.0, "dock starts": 1.0, "open hall": 0.3, "near dock": 1.0, "blocked": 1.0}
 _HARD = ("rack halls", "maze", "wrong way", "along a wall", "contact", "bays", "buildings", "forklifts")
 BUDGETS |= dict.fromkeys((*_HARD, "blocked straight", "open straight", "barely open"), 1.0)
@@ -39,26 +39,26 @@ CERTIFIED, IMPOSSIBLE, NOT_FOUND = "certified", "impossible (proven)", "not foun
 
 
 class Record(NamedTuple):
-    """What came of one case; lengths [m], times [s], numbers that there are not: NaN.
+    """Result of one case; lengths [m], times [s], missing numbers NaN.
 
     Args:
         outcome: `certified`, `impossible (proven)` (also an occupied start or goal) or `not found`.
-        error: Name of the error and its reason; empty when certified.
-        stage: What found the guess that became the plan.
-        tried: Every guess, and what became of it.
-        certificate: What is proven, in a line.
-        min_clearance: Proven least clearance.
-        margin: Proven least clearance less what is required.
-        start_relief: The run near the start that the certificate needs; 0 is the strict rule.
-        price: What plans are chosen by: the duration, and a price per cusp.
-        first: Wall clock until the first certified plan, where the plan says so; else an upper bound of it.
-        faults: What the independent check of a plan or of a proof found, and what the known truth of the scene denies;
-            empty: nothing.
-        seen_clearance: Least clearance that it saw.
-        outside: How far the robot's origin leaves `Case.bounds`.
-        bottleneck_error: From the place that a proof names to the true one, of blocked scenes.
-        missing_error: The width that a proof says is missing, less what truly is.
-        cause: Whether a proof names body or clearance rightly: `right`, `wrong`, or empty.
+        error: Name of the error and its reason; empty if certified.
+        stage: Source of the guess that became the plan.
+        tried: All guesses with their results.
+        certificate: Summary of the certificate.
+        min_clearance: Proven minimum clearance.
+        margin: Proven minimum of clearance minus required clearance.
+        start_relief: Start relief of the certificate; 0 is the strict rule.
+        price: Cost of the plan: its duration plus a penalty per cusp.
+        first: Wall clock until the first certified plan, or an upper bound of it.
+        faults: Faults found by the independent check of a plan or proof, and contradictions to the known truth of the
+            scene; empty: none.
+        seen_clearance: Minimum clearance of the independent check.
+        outside: Distance by which the robot's origin leaves `Case.bounds`.
+        bottleneck_error: Distance between the location named by a proof and the true one, for blocked scenes.
+        missing_error: Missing width named by a proof minus the true missing width.
+        cause: Whether a proof names body or clearance correctly: `right`, `wrong`, or empty.
     """
 
     name: str
@@ -88,27 +88,27 @@ class Record(NamedTuple):
     cause: str = ""
 
 
-def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
-    """Plan a case with `budget` [s], that of its family by default; check what comes back, and draw it."""
+def run_case(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
+    """Plan a case with `budget` [s], by default that of its family; check the result and draw it."""
     budget = BUDGETS[case.family] if budget is None else budget
-    return _held_against(_asked(case, budget, figure), case.truth)
+    return _compared_with_truth(_unchecked(case, budget, figure), case.truth)
 
 
-def _held_against(record: Record, truth: Truth | None) -> Record:
-    """A plan for a blocked scene is a fault, and so is a proof that an open one has no way."""
+def _compared_with_truth(record: Record, truth: Truth | None) -> Record:
+    """Report a plan for a blocked scene, or an impossibility proof for an open scene, as a fault."""
     denied = IMPOSSIBLE if truth is not None and truth.missing < 0.0 else CERTIFIED
     if truth is None or record.outcome != denied:
         return record
-    told = f"{record.outcome}, but {1e3 * truth.missing:g} mm are missing"
-    return record._replace(faults="; ".join(filter(None, (record.faults, told))))
+    contradiction = f"{record.outcome}, but {1e3 * truth.missing:g} mm are missing"
+    return record._replace(faults="; ".join(filter(None, (record.faults, contradiction))))
 
 
-def _asked(case: Case, budget: float, figure: Path | None) -> Record:
+def _unchecked(case: Case, budget: float, figure: Path | None) -> Record:
     timer = Timer()
     try:
         plan = plan_dock(case.problem, time_budget=budget)
         wall, cpu = timer.wall, timer.cpu
-    except Exception as error:  # what is no `OptdockError` is a fault of its own, and must not end a long run
+    except Exception as error:  # an exception that is no `OptdockError` is a fault and must not end a long run
         wall, cpu = timer.wall, timer.cpu
         record = Record(case.name, case.family, case.tag, budget, _word(error), wall=wall, cpu=cpu)
         return _refused(record, case, error, figure)
@@ -147,7 +147,7 @@ def _outside(case: Case, plan: DockPlan) -> float:
 
 
 def _word(error: Exception) -> str:
-    # A proof of impossibility is known by what it carries: its class is younger than this benchmark.
+    # A proof of impossibility is detected by its attributes, because older versions lack its class.
     proven = getattr(error, "proof", None) is not None or isinstance(error, StartOccupied | GoalOccupied)
     return IMPOSSIBLE if proven else NOT_FOUND
 
@@ -161,18 +161,18 @@ def _refused(record: Record, case: Case, error: Exception, figure: Path | None) 
     reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
     record = record._replace(error=reason, tried=_tried(left))
     proof = getattr(error, "proof", None)
-    return record if proof is None else _judged(record, case, proof)
+    return record if proof is None else _proof_checked(record, case, proof)
 
 
-def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
-    """A proof beside the truth, and judged by the checker that did not make it."""
+def _proof_checked(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
+    """Compare a proof with the truth, and check it with the independent checker."""
     from optdock.impossibility import check_impossibility
 
     verdict, found, truth = check_impossibility(proof, case.problem), proof.bottleneck, case.truth
     record = record._replace(faults="" if verdict.proven else f"proof refused: {verdict.reason}")
     if found is None or truth is None or truth.place is None:
         return record
-    # The body is as tight in a gap wherever along its length the gap holds it: so much is not an error.
+    # In a gap of some length the bottleneck can be anywhere along that length: such a distance is not an error.
     dx, dy = found.x - truth.place[0], found.y - truth.place[1]
     c, s = math.cos(truth.heading or 0.0), math.sin(truth.heading or 0.0)
     beyond = max(0.0, abs(c * dx + s * dy) - 0.5 * case.problem.robot.footprint.length)
@@ -183,7 +183,7 @@ def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 -
     )
 
 
-# What a plan says of its search is read where it says it: the benchmark also runs planners that have one guess only.
+# The report of the search is optional: the benchmark also runs planners with a single guess.
 def _stage(plan: DockPlan) -> str:
     return str(getattr(plan, "stage", "")) or "DockPlanner"
 
@@ -193,7 +193,7 @@ def _tried(found: DockPlan | PartialPlan) -> str:
 
 
 def _first(plan: DockPlan, wall: float) -> float:
-    """Wall clock until the first certified plan [s]: as told; else all planning and what was tried until then."""
+    """Return the wall clock until the first certified plan [s], or that of all attempts if unreported."""
     if "first" in plan.timing_ms:
         return 1e-3 * plan.timing_ms["first"]
     spent = 1e-3 * plan.timing_ms.get("plan", 0.0)
@@ -220,10 +220,10 @@ def _draw(
     )
 
 
-def ask_all(
+def run_cases(
     cases: Sequence[Case], budget: float | None = None, figures: Path | None = None, jobs: int = 1
 ) -> Iterator[Record]:
-    """Every case, in turn; in `jobs` processes of one thread each (times are comparable with one only)."""
+    """Yield every record, in order, from `jobs` single-thread processes (times are comparable only with one)."""
     targets = [None if figures is None else figures / f"{_file_name(case)}.png" for case in cases]
     tasks = [(case, budget, target) for case, target in zip(cases, targets, strict=True)]
     if jobs == 1:
@@ -231,18 +231,18 @@ def ask_all(
         for number, task in enumerate(tasks):
             if number % 20 == 0:
                 gc.collect()
-            yield ask(*task)
+            yield run_case(*task)
         return
     with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_prepare) as pool:
-        yield from pool.map(_ask_one, tasks, chunksize=4)
+        yield from pool.map(_run_task, tasks, chunksize=4)
 
 
 def _prepare() -> None:
     warm_up()
 
 
-def _ask_one(task: tuple[Case, float | None, Path | None]) -> Record:
-    return ask(*task)
+def _run_task(task: tuple[Case, float | None, Path | None]) -> Record:
+    return run_case(*task)
 
 
 def _file_name(case: Case) -> str:
@@ -250,7 +250,7 @@ def _file_name(case: Case) -> str:
 
 
 def versions() -> dict[str, str]:
-    """What ran."""
+    """Return the versions of all software involved."""
     names = ("optdock", "numpy", "scipy", "casadi", "shapely", "ruckig")
     found = {name: importlib.metadata.version(name) for name in names}
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
@@ -262,7 +262,7 @@ def versions() -> dict[str, str]:
 
 
 def csv_text(records: Iterable[Record]) -> str:
-    """One row per case."""
+    """Return a CSV text with one row per case."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(Record._fields)

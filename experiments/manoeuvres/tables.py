@@ -1,4 +1,4 @@
-"""The tables of the benchmark: shares and times by family, proofs against their truth, budgets, how calls end."""
+"""Tables of the manoeuvre benchmark: rates and times by family, proofs against the truth, budgets, refusals."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 __all__ = ["budget_table", "report", "summary"]
 
-# [s]: the durations of the solutions that AutomatedValetParking (wenqing, BSD-2) publishes for the cases it solves
-# without a collision, by an independent evaluator; planned in 46 s to 207 s.
+# [s]: durations of the solutions published by AutomatedValetParking (wenqing, BSD-2) for the cases that it solves
+# without a collision, by an independent evaluator; planning took 46 s to 207 s.
 REFERENCE_DURATIONS = {"case 1": 10.82, "case 2": 14.37, "case 3": 14.22, "case 6": 14.34, "case 9": 37.73}
 
 _NUMBERS = re.compile(r"-?\d[\d.e+-]*")
 _LETTERS = {CERTIFIED: "C", IMPOSSIBLE: "I", NOT_FOUND: "."}
-_SAME = 1e-6  # relative: what counts as no worse
+_SAME = 1e-6  # relative tolerance of equal prices
 
 
 def report(records: Sequence[Record]) -> Iterator[str]:
-    """Every table that has rows, and a line for each plan or proof that the independent check refuted."""
+    """Return all tables that have rows, and a line for each plan or proof refuted by the independent check."""
     families = {one.family for one in records}
     yield str(summary(records))
     own = {"tpcap": reference_table, "near dock": grid_table, "blocked": proof_table, "blocked straight": proof_table}
@@ -45,7 +45,7 @@ def report(records: Sequence[Record]) -> Iterator[str]:
 
 
 def summary(records: Sequence[Record]) -> Table:
-    """A row per family and per tag in it."""
+    """Return a row per family and per tag."""
     header = ("cases", "n", "certified", "impossible", "not found", "certified %")
     header = (
         *header,
@@ -67,8 +67,8 @@ def summary(records: Sequence[Record]) -> Table:
         if tags != [family]:
             rows += [_row(f"  {tag}", [one for one in members if one.tag == tag]) for tag in tags]
     note = (
-        "CPU of whole calls, whatever their end; first: wall clock until the first certified plan; s, m: duration and "
-        "length of the plans; refuted: certified plans in which the independent check saw a fault"
+        "CPU of whole calls with any result; first: wall clock until the first certified plan; s, m: duration and "
+        "length of the plans; refuted: certified plans with a fault found by the independent check"
     )
     return Table("Manoeuvres", header, tuple(rows), note)
 
@@ -93,17 +93,18 @@ def _row(name: str, records: Sequence[Record]) -> tuple[object, ...]:
 
 
 def refusal_table(records: Sequence[Record]) -> Table:
-    """What the others were told, by family: errors with their numbers left out."""
-    told = Counter((one.family, _NUMBERS.sub("#", one.error)[:110]) for one in records if one.error)
+    """Return the refusals by family, with the numbers removed from the messages."""
+    refusals = Counter((one.family, _NUMBERS.sub("#", one.error)[:110]) for one in records if one.error)
     stages = Counter((one.family, f"certified: {one.stage}") for one in records if one.outcome == CERTIFIED)
     rows = [
-        (family, text, n) for (family, text), n in sorted((told + stages).items(), key=lambda kv: (kv[0][0], -kv[1]))
+        (family, text, n)
+        for (family, text), n in sorted((refusals + stages).items(), key=lambda kv: (kv[0][0], -kv[1]))
     ]
-    return Table("How calls end", ("family", "what was said", "n"), tuple(rows))
+    return Table("How calls end", ("family", "message", "n"), tuple(rows))
 
 
 def reference_table(records: Sequence[Record]) -> Table:
-    """The competition's cases beside the durations of an independent planner that are free of collisions."""
+    """Return the competition's cases next to the durations of an independent planner that are free of collisions."""
     rows = []
     for one in records:
         if one.family == "tpcap":
@@ -115,7 +116,7 @@ def reference_table(records: Sequence[Record]) -> Table:
 
 
 def grid_table(records: Sequence[Record]) -> Table:
-    """Starts near the dock: a row per offset, a letter per distance, nearest first; feasibility should not flicker."""
+    """Return starts near the dock as a grid: a row per lateral offset, a letter per distance, nearest first."""
     rows = [
         (tag, "".join(_LETTERS[one.outcome] for one in some), sum(one.outcome == NOT_FOUND for one in some))
         for tag, some in ((tag, list(found)) for tag, found in groupby(records, key=lambda one: one.tag))
@@ -125,7 +126,7 @@ def grid_table(records: Sequence[Record]) -> Table:
 
 
 def proof_table(records: Sequence[Record]) -> Table:
-    """Blocked scenes: how many are proven, how soon, and how right the proofs are."""
+    """Return statistics of blocked scenes: number of proofs, their time and accuracy."""
     header = (
         "blocked",
         "n",
@@ -157,7 +158,7 @@ def proof_table(records: Sequence[Record]) -> Table:
 
 
 def budget_table(by_budget: Mapping[float, Sequence[Record]]) -> Table:
-    """A row per budget. `lost`: certified with the budget before, and not with this one; `worse`: at a higher price."""
+    """Return a row per budget. `lost`: certified only with the previous budget; `worse`: at a higher price."""
     header = ("budget ms", "n", "certified", "impossible", "lost", "worse", "price s p50")
     header = (*header, "late ms p50", "p99", "worst", "late cpu ms worst")
     before, rows = None, []
@@ -179,7 +180,7 @@ def budget_table(by_budget: Mapping[float, Sequence[Record]]) -> Table:
             )
         )
         before = records
-    note = "price: duration and what the search asks for a cusp; late: elapsed less budget, negative when early"
+    note = "price: duration plus a penalty per cusp; late: elapsed less budget, negative when early"
     return Table("Budgets", header, tuple(rows), note)
 
 

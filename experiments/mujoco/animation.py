@@ -1,4 +1,4 @@
-"""A drive into the dock in MuJoCo's physics, drawn by MuJoCo, as an animated GIF; needs the extra `sim`."""
+"""Animated GIF of a docking in MuJoCo, rendered by MuJoCo; needs the extra `sim`."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ _COLOURS = 64
 
 
 def save_mujoco_animation(target: str | Path, drive: MujocoDrive, states: Sequence[PlantState]) -> None:
-    """Draw a drive into the dock from above its right side, ten frames a second, faster where it is long.
+    """Write an animation of a docking, seen from above its right side, ten frames a second, time-lapse for long runs.
 
-    The projection is parallel: one metre has one length in the whole picture along the dock's axis, and one across.
+    The projection is parallel: the scale is constant along the dock's axis and across it.
 
     Args:
-        target: Where; a GIF.
+        target: GIF file to write.
         drive: The plant that made the states.
-        states: Of the drive, the oldest first.
+        states: States of the plant, the oldest first.
 
     Raises:
-        MissingExtra: MuJoCo is not installed, or nothing on this machine can draw.
-        InvalidValue: There are less than two states, or they are of another plant.
-        InvalidFile: The file cannot be written.
+        MissingExtra: If MuJoCo is not installed, or this machine cannot render.
+        InvalidValue: If there are fewer than two states, or they are of another plant.
+        InvalidFile: If the file cannot be written.
     """
     from PIL import Image as Images
     from PIL import ImageDraw
@@ -73,14 +73,14 @@ def save_mujoco_animation(target: str | Path, drive: MujocoDrive, states: Sequen
 
 
 def _words(states: Sequence[PlantState]) -> str:
-    """Time, and the largest force of the station so far."""
+    """Return a caption: time, and the largest contact force so far."""
     forces = [state.physics.force for state in states if isinstance(state.physics, MujocoPhysics)]
     largest = max(float(np.max(np.hypot(force[:, 0], force[:, 1]), initial=0.0)) for force in forces)
     return f"{states[-1].time:.1f} s   largest contact force {largest:.0f} N"
 
 
 class _Camera:
-    """Pictures of a plant's data, seen so that the whole drive fits; freed when `closing` closes."""
+    """Renderer of a plant's data with the whole run in view; released when `closing` closes."""
 
     def __init__(self, drive: MujocoDrive, states: Sequence[PlantState], closing: ExitStack) -> None:
         self._mujoco = mujoco = load_mujoco()
@@ -99,7 +99,7 @@ class _Camera:
         view.lookat[:] = *middle, 0.0
         view.distance, view.azimuth, view.elevation = 10.0, 90.0 + math.degrees(dock.pose.yaw), _ELEVATION
         view.orthographic = drive.model.vis.global_.orthographic = 1
-        drive.model.vis.global_.fovy = tall  # of a parallel projection the height of the picture [m]
+        drive.model.vis.global_.fovy = tall  # in a parallel projection the height of the picture [m]
         drive.model.vis.global_.offwidth = max(self._width, drive.model.vis.global_.offwidth)
         drive.model.vis.global_.offheight = max(self._height, drive.model.vis.global_.offheight)
         canvas = _canvas(self._width, self._height)
@@ -111,7 +111,7 @@ class _Camera:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
 
     def picture(self, trace: FloatArray) -> Image:
-        """The plant as its data are now, and where its axle has been, Shape (n, 2) [m]."""
+        """Return a picture of the current data of the plant and of the trace of its axle, Shape (n, 2) [m]."""
         from PIL import Image as Images
 
         mujoco, scene = self._mujoco, self._scene
@@ -140,10 +140,14 @@ class _Camera:
 
 
 def _canvas(width: int, height: int) -> Any:  # noqa: ANN401 - one of three classes of MuJoCo's
-    """An OpenGL context to draw in, by what this machine has; `MUJOCO_GL` decides where it is set."""
-    asked = os.environ.get("MUJOCO_GL", "").lower()
+    """Return an OpenGL context of the first available kind, or of the kind in `MUJOCO_GL`."""
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
     kinds = (
-        (asked,) if asked in ("egl", "osmesa", "glfw") else ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
+        (chosen,)
+        if chosen in ("egl", "osmesa", "glfw")
+        else ("egl", "osmesa")
+        if sys.platform == "linux"
+        else ("glfw",)
     )
     reasons = []
     for kind in kinds:
@@ -155,7 +159,7 @@ def _canvas(width: int, height: int) -> Any:  # noqa: ANN401 - one of three clas
 
 
 def _opened(kind: str, width: int, height: int) -> tuple[Any, str]:
-    """A context of this kind, or None and why not; drivers and PyOpenGL raise what they like."""
+    """Return a context of this kind, or None and the reason; drivers and PyOpenGL raise arbitrary exceptions."""
     try:
         return import_module(f"mujoco.{kind}").GLContext(width, height), ""
     except Exception as error:

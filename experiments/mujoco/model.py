@@ -1,7 +1,7 @@
-"""The physical model: our robot and station written into a MuJoCo model file.
+"""MuJoCo model of a robot and its docking station.
 
-A `Robot` says where it may drive and how fast; how heavy it is, on which wheels it stands and how hard its bumper is
-says a `Chassis`. Nothing here needs MuJoCo: the result is text.
+A `Robot` defines outline and limits; a `Chassis` defines mass, wheels and bumper stiffness. This module does not need
+MuJoCo: the result is text.
 """
 
 from __future__ import annotations
@@ -27,42 +27,43 @@ if TYPE_CHECKING:
 
 __all__ = ["Chassis", "docking_model"]
 
-_RIGHT_ANGLE = 1e-9  # cosine below which two edges stand square: a rectangle is a box, whose contacts are exact
+_RIGHT_ANGLE = 1e-9  # largest cosine of a right angle: a rectangle becomes a box, whose contacts are exact
 _CASTER = 0.03  # [m], radius
-_CASTER_SHARE = 0.3  # of the weight; the tyres carry the rest and hold on to the floor with it
-_SAG = 0.005  # [m] that the casters' springs yield under it: stiff enough that the robot hardly nods
+_CASTER_SHARE = 0.3  # of the weight; the tyres carry the rest, which determines their grip
+_SAG = 0.005  # [m], deflection of the casters' springs under that weight: stiff enough for little pitch
 _GRAVITY = 9.81  # [m/s^2], as in the model file
-_SERVO_TIME = 0.01  # [s] in which the motors bring the wheels to their speed; a slower drive has an `Actuation`
-# Inertia of motor and gear as the wheel feels it, over that of half the robot: usual for geared motors. A wheel much
-# lighter than its servo is stiff would slip in every acceleration, as MuJoCo finds contact forces without the servo.
+_SERVO_TIME = 0.01  # [s], time constant of the wheel speed servo; slower drives have an `Actuation`
+# Inertia of motor and gear at the wheel, relative to that of half the robot: usual for geared motors. A wheel that is
+# much lighter than its servo is stiff would slip in every acceleration, because MuJoCo computes contact forces without
+# the servo.
 _ROTOR_SHARE = 0.1
 _LEAST_RESTITUTION = 0.14  # just over exp(-2)
-_STALL = 3.0  # times the force of the largest acceleration: a drive's usual reserve
+_STALL = 3.0  # ratio to the force of the largest acceleration: the usual reserve of a drive
 
 
 @dataclass(frozen=True)
 class Chassis:
-    """What physics must know of a robot that its outline and limits do not say.
+    """Physical properties of a robot in addition to its outline and limits.
 
     Args:
         area_density: Mass of the body per area of the outline [kg/m^2]; 100: 30 kg for 0.6 m x 0.5 m.
-        mass: Of the body [kg]; None: by area density.
-        track_width: Between the wheels [m]; None: that of the limits, or 0.8 of the outline's width where they have
-            none.
+        mass: Mass of the body [kg]; None: by area density.
+        track_width: Distance between the wheels [m]; None: that of the limits, or 0.8 of the outline's width if they
+            have none.
         wheel_radius: [m].
-        wheel_torque: Largest torque at either wheel [N m]; None: three times what the largest acceleration or
-            deceleration of the limits takes.
+        wheel_torque: Largest torque at either wheel [N m]; None: three times the torque of the largest acceleration or
+            deceleration of the limits.
         tyre_friction: Coefficient of friction between tyre and floor [1]; rubber on a smooth floor.
-        caster_friction: Likewise of the casters, whose rolling resistance it is [1].
-        bumper_friction: Likewise between robot and station [1]; plastic on metal.
-        bumper_stiffness: Force per depth at which robot and station yield where they touch [N/m]. Peaks of the contact
-            force go with its root; 1e5 is a rubber pad of 5 cm^2, 20 mm thick, with a modulus of 4 MPa.
-        restitution: Speed after a bounce over speed before [1]; at least 0.14, that of critical damping.
-        bumper: Lower and upper edge of the body, which is what touches the station [m].
+        caster_friction: Coefficient of friction of the casters, which models their rolling resistance [1].
+        bumper_friction: Coefficient of friction between robot and station [1]; plastic on metal.
+        bumper_stiffness: Contact force per depth between robot and station [N/m]. Peaks of the contact force scale with
+            its square root; 1e5 is a rubber pad of 5 cm^2, 20 mm thick, with a modulus of 4 MPa.
+        restitution: Ratio of the speeds after and before a bounce [1]; at least 0.14, that of critical damping.
+        bumper: Lower and upper edge of the body that touches the station [m].
 
     Raises:
-        InvalidValue: A value is not finite and > 0 (frictions: >= 0), the restitution not in [0.14, 1), or the
-            bumper's upper edge not above the lower one.
+        InvalidValue: If a value is not finite and > 0 (frictions: >= 0), the restitution is not in [0.14, 1), or the
+            bumper's upper edge is not above the lower one.
     """
 
     area_density: float = 100.0
@@ -96,29 +97,30 @@ class Chassis:
             )
 
     def track_of(self, robot: Robot) -> float:
-        """Distance between the wheels of `robot` [m]."""
+        """Return the distance between the wheels of `robot` [m]."""
         return self.track_width or robot.limits.track_width or 0.8 * robot.footprint.width
 
     def mass_of(self, robot: Robot) -> float:
-        """Mass of the body of `robot` [kg]; its wheels and casters come to 1.4 kg."""
+        """Return the mass of the body of `robot` [kg]; its wheels and casters add 1.4 kg."""
         return self.mass or self.area_density * float(signed_area(robot.footprint.vertices))
 
     def torque_of(self, robot: Robot) -> float:
-        """Largest torque at either wheel of `robot` [N m]."""
+        """Return the largest torque at either wheel of `robot` [N m]."""
         hardest = max(robot.limits.max_acceleration, robot.limits.max_deceleration)
         return self.wheel_torque or 0.5 * _STALL * self.mass_of(robot) * hardest * self.wheel_radius
 
 
 def docking_model(robot: Robot, dock: Dock, chassis: Chassis | None = None) -> str:
-    """The model of `robot` in front of the station of `dock`, as a MuJoCo model file (MJCF).
+    """Return the model of `robot` in front of the station of `dock`, as a MuJoCo model file (MJCF).
 
     Args:
         robot: A differential drive.
-        dock: Its station stands immovable where the dock is; without one nothing is there to be touched.
-        chassis: Masses, wheels, bumper; the default one if None.
+        dock: Dock with an immovable station; without a footprint there is no station.
+        chassis: Masses, wheels, bumper; None: the default.
 
     Raises:
-        InvalidValue: The robot is no differential drive, or has no caster's length before or behind its axle.
+        InvalidValue: If the robot is no differential drive, or its outline has no room for casters before or behind its
+            axle.
     """
     if robot.drive is not Drive.DIFFERENTIAL:
         raise InvalidValue(f"mujoco: the model is a differential drive, the robot's drive is {robot.drive.value}")
@@ -145,10 +147,10 @@ def docking_model(robot: Robot, dock: Dock, chassis: Chassis | None = None) -> s
 
 
 def _write_wheels(model: _Model, robot: Robot, chassis: Chassis) -> None:
-    """Tyres and motors."""
+    """Write tyres and motors."""
     radius, half_track = chassis.wheel_radius, 0.5 * chassis.track_of(robot)
     torque = chassis.torque_of(robot)
-    inertia = 0.5 * chassis.mass_of(robot) * radius**2  # of half the robot, as a wheel feels it
+    inertia = 0.5 * chassis.mass_of(robot) * radius**2  # of half the robot, at a wheel
     gain = inertia / _SERVO_TIME
     for side, y in (("left", half_track), ("right", -half_track)):
         model.set("body", f"{side} wheel", pos=_words(0.0, y, radius))
@@ -160,21 +162,19 @@ def _write_wheels(model: _Model, robot: Robot, chassis: Chassis) -> None:
 
 
 def _write_casters(model: _Model, robot: Robot, chassis: Chassis) -> None:
-    """At both ends, on springs that are loaded so that the robot stands level."""
+    """Write casters at both ends, on preloaded springs, so that the robot stands level."""
     import shapely
 
     ends = robot.footprint.vertices[:, 0]
     front, rear = float(ends.max()) - _CASTER, float(ends.min()) + _CASTER
     if front < _CASTER or rear > -_CASTER:
-        raise InvalidValue(
-            "mujoco: the robot's outline must reach 6 cm before and behind its axle, where casters stand"
-        )
+        raise InvalidValue("mujoco: the robot's outline must extend 6 cm before and behind its axle, to the casters")
     weight = _GRAVITY * chassis.mass_of(robot)
     ahead = float(shapely.Polygon(robot.footprint.vertices).centroid.x)
     loads = {"front": weight * (ahead - _CASTER_SHARE * rear) / (front - rear)}
     loads["rear"] = _CASTER_SHARE * weight - loads["front"]
     stiffness = 0.5 * _CASTER_SHARE * weight / _SAG
-    damping = math.sqrt(0.5 * stiffness * chassis.mass_of(robot))  # half of the critical one
+    damping = math.sqrt(0.5 * stiffness * chassis.mass_of(robot))  # half of the critical damping
     for end, x in (("front", front), ("rear", rear)):
         model.set("body", f"{end} caster", pos=_words(x, 0.0, _CASTER))
         spring = {
@@ -187,10 +187,9 @@ def _write_casters(model: _Model, robot: Robot, chassis: Chassis) -> None:
 
 
 def _damping_ratio(restitution: float) -> float:
-    """Of the linear spring and damper that throw a mass back with this share of its speed [1].
+    """Return the damping ratio of a linear spring and damper with this coefficient of restitution [1].
 
-    They part when the force between them is gone, before the spring is at rest [Schwager2007]; the ratio is found by
-    halving, as the share falls with it.
+    Contact ends when the force vanishes, before the spring is relaxed [Schwager2007]; the ratio is found by bisection.
     """
     low, high = 0.0, 1.0
     while high - low > 1e-12:
@@ -202,19 +201,19 @@ def _damping_ratio(restitution: float) -> float:
 
 
 class _Model:
-    """A model file that is filled in."""
+    """Template of a model file."""
 
     def __init__(self, text: str) -> None:
         self._root = ElementTree.fromstring(text)
 
     def set(self, kind: str, name: str, **attributes: str) -> None:
-        """Attributes of the element of this kind and name."""
+        """Set attributes of the element of this kind and name."""
         found = self._root.find(f".//{kind}[@name='{name}']")
         assert found is not None, f"the model file has no {kind} {name}"
         found.attrib.update(attributes)
 
     def set_default(self, name: str, **attributes: str) -> None:
-        """Attributes of all geoms of a class."""
+        """Set attributes of all geoms of a class."""
         found = self._root.find(f".//default[@class='{name}']/geom")
         assert found is not None, f"the model file has no class {name}"
         found.attrib.update(attributes)
@@ -222,7 +221,7 @@ class _Model:
     def add_prisms(
         self, body: str, outline: Footprint, heights: tuple[float, float], attributes: dict[str, str]
     ) -> None:
-        """The convex pieces of an outline, from the lower to the upper height [m], as geoms of a body."""
+        """Add the convex pieces of an outline, from the lower to the upper height [m], as geoms of a body."""
         parent, assets = self._root.find(f".//body[@name='{body}']"), self._root.find("asset")
         assert parent is not None
         assert assets is not None
@@ -236,13 +235,13 @@ class _Model:
             ElementTree.SubElement(parent, "geom", {"name": name, **attributes, **shape})
 
     def text(self) -> str:
-        """The file."""
+        """Return the text of the file."""
         ElementTree.indent(self._root)
         return ElementTree.tostring(self._root, encoding="unicode")
 
 
 def _box(vertices: FloatArray, heights: tuple[float, float]) -> dict[str, str]:
-    """A rectangle as a box; empty where the piece is none."""
+    """Return the attributes of a rectangular piece as a box; empty for other pieces."""
     edges = np.roll(vertices, -1, axis=0) - vertices
     sides = np.hypot(edges[:, 0], edges[:, 1])
     if (
@@ -260,5 +259,5 @@ def _box(vertices: FloatArray, heights: tuple[float, float]) -> dict[str, str]:
 
 
 def _words(*values: float) -> str:
-    """Numbers as the file wants them, each to its last digit."""
+    """Return numbers in the format of the file, with full precision."""
     return " ".join(repr(float(value)) for value in values)

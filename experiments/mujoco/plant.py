@@ -1,8 +1,8 @@
-"""The robot with masses, tyres, motors and a bumper, in MuJoCo [Todorov2012]; needs the extra `sim`.
+"""Robot with masses, tyres, motors and a bumper in MuJoCo [Todorov2012]; needs the extra `sim`.
 
-Every step of the physics gives the force between robot and station and the slip of the wheels; every step of the plant
-the true pose and what the wheels' encoders say. A state holds everything that the physics needs to go on from it: equal
-states and commands give equal states, bit for bit, in whatever order they are asked for.
+Every step of the physics records the force between robot and station and the slip of the wheels; every step of the
+plant returns the true pose and the encoder readings. A state contains the full state of the physics: equal states and
+commands give equal states, bit for bit, in any order of the calls.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoDrive", "MujocoPhysics", "load_mujoco"]
 
-_TOUCH = 1.0  # [N]: a switch that closes at the weight of 100 g, be it for a millisecond
-_SETTLING = 1000  # steps of the physics in which a robot that was put on the floor sinks into its tyres, 1 s
+_TOUCH = 1.0  # [N]: a switch that closes under a weight of 100 g, even for a millisecond
+_SETTLING = 1000  # steps of the physics in which a robot placed on the floor settles on its tyres, 1 s
 
 
 def load_mujoco() -> Any:  # noqa: ANN401 - MuJoCo is read without its types
-    """The module `mujoco`.
+    """Return the module `mujoco`.
 
     Raises:
-        MissingExtra: It is not installed.
+        MissingExtra: If it is not installed.
     """
     try:
         import mujoco
@@ -44,13 +44,13 @@ def load_mujoco() -> Any:  # noqa: ANN401 - MuJoCo is read without its types
 
 
 class MujocoPhysics(NamedTuple):
-    """What happened during a step of the plant, and what the physics goes on from.
+    """Physical quantities of a step of the plant, and the state to continue from.
 
     Attributes:
-        force: Of the station on the robot in every step of the physics, along and across the docked robot's heading,
-            Shape (n, 2) [N]: negative along pushes a robot that came forward back out of its dock.
+        force: Force of the station on the robot in every step of the physics, along and across the docked robot's
+            heading, Shape (n, 2) [N]: a negative longitudinal force pushes a robot in a forward dock back out.
         slip: Speed of the left and right rim over the floor, in every step of the physics, Shape (n, 2) [m/s].
-        snapshot: MuJoCo's own state.
+        snapshot: State of MuJoCo.
     """
 
     force: FloatArray
@@ -61,25 +61,25 @@ class MujocoPhysics(NamedTuple):
 class MujocoDrive:
     """A differential drive and a docking station with masses and contact.
 
-    Commands go to the wheels as speeds, which motors of limited torque follow; what becomes of the robot is up to tyres
-    and contact. It is a `Plant`; the `physics` of its states is a `MujocoPhysics`.
+    Commands set wheel speeds, which motors of limited torque follow; tyres and contact determine the motion. It is a
+    `Plant`; the `physics` of its states is a `MujocoPhysics`.
 
     Args:
-        robot: A differential drive; its drive limits cut every command.
-        dock: Where the station stands.
-        chassis: Masses, wheels, bumper; the default one if None.
-        actuation: Lags, latency, dead band and gains ahead of the motors; the default is none of them.
-        period: Duration of a step that does not say its own [s].
+        robot: A differential drive; its drive limits clip every command.
+        dock: Dock with its station.
+        chassis: Masses, wheels, bumper; None: the default.
+        actuation: Lags, latency, dead band and gains of the motors; the default has none.
+        period: Default duration of a step [s].
 
     Attributes:
-        model: MuJoCo's model, for whoever wants to look at or draw it.
-        data: MuJoCo's data, likewise; the next `step` overwrites it.
-        timestep: Of the physics [s].
+        model: MuJoCo's model, for inspection or rendering.
+        data: MuJoCo's data, for inspection or rendering; the next `step` overwrites it.
+        timestep: Time step of the physics [s].
         track_width: Distance between the wheels [m].
 
     Raises:
-        MissingExtra: MuJoCo is not installed.
-        InvalidValue: The robot is no differential drive, or has no room for casters; or the period is not > 0.
+        MissingExtra: If MuJoCo is not installed.
+        InvalidValue: If the robot is no differential drive or has no room for casters, or the period is not > 0.
     """
 
     def __init__(
@@ -107,11 +107,11 @@ class MujocoDrive:
         self._settled: FloatArray | None = None
 
     def at_rest(self, pose: Pose2) -> PlantState:
-        """The robot standing at `pose`, no command under way."""
+        """Return the robot at rest at `pose`, without pending commands."""
         return self.moving(pose, Twist2())
 
     def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
-        """The robot rolling at `pose` with a steady body velocity, which goes on until the first command arrives."""
+        """Return the robot at `pose` with a steady body velocity, which lasts until the first command arrives."""
         data = self.data
         if self._settled is None:
             self._settled = self._rest_position()
@@ -130,10 +130,10 @@ class MujocoDrive:
         return PlantState(pose, twist, twist, 0.0, drive, drive, contact=False, physics=physics)
 
     def step(self, state: PlantState, command: Twist2, duration: float | None = None) -> PlantState:
-        """The state `duration` [s] later, or one period later, `command` being given now.
+        """Return the state after `duration` [s], by default one period, with `command` given now.
 
         Raises:
-            InvalidValue: The duration is not finite and > 0, or the state is none of a `MujocoDrive`.
+            InvalidValue: If the duration is not finite and > 0, or the state is not of a `MujocoDrive`.
         """
         if duration is None:
             duration = self.period
@@ -146,7 +146,7 @@ class MujocoDrive:
         forces: list[FloatArray] = []
         slips: list[tuple[float, float]] = []
         for seconds, wanted in pieces:
-            # On one grid of the physics' own steps, however long a step of the plant is.
+            # On a fixed grid of physics steps, for any duration of a plant step.
             count = round((time + seconds) / self.timestep) - round(time / self.timestep)
             time += seconds
             for _ in range(count):
@@ -171,26 +171,26 @@ class MujocoDrive:
         )
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:  # noqa: ARG002 - a plant's
-        """Refused: the station of this plant stops the robot itself.
+        """Refuse: the station of this plant stops the robot physically.
 
         Raises:
             InvalidValue: Always.
         """
-        raise InvalidValue("mujoco: the physics has a station of its own; give the world none")
+        raise InvalidValue("mujoco: the physics contains the station; the world must have none")
 
     def show(self, state: PlantState) -> None:
-        """Bring `data` into a state, for whoever wants to look at or draw it."""
+        """Set `data` to a state, for inspection or rendering."""
         self._enter(state)
         self._mujoco.mj_forward(self.model, self.data)
 
     def _enter(self, state: PlantState) -> None:
         if not (isinstance(state.physics, MujocoPhysics) and len(state.physics.snapshot) == self._size):
             raise InvalidValue("mujoco: the state must be one that a MujocoDrive of the same robot made")
-        snapshot = state.physics.snapshot.copy()  # older versions of MuJoCo ask for one that may be written into
+        snapshot = state.physics.snapshot.copy()  # older versions of MuJoCo require a writable array
         self._mujoco.mj_setState(self.model, self.data, snapshot, self._kind)
 
     def _actuate(self, drive: tuple[float, float], wanted: tuple[float, float]) -> tuple[float, float]:
-        """Tell the motors the velocity that is due on the way to the wanted one, and return it."""
+        """Command the motors with the current velocity on the way to the wanted one, and return it."""
         a, step = self.actuation, self.timestep
         linear = first_order(drive[0], wanted[0], a.linear_lag, step)[1]
         angular = first_order(drive[1], wanted[1], a.angular_lag, step)[1]
@@ -198,13 +198,13 @@ class MujocoDrive:
         return linear, angular
 
     def _on_robot(self, forces: list[FloatArray]) -> FloatArray:
-        """Of the station, in the docked robot's frame, from those of the robot on it in the world's."""
+        """Return the force on the robot in the docked robot's frame, from contact forces in the world frame."""
         on_station = np.array(forces).reshape(-1, 2)
         c, s = math.cos(self.dock.pose.yaw), math.sin(self.dock.pose.yaw)
         return readonly(-on_station @ np.array([[c, -s], [s, c]]))
 
     def _rest_position(self) -> FloatArray:
-        """Joint positions of the robot settled on its tyres, far from the station."""
+        """Return the joint positions of the robot settled on its tyres, far from the station."""
         data = self.data
         self._mujoco.mj_resetData(self.model, data)
         data.qpos[:2] = self.dock.pose.x - 100.0, self.dock.pose.y
@@ -226,24 +226,24 @@ class MujocoDrive:
         return Pose2(x, y, yaw_before + normalize_angle(yaw - yaw_before))
 
     def _twist(self) -> Twist2:
-        """Of the robot over the floor, whatever its wheels do."""
+        """Return the velocity of the robot over the floor, independent of the wheels."""
         vx, vy, _, _, _, yaw_rate = self.data.qvel[:6].tolist()
         c, s = self._heading()
         return Twist2(c * vx + s * vy, yaw_rate, c * vy - s * vx)
 
     def _heading(self) -> tuple[float, float]:
-        """Cosine and sine of the yaw."""
+        """Return cosine and sine of the yaw."""
         a, b, c, d = self.data.qpos[3:7].tolist()
         x, y = 1.0 - 2.0 * (c * c + d * d), 2.0 * (a * d + b * c)
         return x / math.hypot(x, y), y / math.hypot(x, y)
 
     def _wheel_speeds(self, linear: float, angular: float) -> tuple[float, float]:
-        """Of the left and the right wheel [rad/s]."""
+        """Return the angular speeds of the left and the right wheel [rad/s]."""
         side, radius = 0.5 * self.track_width * angular, self.chassis.wheel_radius
         return (linear - side) / radius, (linear + side) / radius
 
     def _slip(self) -> tuple[float, float]:
-        """Speed of the left and the right rim over the floor [m/s]."""
+        """Return the speeds of the left and the right rim over the floor [m/s]."""
         vx, vy, _, _, _, yaw_rate = self.data.qvel[:6].tolist()
         left, right = self.data.qvel[self._rates].tolist()
         c, s = self._heading()

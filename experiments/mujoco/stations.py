@@ -1,7 +1,7 @@
-"""Stations that a robot touches: a flat contact plate, and a V that a nose on the robot fits into.
+"""Docking stations for contact simulation: a flat contact plate, and a V that fits a nose on the robot.
 
-Both are outlines in the docked robot's frame, as `Dock.footprint` wants them: what is planned around, what is proven
-and what the physics collides with is one and the same polygon.
+Both are outlines in the docked robot's frame, as for `Dock.footprint`: planning, certificate and physics use the same
+polygon.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ __all__ = ["VShape", "flat_station"]
 def flat_station(
     robot: Footprint, *, width: float = 0.4, depth: float = 0.1, direction: DockDirection = DockDirection.FORWARD
 ) -> Footprint:
-    """A plate across the robot's front, or rear, which touches it when docked.
+    """Return a plate across the robot's front, or rear, in contact with the docked robot.
 
     Args:
         robot: Outline of the robot.
-        width: Of the plate, centred on the robot's axis [m].
-        depth: Of the plate along that axis [m].
-        direction: Gear in which the robot comes, forward or backward.
+        width: Width of the plate, centred on the robot's axis [m].
+        depth: Depth of the plate along that axis [m].
+        direction: Docking gear, forward or backward.
 
     Raises:
-        InvalidValue: A size is not > 0, or the direction is auto.
+        InvalidValue: If a size is not > 0, or the direction is auto.
     """
     half, depth = 0.5 * _positive(width, "width"), _positive(depth, "depth")
     gear = _gear(direction)
@@ -44,11 +44,11 @@ class VShape(NamedTuple):
     """A V that opens towards the robot, and the nose that fits it.
 
     Attributes:
-        half_angle: Between the axis and either wing [rad].
-        mouth: Half the width between the ends of the wings [m]: a nose that arrives so far aside is still caught.
-        wall: Thickness of the station around the V [m]. The nose is wider than the mouth by as much on either side, so
+        half_angle: Angle between the axis and either wing [rad].
+        mouth: Half the distance between the ends of the wings [m]: largest lateral offset at which the nose is caught.
+        wall: Thickness of the station around the V [m]. The nose is wider than the mouth by this on either side, so
             that it touches the wings before the robot's front does.
-        direction: Gear in which the robot comes, forward or backward; the nose is at that end.
+        direction: Docking gear, forward or backward; the nose is at that end.
     """
 
     half_angle: float = math.radians(45.0)
@@ -57,15 +57,15 @@ class VShape(NamedTuple):
     direction: DockDirection = DockDirection.FORWARD
 
     def with_nose(self, front: float, rear: float, width: float) -> Footprint:
-        """A rectangular robot with the nose in the middle of its front, or rear.
+        """Return a rectangular robot with the nose in the middle of its front, or rear.
 
         Args:
-            front: From the axle to the front, without the nose [m].
-            rear: From the axle to the rear, likewise [m].
-            width: Of the robot [m], at least that of the nose.
+            front: Distance from the axle to the front, without the nose [m].
+            rear: Distance from the axle to the rear, without the nose [m].
+            width: Width of the robot [m], at least that of the nose.
 
         Raises:
-            InvalidValue: The V is none, or the nose wider than the robot.
+            InvalidValue: If the V is invalid, or the nose is wider than the robot.
         """
         self._check()
         half, base = 0.5 * finite_number(width, "footprint: width"), self.mouth + self.wall
@@ -78,10 +78,10 @@ class VShape(NamedTuple):
         return Footprint(np.array(outline) * (gear, 1.0))
 
     def station(self, robot: Footprint) -> Footprint:
-        """The V around the nose of a docked robot; `with_nose` makes such a robot.
+        """Return the V around the nose of a docked robot made by `with_nose`.
 
         Raises:
-            InvalidValue: The V is none.
+            InvalidValue: If the V is invalid.
         """
         self._check()
         gear = _gear(self.direction)

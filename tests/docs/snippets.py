@@ -1,7 +1,7 @@
-"""The code blocks of a page, and how they are run: in order, in one process, in a folder of the page's own.
+"""Code blocks of a page, run in order, in one process, in a separate folder per page.
 
-A block of text below one that is run, under the same heading, shows what that prints: every line of it but `...` must
-be among what it prints now, its numbers within a share of 2 % or a unit in their last place.
+A text block below a block that is run, under the same heading, shows its output: every line except `...` must be among
+the printed lines, with numbers within 2 % or a unit in their last place.
 """
 
 import contextlib
@@ -30,15 +30,15 @@ _FENCE = re.compile(
 _HEADING = re.compile(r"^#+ ", re.MULTILINE)
 _TITLE = re.compile(r'title="([^"]+)"')
 _TRIES = 5
-_WITHIN = 0.02  # [1]: of a figure that is printed
+_WITHIN = 0.02  # [1]: relative tolerance of printed figures
 _STATUS = re.compile(r"#\s*exit status (\d)\s*$")
 
 
 class Block(NamedTuple):
     """A fenced block.
 
-    Its language, the file that it is or empty, its text, its line, why it is not run, and whether a heading stands
-    between it and the block before.
+    Its language, its file name or empty, its text, its line, the reason why it is not run, and whether a heading
+    separates it from the previous block.
     """
 
     language: str
@@ -50,7 +50,7 @@ class Block(NamedTuple):
 
 
 def blocks_of(page):
-    """The fenced blocks of a page, in order."""
+    """Return the fenced blocks of a page, in order."""
     text, end = page.read_text(encoding="utf-8"), 0
     for found in _FENCE.finditer(text):
         head = found["head"].strip()
@@ -68,10 +68,10 @@ def blocks_of(page):
 
 
 def run_page(page, folder):
-    """Run every block of a page that is not marked; what one defines the next ones know.
+    """Run every block of a page that is not excluded, in one namespace.
 
     Returns:
-        How many blocks were run.
+        Number of blocks that were run.
     """
     (folder / "examples").symlink_to(ROOT / "examples")
     known, count, printed = {"__name__": "__page__"}, 0, None
@@ -94,9 +94,9 @@ def run_page(page, folder):
 
 
 def _run_python(block, known, where):
-    """What did not end in time is asked for again: deadlines are real, and so are busy machines.
+    """Run a Python block; repeat it if it did not end in time, because deadlines are real and machines may be loaded.
 
-    What needs an extra that is not installed ends there. Returns what is printed.
+    A missing extra ends the block. Returns the output.
     """
     code = compile("\n" * block.line + block.body, where, "exec")
     for _ in range(_TRIES):
@@ -120,7 +120,7 @@ def _run_shell(block, known, where):
 
 
 def not_printed(text, printed):
-    """The first line of a block that none of the printed lines is; None: every line is printed."""
+    """Return the first line of a block that is not among the printed lines; None if all lines are printed."""
     lines = printed.splitlines()
     wanted = (line for line in text.splitlines() if line.strip() not in {"", "..."})
     return next((one for one in wanted if not any(measured.are_alike(one, line, _WITHIN) for line in lines)), None)

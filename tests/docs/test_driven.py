@@ -1,4 +1,4 @@
-"""Law: a snippet, an example, an experiment or a server uses every entry point and every name of the front door."""
+"""Every entry point and every name of the front door is used by a snippet, an example, an experiment or a server."""
 
 import re
 from importlib.metadata import entry_points
@@ -15,7 +15,7 @@ PLUGINS = sorted(entry.name for kind in INTERFACES for entry in entry_points(gro
 
 
 def what_runs():
-    """Snippets of the pages, examples, experiments, servers, and what commands and calls use where nobody chooses."""
+    """Return the text of snippets, examples, experiments and servers, and the defaults of commands and calls."""
     for page in (*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"):
         yield from FENCES.findall(page.read_text(encoding="utf-8"))
     for folder, pattern in (
@@ -43,6 +43,6 @@ def test_every_name_of_the_front_door_is_used_somewhere(name):
     assert re.search(rf"\b{name}\b", RUN)
 
 
-def test_a_name_that_nobody_runs_is_noticed():
+def test_unused_name_is_found():
     assert len(PLUGINS) >= 17
     assert not re.search(r"\bGracefulController\b", RUN)

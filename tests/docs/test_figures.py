@@ -1,4 +1,4 @@
-"""Figures in the documentation: those that the code knows are right, the others name what prints them."""
+"""Figures in the documentation: computed numbers are correct, the others name the command that prints them."""
 
 import importlib
 import re
@@ -17,7 +17,7 @@ COMMANDS = sorted({one.command for one in MARKED if one.command})
 KNOWN = {"optdock": optdock, "ROOT": ROOT, "cases": cases, "len": len, "sorted": sorted}
 
 
-def test_there_is_something_to_compare():
+def test_figures_are_found():
     assert len(COUNTED) >= 2
     assert len(COMMANDS) >= 2
 
@@ -25,12 +25,12 @@ def test_there_is_something_to_compare():
 @pytest.mark.parametrize(
     ("page", "one"), COUNTED, ids=[f"{page.stem}: {one.number} {one.expression}" for page, one in COUNTED]
 )
-def test_a_number_that_the_code_knows_is_what_it_says(page, one):
+def test_computed_numbers(page, one):
     assert one.number == eval(one.expression, dict(KNOWN)), page
 
 
-def test_every_mark_is_one():
-    """A misspelt mark would check nothing."""
+def test_markers_are_valid():
+    """A misspelt marker would check nothing."""
     for page in measured.PAGES:
         text = page.read_text(encoding="utf-8")
         assert len(measured.measured_in(page)) == len(re.findall("<!-- *(?:measure|figure)", text)), page
@@ -46,7 +46,7 @@ def test_every_table_of_measured_figures_names_its_command():
 
 
 def script_of(command):
-    """The files of a command."""
+    """Return the files of a command."""
     words = command.split()
     name = words[2].replace(".", "/") if words[1] == "-m" else words[1]
     path = ROOT / name
@@ -60,7 +60,7 @@ def script_of(command):
     "one", [one for one in MARKED if one.command], ids=lambda one: f"{one.command} {one.rows[0][0]}"
 )
 def test_a_table_has_columns_that_its_command_prints(one):
-    """Renamed in either place, the comparison would find nothing to compare: the names stand in the code."""
+    """Otherwise nothing would be compared after a rename: the column names must occur in the code."""
     files = script_of(one.command)
     assert files
     assert all(path.is_file() for path in files), files
@@ -95,14 +95,14 @@ noisy  MPC       99/100   0.1 / 0.2 / 0.3  9.9
     [
         ("| executor | 100/100 | 0.3 / 0.7 / 1.8 |", ""),
         ("| executor | 100/100 | 0.3 / 0.7 / 1.9 |", ""),  # a unit in the last place
-        ("| executor | 100/100 | 0.3 / 0.7 / 0.8 |", "row 2, across, mm: '0.3 / 0.7 / 0.8', printed is"),
+        ("| executor | 100/100 | 0.3 / 0.7 / 0.8 |", "row 2, across, mm: '0.3 / 0.7 / 0.8', printed:"),
         ("| executor | 70/100 | 0.3 / 0.7 / 1.8 |", "row 2, docked"),
         ("| tracker | 100/100 | 0.3 / 0.7 / 1.8 |", "row 2, method"),
         ("| tracker | 72/100 | 5.0 / 12 / 15.5 |\n| law | 1/100 | 1 / 2 / 3 |", "3 rows, printed are 2"),
-        ("", ""),  # rows may be left out
+        ("", ""),  # rows may be omitted
     ],
 )
-def test_a_figure_that_is_another_one_by_now_is_found(tmp_path, row, wrong):
+def test_changed_figure_is_found(tmp_path, row, wrong):
     table = marked(
         tmp_path, f"| method | docked | across, mm |\n|---|---|---|\n| law | 72/100 | 5.0 / 12 / 15.5 |\n{row}\n"
     )
@@ -111,7 +111,7 @@ def test_a_figure_that_is_another_one_by_now_is_found(tmp_path, row, wrong):
     assert not wrong or found[0].startswith(wrong)
 
 
-def test_a_table_that_nobody_prints_is_found(tmp_path):
+def test_missing_table_is_found(tmp_path):
     table = marked(tmp_path, "| method | colour |\n|---|---|\n| law | 1 |\n")
     assert "prints no table with the columns method, colour" in measured.compared(table, PRINTED)[0]
 
@@ -132,6 +132,6 @@ def test_a_line_that_is_not_printed_is_found():
 @pytest.mark.parametrize("name", sorted(charts.CHARTS))
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_chart_shows_the_table_of_its_page(name, scheme):
-    """Draw them again with `python docs/tools/charts.py` where the table has changed."""
+    """Draw them again with `python docs/tools/charts.py` if the table has changed."""
     drawn = (charts.ASSETS / f"{name}-{scheme}.svg").read_text(encoding="utf-8")
     assert f"table {charts.digest_of(charts.CHARTS[name][1])}" in drawn

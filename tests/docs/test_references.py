@@ -1,4 +1,4 @@
-"""What the documentation names exists: citations, modules, equations, errors, reasons, keys."""
+"""Names in the documentation exist: citations, modules, equations, errors, reasons, keys."""
 
 import ast
 import functools
@@ -40,7 +40,7 @@ def parsed(path):
 
 
 def calls_of(name):
-    """The first arguments, where they are constants, of all calls of `name` in the code."""
+    """Return the constant first arguments of all calls of `name` in the code."""
     calls = (node for path in CODE for node in ast.walk(parsed(path)) if isinstance(node, ast.Call) and node.args)
     first = (call.args[0] for call in calls if getattr(call.func, "id", "") == name)
     return {argument.value for argument in first if isinstance(argument, ast.Constant)}
@@ -95,7 +95,7 @@ NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|
 
 
 def exists(name):
-    """Whether a path or a dotted name is there."""
+    """Return whether a path or a dotted name exists."""
     if "/" in name or (ROOT / name).is_file():
         return (ROOT / name).exists()
     parts = name.split(".")
@@ -128,7 +128,7 @@ def test_the_map_has_every_module_once():
 
 
 def index_rows():
-    """What is looked for, the module, the names: the rows of the map's index."""
+    """Return the rows of the map's index: topic, module, names."""
     return re.findall(r"^\| ([^|]+) \| `([\w/]+\.py)`: ([^|]+) \|$", (DOCS / "map.md").read_text(), re.MULTILINE)
 
 

@@ -1,4 +1,4 @@
-"""Every snippet of README, documentation and examples runs as it stands."""
+"""Every snippet of README, documentation and examples runs unchanged."""
 
 import importlib
 import re
@@ -10,7 +10,7 @@ import pytest
 from tests.docs.snippets import PAGES, ROOT, blocks_of, run_page
 
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
-# `sh` is run here; `bash` needs ROS, and what of it needs no robot is run with the tests of the ROS 2 package.
+# `sh` is run here; `bash` needs ROS, and its parts that need no robot run with the tests of the ROS 2 package.
 LANGUAGES = {"python", "sh", "yaml", "toml", "text", "xml", "bash"}
 WITH_ROS = {"ros2.md", "bags.md"}
 RUN = [page for page in PAGES if any(block.language in {"python", "sh"} for block in blocks_of(page))]

@@ -1,7 +1,5 @@
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +23,7 @@ class Done(NamedTuple):
 
 @pytest.fixture
 def run(capsys, monkeypatch):
-    """A run of the benchmarks in this process."""
+    """Run the benchmarks in this process."""
     monkeypatch.syspath_prepend(str(ROOT))
     from experiments.benchmarks import __main__ as benchmarks
 
@@ -42,7 +40,7 @@ def run(capsys, monkeypatch):
     return running
 
 
-def test_the_smoothing_benchmark_counts_what_it_should(run, tmp_path):
+def test_smoothing_benchmark_counts(run, tmp_path):
     out = tmp_path / "smoothing.json"
     small = ("--seeds", "1", "--repeats", "1", "--calls", "2", "--budgets", "50,100")
     done = run("smoothing", *small, "--families", "open_s,start_collision", "--out", str(out))
@@ -62,7 +60,7 @@ def test_the_smoothing_benchmark_counts_what_it_should(run, tmp_path):
     assert "Hard time budgets" in done.stdout
 
 
-def test_certificates_and_first_calls_are_measured(run):
+def test_certificate_and_first_call_benchmarks(run):
     done = run("certificate", "--seeds", "1")
     assert done.returncode == 0, done.stderr
     assert "reverse_alcove" in done.stdout
@@ -73,13 +71,13 @@ def test_certificates_and_first_calls_are_measured(run):
     assert min(first, later) > 0.0
 
 
-def test_views_are_counted_and_judged_by_bearings(run):
+def test_view_benchmark(run):
     done = run("views", "--count", "2")
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].split()[:2] == ["all", "2"]
 
 
-def test_what_sees_by_bearings_is_what_is_certified():
+def test_visibility_by_bearings_agrees_with_the_certificate():
     from experiments.benchmarks.views import seeing, sees, starts
 
     _, problem = next(starts(1, 11))
@@ -91,7 +89,7 @@ def test_what_sees_by_bearings_is_what_is_certified():
         assert bool(prove_view(path, wanted)) is expected
 
 
-def test_deadlines_are_measured_on_a_busy_machine_too(run):
+def test_deadline_benchmark_with_a_busy_process(run):
     done = run("deadlines", "--calls", "3", "--seeds", "1", "--busy", "1")
     assert done.returncode == 0, done.stderr
     rows = [line.split() for line in done.stdout.splitlines()[-4:]]
@@ -101,26 +99,19 @@ def test_deadlines_are_measured_on_a_busy_machine_too(run):
 
 
 @pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
-def test_wrong_names_are_answered_with_the_known_ones(run, wrong):
+def test_unknown_names_are_refused_with_the_known_ones(run, wrong):
     done = run(*wrong)
     assert done.returncode == 2
     assert "smoothing" in done.stderr
 
 
-def test_the_benchmarks_are_a_program():
-    command = [sys.executable, "-m", "experiments.benchmarks", "nosuch"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "smoothing" in done.stderr
-
-
-def test_wrong_families_are_answered_with_the_known_ones(run):
+def test_unknown_families_are_refused_with_the_known_ones(run):
     done = run("smoothing", "--families", "alcove,nosuch")
     assert done.returncode == 2
     assert "unknown nosuch; known: open_s" in done.stderr
 
 
-def test_percentiles_are_values_that_occurred(monkeypatch):
+def test_percentiles_and_tables(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     from experiments.benchmarks.tables import Table, percentile
 

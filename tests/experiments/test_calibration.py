@@ -1,4 +1,4 @@
-"""The calibration study: what is hidden stays hidden in every run, truths are those of the plant, tables count."""
+"""Calibration study: constant hidden properties, true values of the plant, tables."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 
 from experiments.calibration import truths as module
 from experiments.calibration.robots import hidden_robot, set_down
-from experiments.calibration.study import Judged
+from experiments.calibration.study import QuantityResult
 from experiments.calibration.tables import coverage_table, tube_table
 from experiments.calibration.truths import truths
 from optdock.calibration import calibrate
@@ -24,7 +24,7 @@ def with_drive(hidden, **changes):
     return hidden._replace(world=dataclasses.replace(hidden.world, **changes))
 
 
-def test_a_robot_is_the_same_in_all_of_its_runs_but_for_start_and_noise():
+def test_only_start_and_noise_differ_between_runs():
     hidden = hidden_robot(3)
     (first, robot), (second, other) = (set_down(hidden, run) for run in (0, 1))
     assert robot.drive.radii == other.drive.radii == hidden.radii
@@ -35,19 +35,19 @@ def test_a_robot_is_the_same_in_all_of_its_runs_but_for_start_and_noise():
     assert hidden_robot(4).radii != hidden.radii
 
 
-def test_commands_that_are_all_late_by_the_same_are_late_by_that():
+def test_mean_latency_of_constant_latency():
     hidden = hidden_robot(0)
     even = dataclasses.replace(hidden.world.drive, latency=(0.05, 0.05), command_loss=0.0)
     stamped = 0.5 * hidden.world.odometry.stamp_jitter
     assert truths(with_drive(hidden, drive=even), 50.0)["command latency, linear"] == pytest.approx(
         0.05 + stamped, abs=1e-3
     )
-    # Commands wait for the late ones before them, so that a spread makes them later in the mean.
+    # Commands wait for late predecessors, so a spread of the latency increases the mean.
     spread = dataclasses.replace(even, latency=(0.0, 0.1))
     assert truths(with_drive(hidden, drive=spread), 50.0)["command latency, linear"] > 0.06
 
 
-def test_without_slip_the_scales_are_those_of_the_wheels():
+def test_scales_without_slip_are_those_of_the_wheels():
     hidden = hidden_robot(0)
     known = truths(with_drive(hidden, drive=dataclasses.replace(hidden.world.drive, slip_rate=1e-9)), 50.0)
     assert known["left wheel's radius outside the plausible range"] == pytest.approx(hidden.radii[0] / 0.1 - 1.0)
@@ -55,16 +55,16 @@ def test_without_slip_the_scales_are_those_of_the_wheels():
     assert known["track width outside the plausible range"] == pytest.approx(hidden.track_width / 0.4 - 1.0)
 
 
-def test_every_truth_is_one_of_a_quantity():
+def test_every_truth_belongs_to_a_quantity():
     named = {one.name for one in calibrate([drive(seed=4, duration=5.0)]).quantities}
     assert set(truths(hidden_robot(0), 50.0)) <= named
 
 
-def test_the_tables_count():
+def test_tables_count():
     rows = [
-        Judged(0, "a", 1.0, 1.1, 0.9, 1.3, ""),
-        Judged(1, "a", 1.0, 1.4, 1.2, 1.6, ""),
-        Judged(2, "a", 1.0, np.nan, np.nan, np.nan, "never turned"),
+        QuantityResult(0, "a", 1.0, 1.1, 0.9, 1.3, ""),
+        QuantityResult(1, "a", 1.0, 1.4, 1.2, 1.6, ""),
+        QuantityResult(2, "a", 1.0, np.nan, np.nan, np.nan, "never turned"),
     ]
     text = coverage_table(rows)
     assert "1/2" in text
@@ -73,5 +73,5 @@ def test_the_tables_count():
     tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], [(0.01, 0.01)] * 2 + [(0.02, 0.01)], 0.4)
     assert "2/3 = 66.7 %" in tubes
     assert "4/4 = 100.0 %" in tubes
-    assert "cannot be told of 14 dockings" in tubes
-    assert "cannot be told of 10 dockings" in tubes
+    assert "14 dockings are too few" in tubes
+    assert "10 dockings are too few" in tubes

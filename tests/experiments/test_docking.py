@@ -1,4 +1,4 @@
-"""The docking study: it measures right, and the executor docks where the law does not, at a dock that is pushed."""
+"""Docking study: measurements, and docking at a pushed dock by the executor and by the law."""
 
 import math
 
@@ -9,7 +9,7 @@ from experiments.docking import outcome, tables
 from experiments.docking.cases import SPREADS
 from experiments.docking.faults import run_fault
 from experiments.docking.methods import executed
-from experiments.docking.outcome import Followed
+from experiments.docking.outcome import FollowedPlan
 from experiments.docking.run import Task, driven
 from experiments.docking.worlds import WORLDS, case_of
 from optdock.verification import pose_clearances
@@ -20,7 +20,7 @@ def found():
     return [driven(Task(method, "pushed", "nav2", 50.0, 2, 1)) for method in ("graceful law", "executor")]
 
 
-def test_the_executor_docks_where_the_law_does_not(found):
+def test_executor_docks_at_a_pushed_dock_and_the_law_does_not(found):
     law, ours = found
     assert ours.succeeded
     assert not law.succeeded
@@ -31,14 +31,14 @@ def test_the_executor_docks_where_the_law_does_not(found):
     assert ours.replans > 0
 
 
-def test_the_table_has_a_line_for_each_method(found, tmp_path):
+def test_table_has_a_row_per_method(found, tmp_path):
     lines = tables.table_of(found).splitlines()
     assert [next(cell for cell in line.split() if "/1" in cell) for line in lines[1:]] == ["0/1", "1/1"]
     tables.draw_distributions(tmp_path / "cdf.png", found)
     assert (tmp_path / "cdf.png").stat().st_size > 10_000
 
 
-def test_an_obstacle_nearer_than_proven_is_seen_within_the_tube_only():
+def test_shortfall_counts_only_within_the_tube():
     world = WORLDS["perfect"]
     case = case_of(0, SPREADS["nav2"], world)
     run = executed(case, world, 50.0)
@@ -49,7 +49,7 @@ def test_an_obstacle_nearer_than_proven_is_seen_within_the_tube_only():
     assert displacement < 1e-3
     short, _, _ = outcome._tube(record, run.planning.followed, np.full(clearances.shape, 0.03))
     assert short == pytest.approx(0.02, abs=1e-3)
-    elsewhere = [Followed(since, plan) for since, plan in run.planning.followed]
+    elsewhere = [FollowedPlan(since, plan) for since, plan in run.planning.followed]
     aside = record.poses + np.array([0.0, 0.0, 0.2])
     beside = type(record)(**{**vars(record), "poses": aside})
     short, displacement, left = outcome._tube(beside, elsewhere, np.full(clearances.shape, 0.03))
@@ -58,9 +58,9 @@ def test_an_obstacle_nearer_than_proven_is_seen_within_the_tube_only():
     assert left == 1
 
 
-def test_a_fault_is_told_with_how_it_ends():
-    told = run_fault("cancel while approaching", 0, "detected")
-    assert told.outcome.ending == "cancelled"
-    assert told.struck
-    assert told.at_rest
-    assert told.outcome.clearance > 0.0
+def test_run_with_a_fault():
+    found = run_fault("cancel while approaching", 0, "detected")
+    assert found.outcome.ending == "cancelled"
+    assert found.struck
+    assert found.at_rest
+    assert found.outcome.clearance > 0.0

@@ -1,3 +1,4 @@
+import functools
 import math
 
 import numpy as np
@@ -8,17 +9,17 @@ from experiments.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIE
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import transform_points
 
-SEEDS = range(3)
+SEEDS = range(2)
 
 
-def test_there_are_enough_families():
+def test_number_of_families():
     assert len(FEASIBLE_FAMILIES) == 15
     assert len(INFEASIBLE_FAMILIES) == 4
 
 
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_witness_keeps_every_bound(family, seed):
+def test_witness_satisfies_every_bound(family, seed):
     drawn = instance(family, seed)
     assert drawn.feasible
     assert drawn.expected_reason is None
@@ -26,11 +27,16 @@ def test_the_witness_keeps_every_bound(family, seed):
     assert report.faults == ()
 
 
+@functools.cache
+def raw_report(family, seed):
+    drawn = instance(family, seed)
+    return dense_check(drawn.raw_path, drawn.problem, step=0.01)
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_raw_path_ends_right_and_breaks_the_curvature(family, seed):
-    drawn = instance(family, seed)
-    broken = dense_check(drawn.raw_path, drawn.problem, step=0.01).broken
+def test_raw_path_violates_only_interior_bounds(family, seed):
+    broken = raw_report(family, seed).broken
     assert "curvature" in broken
     assert not {"start", "goal", "joint", "direction"} & set(broken)
 
@@ -45,7 +51,7 @@ def test_raw_path_and_witness_have_the_same_gears(family):
 
 
 @pytest.mark.parametrize("family", INFEASIBLE_FAMILIES)
-def test_an_infeasible_instance_says_why_and_has_no_witness(family):
+def test_infeasible_instance_has_a_reason_and_no_witness(family):
     drawn = instance(family, 0)
     assert drawn.feasible is False
     assert drawn.witness is None
@@ -53,7 +59,7 @@ def test_an_infeasible_instance_says_why_and_has_no_witness(family):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_the_same_arguments_give_the_same_instance(family):
+def test_instances_are_deterministic(family):
     first, second = instance(family, 2), instance(family, 2)
     assert first.problem.start == second.problem.start
     assert (first.problem.all_obstacles.vertices == second.problem.all_obstacles.vertices).all()
@@ -78,18 +84,13 @@ def test_instances_are_the_same_on_every_machine(family, start, pieces):
 
 
 def test_some_raw_paths_collide():
-    colliding = {f for f in FEASIBLE_FAMILIES for s in SEEDS if raw_clearance(f, s) < 0.0}
+    colliding = {f for f in FEASIBLE_FAMILIES for s in SEEDS if raw_report(f, s).min_clearance < 0.0}
     assert "collision" in colliding
     assert len(colliding) >= 4
 
 
-def raw_clearance(family, seed):
-    drawn = instance(family, seed)
-    return dense_check(drawn.raw_path, drawn.problem, step=0.02).min_clearance
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_too_close_is_out_of_reach_for_the_turning_radius(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_too_close_is_unreachable_with_the_turning_radius(seed):
     problem = instance("too_close", seed).problem
     start = problem.start.in_frame_of(problem.goal)
     radius = 1.0 / problem.robot.limits.max_curvature
@@ -109,8 +110,8 @@ def across_free(problem):
     return high[0] - low[1]
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_blocked_gap_is_narrower_than_the_robot_and_the_only_way_in(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_blocked_gap_is_too_narrow_and_the_only_entrance(seed):
     import shapely
 
     problem = instance("gap_blocked", seed).problem
@@ -125,8 +126,8 @@ def test_the_blocked_gap_is_narrower_than_the_robot_and_the_only_way_in(seed):
     assert problem.robot.footprint.width == pytest.approx(0.6)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_blocked_approach_hits_its_post(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_blocked_approach_hits_its_post(seed):
     problem = instance("approach_blocked", seed).problem
     back = np.linspace(0.0, problem.dock.final_straight, 31)
     body = np.column_stack((-back, np.zeros(31)))
@@ -137,8 +138,8 @@ def test_the_blocked_approach_hits_its_post(seed):
     assert min(clearances) < -0.01
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_start_in_collision_is_in_collision(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_start_collision_overlaps_at_the_start(seed):
     problem = instance("start_collision", seed).problem
     assert clearance_at(problem.start, problem) < -0.02
     assert clearance_at(problem.goal, problem) > 0.0

@@ -1,4 +1,4 @@
-"""The field world: each of its traits by a law of its own."""
+"""Field world: one test per imperfection, and whole runs."""
 
 import argparse
 import ast
@@ -17,20 +17,19 @@ from hypothesis import strategies as st
 
 from experiments.docking import field
 from experiments.docking.cases import SPREADS, layout_of
-from experiments.docking.field.belief import Belief
 from experiments.docking.field.camera import Camera, CameraState
 from experiments.docking.field.drive import SUBSTEP, Drive, DriveState
 from experiments.docking.field.localization import Localization, LocalizationState
+from experiments.docking.field.methods import Belief
 from experiments.docking.field.nav2 import VelocitySmoother
 from experiments.docking.field.odometry import Odometry, OdometryState
-from experiments.docking.field.outcome import Steered
+from experiments.docking.field.outcome import FieldTask, SteeringResult
 from experiments.docking.field.picture import draw_run
 from experiments.docking.field.run import driven_in_field, field_tasks
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
 from experiments.docking.field.tables import field_table
-from experiments.docking.field.task import FieldTask
 from experiments.docking.field.undocking import (
-    asked_in_contact,
+    commanded_in_contact,
     turned_in_contact,
     undocked_in_field,
     undocking_table,
@@ -67,24 +66,24 @@ def driven(drive, command, duration, seed=0):
     return state
 
 
-# The drive.
+# Drive
 
 
-def test_without_faults_it_follows_the_circle_of_the_unicycle():
+def test_ideal_drive_follows_the_unicycle():
     v, w, duration = 0.2, 0.5, 6.0
     state = driven(IDEAL, Twist2(v, w), duration)
     expected = v / w * math.sin(w * duration), v / w * (1.0 - math.cos(w * duration)), w * duration
     assert (state.x, state.y, state.yaw) == pytest.approx(expected, abs=1e-12)
 
 
-def test_lag_is_that_of_first_order():
+def test_first_order_lag():
     v, lag, duration = 0.2, 0.1, 0.3
     state = driven(dataclasses.replace(IDEAL, lag=lag), Twist2(v, 0.0), duration)
     assert state.x == pytest.approx(v * (duration - lag * (1.0 - math.exp(-duration / lag))), abs=1e-12)
     assert state.wheel_speeds[0] * RADIUS == pytest.approx(v * (1.0 - math.exp(-duration / lag)), abs=1e-12)
 
 
-def test_unequal_wheels_turn_the_robot_by_their_difference():
+def test_unequal_wheels_turn_the_robot():
     state = driven(dataclasses.replace(IDEAL, radius_spread=0.01, track_spread=0.01), Twist2(0.2, 0.0), 5.0)
     assert all(abs(radius / RADIUS - 1.0) <= 0.01 for radius in state.radii)
     left, right = (0.2 * 5.0 * radius / RADIUS for radius in state.radii)
@@ -92,7 +91,7 @@ def test_unequal_wheels_turn_the_robot_by_their_difference():
     assert state.radii != set_down(state.drive, seed=7).radii
 
 
-def test_a_wheel_stands_below_its_dead_band_and_each_has_its_own():
+def test_dead_band_per_wheel():
     drive = dataclasses.replace(IDEAL, dead_band=(0.03, 0.08))
     low, high = sorted(set_down(drive).dead_bands)
     assert 0.03 <= low < high <= 0.08
@@ -103,12 +102,12 @@ def test_a_wheel_stands_below_its_dead_band_and_each_has_its_own():
     assert between.yaw != 0.0
 
 
-def test_a_command_has_no_effect_before_it_arrives():
+def test_command_latency():
     state = driven(dataclasses.replace(IDEAL, latency=(0.07, 0.07)), Twist2(0.2, 0.0), 1.0)
     assert state.x == pytest.approx(0.2 * (1.0 - 0.07), abs=1e-12)
 
 
-def test_commands_are_late_by_different_times_lost_now_and_then_and_never_overtake_each_other():
+def test_command_delays_losses_and_order():
     state = set_down(dataclasses.replace(Drive(), command_loss=0.05))
     sent = 1500
     arrived, delays = [], []
@@ -128,13 +127,13 @@ def test_commands_are_late_by_different_times_lost_now_and_then_and_never_overta
     assert 1.0 - len(delays) / sent == pytest.approx(0.05, abs=4.0 * math.sqrt(0.05 * 0.95 / sent))
 
 
-def test_the_base_stops_when_it_is_told_nothing():
+def test_watchdog_stops_the_base():
     state = driven(dataclasses.replace(IDEAL, watchdog=0.5), Twist2(0.2, 0.0), 3.0)
     assert state.x == pytest.approx(0.2 * 0.5, abs=2.0 * 0.2 * SUBSTEP)
     assert state.at_rest
 
 
-def test_slip_takes_way_and_no_ticks():
+def test_slip_reduces_distance_and_not_ticks():
     rate, share, lost, duration = 5.0, 0.3, 0.4, 60.0
     slipping = dataclasses.replace(IDEAL, slip_rate=rate, slip_duration=(share, share), slip_share=(lost, lost))
     state, way = set_down(slipping), 0.0
@@ -144,13 +143,13 @@ def test_slip_takes_way_and_no_ticks():
         state.advance()
         way += math.hypot(state.x - x, state.y - y)
     assert (state.left, state.right) == pytest.approx((0.1 * duration / RADIUS,) * 2)
-    # In a burst one wheel slips, or the other, or both: the robot loses a half, a half, or the whole of their share.
+    # In a burst the left, the right or both wheels slip: the robot loses half, half, or all of their share.
     in_bursts = rate * share / (1.0 + rate * share)
     assert 1.0 - way / (0.1 * duration) == pytest.approx(lost * in_bursts * 2.0 / 3.0, rel=0.15)
     assert abs(state.yaw) > 0.01
 
 
-# Odometry.
+# Odometry
 
 
 @given(st.floats(-1e4, 1e4))
@@ -159,7 +158,7 @@ def test_encoders_count_whole_ticks(angle):
     assert -1e-9 <= angle * 4096 / (2.0 * math.pi) - ticks <= 1.0
 
 
-def test_odometry_is_the_way_of_the_wheels_to_the_last_tick():
+def test_odometry_integrates_all_ticks():
     state, odometry = set_down(IDEAL), OdometryState(EXACT, IDEAL, random())
     state.send(Twist2(0.2, 0.3))
     for count in range(1, 1001):
@@ -172,7 +171,7 @@ def test_odometry_is_the_way_of_the_wheels_to_the_last_tick():
 
 
 @pytest.mark.parametrize("window", [0.01, 0.04, 0.2])
-def test_the_twist_of_a_ramp_is_late_by_half_the_window(window):
+def test_twist_of_a_ramp_is_delayed_by_half_the_window(window):
     acceleration = 0.5
     odometry = OdometryState(dataclasses.replace(EXACT, window=window, ticks=10**9), IDEAL, random())
     for count in range(1, 101):
@@ -183,7 +182,7 @@ def test_the_twist_of_a_ramp_is_late_by_half_the_window(window):
     assert late == pytest.approx(0.5 * acceleration * window, rel=1e-4)
 
 
-def test_the_twist_is_quantised_to_ticks_per_window():
+def test_twist_is_quantised_to_ticks_per_window():
     odometry = OdometryState(EXACT, IDEAL, random())
     found = set()
     for count in range(1, 200):
@@ -194,7 +193,7 @@ def test_the_twist_is_quantised_to_ticks_per_window():
     assert found == {26.0, 27.0}
 
 
-def test_odometry_comes_late_in_order_and_twice():
+def test_odometry_delay_order_and_repeats():
     odometry = OdometryState(Odometry(repeats=0.1), IDEAL, random())
     stamps, ages = [], []
     for count in range(1, 3001):
@@ -208,17 +207,17 @@ def test_odometry_comes_late_in_order_and_twice():
     assert len({round(stamp % 0.01, 6) for stamp in stamps}) > 100
 
 
-# Localization.
+# Localization
 
 
 def localized(localization, count, seed=0):
-    """Errors of so many estimates of a robot that stands, as they are told one period later."""
+    """Return the errors of estimates of a standing robot, as reported one period later."""
     state = LocalizationState(dataclasses.replace(localization, composed=False, latency=0.0), random(seed))
     found = []
     for index in range(count):
         time = localization.period * index
         state.estimate(time, ORIGIN, ORIGIN)
-        pose, stamp = state.told(time, ORIGIN)
+        pose, stamp = state.reported(time, ORIGIN)
         assert stamp == time
         found.append(pose.as_array())
     return np.array(found)
@@ -232,7 +231,7 @@ def test_drift_is_stationary_and_correlated():
         assert np.corrcoef(column[:-lag], column[lag:])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.15)
 
 
-def test_jumps_go_there_and_back():
+def test_jumps_are_reverted_by_the_next_jump():
     errors = localized(Localization(drift=0.0, drift_yaw=0.0), 10_000)
     steps = np.hypot(*np.diff(errors[:, :2], axis=0).T)
     sizes = steps[steps > 0.0]
@@ -242,76 +241,76 @@ def test_jumps_go_there_and_back():
     assert np.hypot(*errors[:, :2].T).max() <= 0.05 + 1e-9
 
 
-def test_a_composed_pose_is_that_of_the_newest_odometry_though_estimates_are_late():
+def test_composed_pose_uses_the_newest_odometry():
     flawless = Localization(drift=0.0, drift_yaw=0.0, jump_pause=math.inf)
     state, start = LocalizationState(flawless, random()), Pose2(1.0, 2.0, 0.7)
     for count in range(60):
         time, odometry = 0.2 * count, Pose2(0.03 * count, 0.01 * count, 0.05 * count)
         state.estimate(time, start @ odometry, odometry)
-        pose, stamp = state.told(time, odometry)
+        pose, stamp = state.reported(time, odometry)
         assert stamp is None
         assert pose.as_array() == pytest.approx((start @ odometry).as_array(), abs=1e-12)
 
 
-def test_a_raw_pose_comes_once_with_the_stamp_of_its_measurement():
+def test_raw_pose_is_reported_once_with_its_measurement_stamp():
     state = LocalizationState(Localization(composed=False), random())
-    told = []
+    found = []
     for count in range(400):
         time = 0.01 * count
         if count % 20 == 0:
             state.estimate(time, ORIGIN, ORIGIN)
-        pose, stamp = state.told(time, ORIGIN)
+        pose, stamp = state.reported(time, ORIGIN)
         if pose is not None:
-            told.append((time, stamp))
-    assert len(told) == 20
-    assert [time - stamp for time, stamp in told] == pytest.approx([0.15] * len(told), abs=0.011)
+            found.append((time, stamp))
+    assert len(found) == 20
+    assert [time - stamp for time, stamp in found] == pytest.approx([0.15] * len(found), abs=0.011)
 
 
-def test_lost_localization_tells_nothing_for_so_long():
+def test_lost_localization_reports_no_pose():
     state = LocalizationState(Localization(lost_for=5.0), random())
     state.estimate(0.0, ORIGIN, ORIGIN)
-    silent = [state.told(0.01 * count, ORIGIN)[0] is None for count in range(2000)]
+    silent = [state.reported(0.01 * count, ORIGIN)[0] is None for count in range(2000)]
     assert sum(silent) == pytest.approx(500, abs=1)
     assert 200 <= silent.index(True) <= 800
 
 
-# The camera.
+# Camera
 
 
 def seen(camera, count=2500, robot=ORIGIN, dock=None, seed=0):
-    """What is told of a dock by so many pictures: (arrival, detection)."""
+    """Return the detections of a dock in a number of pictures: (arrival, detection)."""
     state = CameraState(camera, Pose2(0.45, 0.0, 0.0), random(seed))
-    told = []
+    found = []
     for index in range(20 * count):
         if index % 20 == 0:
             state.take(SUBSTEP * index, robot, dock or Pose2(1.0, 0.1, 0.2))
         if index % 4 == 0:
-            told += [(SUBSTEP * index, one) for one in state.arrived(SUBSTEP * index)]
-    return told
+            found += [(SUBSTEP * index, one) for one in state.arrived(SUBSTEP * index)]
+    return found
 
 
-def test_noise_is_what_the_sigmas_say():
-    told = [one for _, one in seen(CLEAR)]
+def test_noise_agrees_with_the_sigmas():
+    found = [one for _, one in seen(CLEAR)]
     distance = math.hypot(1.0 + 0.45 * math.cos(0.2) - 0.25, 0.1 + 0.45 * math.sin(0.2))
-    assert told[0].position_sigma == pytest.approx(0.002 + 0.004 * distance)
-    assert told[0].yaw_sigma == pytest.approx(math.radians(0.3 + 0.7 * distance))
-    offs = np.array([[one.pose.x - 1.0, one.pose.y - 0.1, one.pose.yaw - 0.2] for one in told])
-    sigmas = np.array([[one.position_sigma, one.position_sigma, one.yaw_sigma] for one in told])
-    assert (offs / sigmas).mean(axis=0) == pytest.approx(np.zeros(3), abs=4.0 / math.sqrt(len(told)))
-    assert (offs / sigmas).std(axis=0) == pytest.approx(np.ones(3), abs=4.0 / math.sqrt(2.0 * len(told)))
+    assert found[0].position_sigma == pytest.approx(0.002 + 0.004 * distance)
+    assert found[0].yaw_sigma == pytest.approx(math.radians(0.3 + 0.7 * distance))
+    offs = np.array([[one.pose.x - 1.0, one.pose.y - 0.1, one.pose.yaw - 0.2] for one in found])
+    sigmas = np.array([[one.position_sigma, one.position_sigma, one.yaw_sigma] for one in found])
+    assert (offs / sigmas).mean(axis=0) == pytest.approx(np.zeros(3), abs=4.0 / math.sqrt(len(found)))
+    assert (offs / sigmas).std(axis=0) == pytest.approx(np.ones(3), abs=4.0 / math.sqrt(2.0 * len(found)))
 
 
-def test_detections_overtake_each_other_and_bear_true_stamps():
-    told = seen(CLEAR)
-    stamps = [one.stamp for _, one in told]
+def test_detections_overtake_each_other_with_true_stamps():
+    found = seen(CLEAR)
+    stamps = [one.stamp for _, one in found]
     assert stamps != sorted(stamps)
     assert all(stamp / 0.1 == pytest.approx(round(stamp / 0.1), abs=1e-6) for stamp in stamps)
-    delays = [arrival - one.stamp for arrival, one in told]
+    delays = [arrival - one.stamp for arrival, one in found]
     assert min(delays) >= 0.08 - 1e-9
     assert max(delays) <= 0.2 + 4 * SUBSTEP
 
 
-def test_stamped_on_arrival_is_late_by_the_latency_and_alike_otherwise():
+def test_stamp_on_arrival_changes_only_the_stamps():
     true = {one.pose: one.stamp for _, one in seen(CLEAR, 300)}
     found = seen(dataclasses.replace(CLEAR, stamped_on_arrival=True), 300)
     late = np.array([one.stamp - true[one.pose] for _, one in found])
@@ -320,7 +319,7 @@ def test_stamped_on_arrival_is_late_by_the_latency_and_alike_otherwise():
     assert [one.stamp for _, one in found] == sorted(one.stamp for _, one in found)
 
 
-def test_outliers_are_as_many_and_as_far_as_they_are_to_be():
+def test_share_and_distance_of_outliers():
     right, wrong = ({one.stamp: one for _, one in seen(dataclasses.replace(CLEAR, outliers=s))} for s in (0.0, 0.1))
     off = [right[stamp].pose.distance_to(one.pose) for stamp, one in wrong.items()]
     turned = [abs(right[stamp].pose.yaw - one.pose.yaw) for stamp, one in wrong.items()]
@@ -332,49 +331,49 @@ def test_outliers_are_as_many_and_as_far_as_they_are_to_be():
 
 
 @pytest.mark.parametrize(("loss", "expected"), [(0.0, 1.0), (0.5, 0.5), (1.0, 0.0)])
-def test_near_the_dock_pictures_are_lost(loss, expected):
+def test_pictures_are_lost_near_the_dock(loss, expected):
     camera = dataclasses.replace(CLEAR, near_loss=loss)
     near, far = (len(seen(camera, 1000, dock=Pose2(x, 0.0, 0.0))) / 1000 for x in (0.39, 0.41))
     assert near == pytest.approx(expected, abs=0.06)
     assert far > 0.99
 
 
-def test_it_is_hidden_once_for_so_long():
+def test_occlusion():
     stamps = [one.stamp for _, one in seen(dataclasses.replace(CLEAR, hidden_for=2.0), 300)]
     missing = sorted(set(range(298)) - {round(stamp / 0.1) for stamp in stamps})
     assert len(missing) == pytest.approx(20, abs=1)
     assert missing == list(range(missing[0], missing[-1] + 1))
 
 
-def test_nothing_is_seen_out_of_view():
+def test_no_detection_out_of_view():
     assert seen(CLEAR, 20, robot=Pose2(0.0, 0.0, math.pi)) == []
     assert seen(CLEAR, 20, dock=Pose2(5.0, 0.0, 0.0)) == []
     assert seen(CLEAR, 20, robot=Pose2(0.0, 0.0, 1.0)) == []
 
 
-def test_a_second_tag_is_taken_for_the_dock_now_and_then_and_while_that_is_hidden():
+def test_second_tag():
     camera = dataclasses.replace(CLEAR, second_tag=0.1, hidden_for=2.0)
     dock = Pose2(1.0, 0.1, 0.2)
-    told = {round(one.stamp / 0.1): one.pose.in_frame_of(dock) for _, one in seen(camera, dock=dock)}
-    aside = {number for number, pose in told.items() if pose.y > 0.15}
-    assert all(told[number].y == pytest.approx(0.3, abs=0.05) for number in aside)
-    assert len(aside) / len(told) == pytest.approx(0.1, abs=0.02)
+    found = {round(one.stamp / 0.1): one.pose.in_frame_of(dock) for _, one in seen(camera, dock=dock)}
+    aside = {number for number, pose in found.items() if pose.y > 0.15}
+    assert all(found[number].y == pytest.approx(0.3, abs=0.05) for number in aside)
+    assert len(aside) / len(found) == pytest.approx(0.1, abs=0.02)
     hidden = [number for number in range(2500) if set(range(number, number + 20)) <= aside]
     assert hidden
 
 
-# The station.
+# Station
 
 BOX = [(0.3, 0.225), (-0.3, 0.225), (-0.3, -0.225), (0.3, -0.225)]
 
 
 @given(st.floats(-0.2, 0.2), st.floats(-0.02, 0.02), st.sampled_from([1.0, -1.0]))
-def test_the_foremost_corner_is_what_touches(yaw, x, gear):
+def test_foremost_corner_touches(yaw, x, gear):
     expected = gear * x + 0.225 * abs(math.sin(yaw)) + 0.3 * (math.cos(yaw) - 1.0)
     assert deepest((x, 0.0, yaw), BOX, gear) == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_switch_closes_just_before_the_docked_pose():
+def test_switch_closes_before_the_docked_pose():
     station = Station()
     assert station.touched(Pose2(-0.0029, 0.0, 0.0), 1.0)
     assert not station.touched(Pose2(-0.0031, 0.0, 0.0), 1.0)
@@ -385,7 +384,7 @@ def test_the_switch_closes_just_before_the_docked_pose():
 
 @settings(max_examples=30)
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-4.0, 4.0))
-def test_a_costmap_shows_the_outline_and_nothing_else(x, y, yaw):
+def test_costmap_shows_only_the_outline(x, y, yaw):
     outline = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))
     pose = Pose2(x, y, yaw)
     costmap = shown_in_costmap(outline, pose, 0.05, 1.5)
@@ -400,7 +399,7 @@ def test_a_costmap_shows_the_outline_and_nothing_else(x, y, yaw):
         assert outside <= 0.5 * math.sqrt(2.0) * 0.05 + 1e-9
 
 
-# The whole.
+# Whole world
 
 
 def placed(world, seed=1, spread="nav2"):
@@ -409,7 +408,7 @@ def placed(world, seed=1, spread="nav2"):
 
 
 def before_the_dock(world, off, seed=1):
-    """A robot that stands so many metres before the true dock, facing it."""
+    """Return a robot that stands at a distance [m] before the true dock, facing it."""
     layout, _ = placed(world, seed)
     gear = 1.0 if world.direction is DockDirection.FORWARD else -1.0
     start = layout.true_dock @ Pose2(-gear * off, 0.0, 0.0)
@@ -418,7 +417,7 @@ def before_the_dock(world, off, seed=1):
 
 
 @pytest.mark.parametrize("direction", [DockDirection.FORWARD, DockDirection.BACKWARD])
-def test_a_robot_is_stopped_by_the_station_tells_contact_and_can_leave(direction):
+def test_station_stops_the_robot_and_signals_contact(direction):
     gear = 1.0 if direction is DockDirection.FORWARD else -1.0
     robot = before_the_dock(FieldWorld(drive=IDEAL, direction=direction, dropped_cycles=0.0), 0.1)
     assert robot.measurements.contact is False
@@ -435,7 +434,7 @@ def test_a_robot_is_stopped_by_the_station_tells_contact_and_can_leave(direction
     assert robot.measurements.contact is False
 
 
-def test_a_pushed_dock_moves_once_when_the_robot_is_near():
+def test_dock_is_pushed_once():
     robot = before_the_dock(FieldWorld(drive=IDEAL, pushed=(0.03, 0.02)), 0.7)
     for _ in range(150):
         robot.advance(Twist2(0.2, 0.0), 50.0)
@@ -447,7 +446,7 @@ def test_a_pushed_dock_moves_once_when_the_robot_is_near():
     assert abs(after.yaw - before.yaw) <= 0.02
 
 
-def test_cycles_are_dropped_now_and_then():
+def test_dropped_cycles():
     _, robot = placed(FieldWorld())
     periods = [robot.cycle(50.0) for _ in range(5000)]
     assert set(np.round(periods, 9)) == {0.02, 0.04}
@@ -456,11 +455,11 @@ def test_cycles_are_dropped_now_and_then():
         robot.cycle(30.0)
 
 
-def test_equal_seeds_give_equal_runs_and_a_trait_changes_nothing_else():
+def test_seeds_and_independence_of_the_parts():
     def run(world):
         _, robot = placed(world)
-        told = [robot.advance(Twist2(0.1, 0.1), 50.0) for _ in range(150)]
-        return robot.poses, [one.odometry for one in told], [one.detections for one in told]
+        found = [robot.advance(Twist2(0.1, 0.1), 50.0) for _ in range(150)]
+        return robot.poses, [one.odometry for one in found], [one.detections for one in found]
 
     usual = FIELD_WORLDS["field"]
     first, again = run(usual), run(usual)
@@ -474,18 +473,18 @@ def test_equal_seeds_give_equal_runs_and_a_trait_changes_nothing_else():
 
 
 @pytest.mark.parametrize("name", sorted(FIELD_WORLDS))
-def test_every_world_tells_what_it_is_to_tell(name):
+def test_measurements_of_every_world(name):
     world = FIELD_WORLDS[name]
     _, robot = placed(world)
-    told = [robot.measurements, *(robot.advance(Twist2(0.0, 0.1), 50.0) for _ in range(60))]
-    assert all((one.odometry is None) == ("no odometry pose" in name or "no pose" in name) for one in told)
-    assert all((one.contact is None) == ("no signal" in name) for one in told)
-    assert any(one.costmap is not None for one in told) == ("costmap" in name)
-    assert any(one.pose_stamp is not None for one in told) == ("raw" in name)
-    assert any(one.detections for one in told) == (not name.startswith("field, backward"))
+    found = [robot.measurements, *(robot.advance(Twist2(0.0, 0.1), 50.0) for _ in range(60))]
+    assert all((one.odometry is None) == ("no odometry pose" in name or "no pose" in name) for one in found)
+    assert all((one.contact is None) == ("no signal" in name) for one in found)
+    assert any(one.costmap is not None for one in found) == ("costmap" in name)
+    assert any(one.pose_stamp is not None for one in found) == ("raw" in name)
+    assert any(one.detections for one in found) == (not name.startswith("field, backward"))
 
 
-def test_detections_told_late_still_fit_where_the_robot_was():
+def test_late_detections_agree_with_the_pose_at_their_stamp():
     _, robot = placed(FieldWorld(drive=IDEAL, camera=CLEAR, dropped_cycles=0.0))
     for _ in range(150):
         robot.advance(Twist2(0.2, 0.3), 50.0)
@@ -499,10 +498,10 @@ def test_detections_told_late_still_fit_where_the_robot_was():
         assert abs(off.yaw) < 5.0 * one.yaw_sigma
 
 
-# Who drives in it.
+# Methods
 
 
-def test_a_velocity_smoother_bounds_each_step():
+def test_velocity_smoother_limits_each_step():
     smoother = VelocitySmoother(acceleration=2.0, yaw_acceleration=1.0, period=0.05)
     found = [smoother.smoothed(Twist2(0.25, -0.2)) for _ in range(6)]
     assert [one.linear for one in found] == pytest.approx([0.1, 0.2, 0.25, 0.25, 0.25, 0.25])
@@ -516,7 +515,7 @@ def outcomes():
     return [driven_in_field(task) for task in tasks]
 
 
-def test_the_executor_docks_and_the_law_says_so_too(outcomes):
+def test_outcomes_of_executor_and_law(outcomes):
     ours, law = outcomes
     assert ours.good
     assert not ours.collided
@@ -532,14 +531,14 @@ def test_the_executor_docks_and_the_law_says_so_too(outcomes):
     assert law._replace(clearance=-1e-6).collided
 
 
-def test_wheels_that_stand_below_their_dead_bands_are_moved_into_the_dock():
-    """One wheel stops a centimetre before the other; without short motions counted by wheel it never gets there."""
+def test_docking_with_dead_bands():
+    """One wheel stops a centimetre before the other; short motions per wheel are needed to finish."""
     outcome = driven_in_field(FieldTask("executor", "field, dead band", "wider", 10.0, 3000015))
     assert outcome.good
     assert outcome.retries == 0
 
 
-def test_the_table_counts(outcomes):
+def test_field_table_counts(outcomes):
     ours, law = outcomes
     failed = ours._replace(docked=False, ending="timeout", cross=1.0, duration=99.0)
     wrong = ours._replace(cross=0.02, clearance=-0.1)
@@ -551,7 +550,7 @@ def test_the_table_counts(outcomes):
     assert len(lines) == 3
 
 
-def test_tasks_are_those_that_were_asked_for():
+def test_selected_tasks():
     options = argparse.Namespace(spread=None, method=None, rate=[20.0, 50.0], count=2, seed=3)
     tasks = field_tasks(options, ["field", "field, blind"])
     assert len(tasks) == len(set(tasks)) == 2 * 2 * 2 * 2
@@ -559,32 +558,34 @@ def test_tasks_are_those_that_were_asked_for():
     assert {task.seed for task in tasks} == {3_000_000, 3_000_001}
 
 
-def test_a_run_is_drawn(tmp_path):
+def test_picture_of_a_run(tmp_path):
     draw_run(tmp_path / "run.png", FieldTask("Nav2's law", "field", "nav2", 50.0, 3))
     assert (tmp_path / "run.png").stat().st_size > 20_000
 
 
-def test_a_turn_in_contact_is_told_apart_from_what_was_asked_for():
+def test_turn_in_contact_and_its_commanded_part():
     way = 0.007 * np.arange(30)
     rows = np.column_stack((10.0 * way, 1.0 - way, 0.0 * way, np.where(way <= 0.05, -way, way - 0.1)))
     assert turned_in_contact(rows) == pytest.approx(0.049)
     stamps = np.array([0.0, 0.5, 1.5])
     commands = np.array([[-0.1, 0.02], [-0.1, -0.06], [-0.1, 9.0]])
-    by = Steered("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, commands, stamps)
-    assert asked_in_contact(rows, by) == pytest.approx(0.06 * 0.55 - 0.02 * 0.5)  # out of contact at 0.105 m, 1.05 s
+    by = SteeringResult("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, commands, stamps)
+    assert commanded_in_contact(rows, by) == pytest.approx(
+        0.06 * 0.55 - 0.02 * 0.5
+    )  # out of contact at 0.105 m, 1.05 s
 
 
-def test_a_belief_recovers_when_it_is_near_the_truth_again():
+def test_belief_recovers_near_the_truth():
     robot = before_the_dock(FieldWorld(drive=IDEAL, camera=CLEAR, pushed=(0.03, 0.02)), 0.62)
     belief, executor = Belief(), SimpleNamespace(robot=None, dock=robot.dock)
     belief.compare(executor, robot)
     assert math.isnan(belief.off)
     for _ in range(60):
-        executor.robot = robot.pose  # believes where it is, and the dock where it was
+        executor.robot = robot.pose  # localized exactly, with the dock at its old pose
         belief.compare(executor, robot)
         robot.advance(Twist2(0.1, 0.0), 50.0)
     assert belief.recovered_after == math.inf
-    assert belief.off == pytest.approx(0.03, abs=0.02 * 0.6)  # and what its turn is at the robot
+    assert belief.off == pytest.approx(0.03, abs=0.02 * 0.6)  # and the effect of the rotation at the robot
     assert belief.turned_off == pytest.approx(abs(robot.docks[1][1].yaw - robot.docks[0][1].yaw))
     executor.robot, executor.dock = robot.pose, robot.dock
     belief.compare(executor, robot)
@@ -593,7 +594,7 @@ def test_a_belief_recovers_when_it_is_near_the_truth_again():
     assert belief.recovered_after == len(fresh) > 3
 
 
-def test_a_docked_robot_undocks():
+def test_undocking():
     found = undocked_in_field(FieldTask("executor", "field", "nav2", 50.0, 3))
     assert found.undocked
     assert found.at_rest
@@ -601,7 +602,7 @@ def test_a_docked_robot_undocks():
     assert "1/1" in undocking_table([found])
 
 
-def test_it_shares_no_code_with_the_simulation():
+def test_field_world_shares_no_code_with_the_simulation():
     folder = Path(field.__file__).parent
     for file in folder.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

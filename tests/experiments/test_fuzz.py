@@ -19,7 +19,7 @@ from experiments.fuzz.minimise import minimised
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, sweep
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.oracle.views import views
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.planted import PLANTS
@@ -54,34 +54,34 @@ def clearance(case, pose):
     return float(World.of(case).clearances(np.array([pose]))[0])
 
 
-# the oracle's curves
+# curves of the oracle
 
 
 @pytest.mark.parametrize("gear", [1, -1])
-def test_a_clothoid_ends_where_fresnel_integrals_say(gear):
+def test_clothoid_ends_at_the_fresnel_integrals(gear):
     # curvature = pi s turns the heading by pi s^2 / 2: the normalised Fresnel integrals
     motion = motion_of([clothoid([0.0, 2.0], [0.0, 2.0 * math.pi], gear=gear)])
     sine, cosine = fresnel(2.0)
     assert motion.end == pytest.approx([gear * cosine, gear * sine, 2.0 * math.pi], abs=1e-13)
 
 
-def test_a_piece_of_no_width_still_turns_the_robot():
+def test_piece_without_length_turns_the_robot():
     motion = motion_of([clothoid([0.0, 1.0, 1.0 + 2e-14, 1.0 + 4e-14, 2.0], [0.0, 0.0, 2e13, 0.0, 0.0])])
     assert 0.3 < motion.end[2] < 0.5
     assert motion.end[0] == pytest.approx(1.0 + math.cos(motion.end[2]), abs=1e-12)
 
 
-def test_a_polyline_turns_the_short_way_and_has_the_length_of_its_arcs():
+def test_polyline_turns_the_short_way_along_arcs():
     motion = motion_of([{"type": "polyline", "poses": [[0, 0, 3.0], [-1.0, 0, -3.0]], "gear": 1}])
     turn = 2.0 * math.pi - 6.0
     assert motion.turn[0] == pytest.approx(turn)
     assert motion.length == pytest.approx((turn / 2.0) / math.sin(turn / 2.0))
 
 
-# the oracle's world
+# obstacles of the oracle
 
 
-def test_clearances_are_those_of_closed_forms():
+def test_clearances_against_closed_forms():
     wall = [[1.0, -1.0], [1.2, -1.0], [1.2, 1.0], [1.0, 1.0]]
     case = scene([clothoid([0.0, 0.1], [0.0, 0.0])], obstacles=[wall])
     assert clearance(case, [0.0, 0.0, 0.0]) == pytest.approx(0.6)
@@ -92,7 +92,7 @@ def test_clearances_are_those_of_closed_forms():
     assert clearance(disc, [0.6, 0.0, 1.0]) == pytest.approx(-0.1)
 
 
-def test_the_seam_of_touching_squares_is_solid():
+def test_seam_of_touching_squares_is_solid():
     halves = [[[0.5, -1.0], [1.0, -1.0], [1.0, 0.0], [0.5, 0.0]], [[0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [0.5, 1.0]]]
     needle = {"polygon": [[0.5, 0.0], [0.0, 0.001], [-0.3, 0.1], [-0.3, -0.1], [0.0, -0.001]]}
     case = scene([clothoid([0.0, 0.1], [0.0, 0.0])], obstacles=halves, footprint=needle)
@@ -112,7 +112,7 @@ def test_cells_unknown_cells_and_everything_off_the_grid_are_obstacles():
     assert clearance(case, [5000.0, 0.0, 0.0]) < -4000.0
 
 
-def test_the_depth_of_an_overlap_is_never_overstated():
+def test_penetration_depth_is_a_lower_bound():
     rng = np.random.default_rng(7)
     for _ in range(40):
         box = shapely.box(0.2, -0.5, 0.2 + rng.uniform(0.01, 1.0), 0.5)
@@ -127,7 +127,7 @@ def test_the_depth_of_an_overlap_is_never_overstated():
             assert clearance(case, pose + way) < 0.0
 
 
-def test_a_dip_between_samples_is_found_to_a_micrometre():
+def test_dip_between_samples_is_found():
     # the front right corner of a robot that turns left around a circle passes a tiny post outside of it
     radius, outer = 1.0, math.hypot(0.4, 1.3)
     for heading in np.linspace(0.5, 1.4, 7):
@@ -146,18 +146,18 @@ def test_the_oracle_shares_no_code_with_the_library():
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
-# the oracle's view
+# views of the oracle
 
 
 def seen(gears, marker, camera, visible=1e3, blind=0.0):
-    """What the oracle says of a path whose end is the origin."""
+    """Return the oracle's view of a path that ends at the origin."""
     whole = {"mount": [0.0, 0.0, 0.0], "field_of_view": 1.0, "min_range": 0.0, "max_range": None, **camera}
     case = {"path": gears, "camera": whole, "marker": marker, "visible_distance": visible, "blind_distance": blind}
     motion = motion_of(gears)
     return views({**case, "dock": {"pose": motion.end.tolist()}, "start": motion.start.tolist()}, motion)
 
 
-def test_views_are_those_of_closed_forms():
+def test_views_against_closed_forms():
     straight = [clothoid([0.0, 2.0], [0.0, 0.0])]
     found = seen(straight, [1.0, 0.5], {})
     assert found.bearing.max() == pytest.approx(math.atan2(0.5, 1.0))
@@ -171,21 +171,21 @@ def test_views_are_those_of_closed_forms():
     assert seen(turn, ahead, {}).bearing.max() == pytest.approx(0.7)
 
 
-def test_views_are_of_the_stretch_alone():
+def test_views_are_limited_to_the_stretch():
     gears = [clothoid([0.0, 1.0, 3.0], [0.0, 0.0, 0.0])]
     found = seen(gears, [1.0, 0.0], {}, visible=1.25, blind=0.5)
     assert (found.s.min(), found.s.max()) == pytest.approx((1.75, 2.5), abs=1e-7)
     assert not seen(gears, [1.0, 0.0], {}, visible=4.0, blind=3.5).s.size
 
 
-# the oracle's rules
+# rules of the oracle
 
 
 def broken(case):
     return {finding.kind for finding in findings(case, motion_of(case["path"])) if finding.is_broken}
 
 
-def test_rules_of_a_path_are_told_apart():
+def test_rules_of_a_path():
     arc = scene([clothoid([0.0, 1.0], [0.5, 0.5])])
     assert broken(arc) == set()
     assert broken({**arc, "limits": {"max_curvature": 0.5 * (1.0 - 3e-6)}}) == {"curvature"}
@@ -197,7 +197,7 @@ def test_rules_of_a_path_are_told_apart():
     assert broken(scene([{"type": "polyline", "poses": crab, "gear": 1}])) == {"slip"}
 
 
-def test_ratios_of_a_motion_are_those_of_closed_forms():
+def test_motion_ratios_against_closed_forms():
     # v = 0.4 m/s at constant speed over an arc of curvature 2, then over a clothoid of rate 1
     path = [clothoid([0.0, 1.0, 2.0], [2.0, 2.0, 3.0])]
     case = {
@@ -208,7 +208,7 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
         "zone": [0.2, 0.5],
         "start_speed": 0.4,
     }  # fmt: skip
-    found = judged(case, motion_of(path))
+    found = judge_timing(case, motion_of(path))
     assert found.ratios["speed"] == pytest.approx(2.0)
     assert found.ratios["yaw_rate"] == pytest.approx(1.2)
     assert found.ratios["lateral_acceleration"] == pytest.approx(0.48)
@@ -219,18 +219,18 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
     assert found.structure["start_state"] == 0.0
 
 
-# the cases
+# cases and campaigns
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_a_case_is_a_function_of_its_seed_and_number_and_survives_a_file(kind, tmp_path):
-    for number in range(6):
+def test_a_case_is_determined_by_seed_and_number_and_survives_a_file(kind, tmp_path):
+    for number in range(1 if kind == "impossibilities" else 3):  # carved scenes are expensive
         case = KINDS[kind].draw(rng_of(kind, 3, number))
         again = KINDS[kind].draw(rng_of(kind, 3, number))
         assert json.dumps(case) == json.dumps(again)
         save_case(tmp_path / "case.json", case, Verdict("late"), "")
         assert json.dumps(load_case(tmp_path / "case.json")) == json.dumps(case)
-    assert json.dumps(KINDS[kind].draw(rng_of(kind, 4, 0))) != json.dumps(KINDS[kind].draw(rng_of(kind, 3, 0)))
+    assert json.dumps(KINDS[kind].draw(rng_of(kind, 4, number))) != json.dumps(case)
 
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
@@ -239,12 +239,12 @@ def test_planted_mistakes_are_found(name):
     kinds = {**dict.fromkeys(motions, "trajectories"), "dropped_new_obstacle": "replans"}
     kind = (kinds | {"dropped_measured_pose": "measured"}).get(name, "views" if name.startswith("view_") else "paths")
     cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
-    quick = (case for case in cases if "path" in case or "question" not in case)  # others plan first
+    quick = (case for case in cases if "path" in case or "question" not in case)  # the others plan first
     assert any(judge_once(case, name).is_fault for case in quick)
 
 
-def test_the_oracle_sees_wheels_turn_fastest_where_the_path_is_straight():
-    """Nowhere near a knot or a middle: at a third of the way the curvature changes its sign."""
+def test_steering_rate_is_evaluated_at_zero_curvature():
+    """Away from knots and middles: the curvature changes its sign at a third of the distance."""
     case = {
         "path": [clothoid([0.0, 0.3], [-20.0, 40.0])],
         "law": {"durations": [3.0], "jerks": [0.0], "start_speed": 0.1, "start_acceleration": 0.0},
@@ -252,10 +252,10 @@ def test_the_oracle_sees_wheels_turn_fastest_where_the_path_is_straight():
         "zone": [None, 0.0],
         "start_speed": 0.1,
     }
-    assert judged(case, motion_of(case["path"])).ratios["steering_rate"] == pytest.approx(2.0 * 200.0 * 0.1)
+    assert judge_timing(case, motion_of(case["path"])).ratios["steering_rate"] == pytest.approx(2.0 * 200.0 * 0.1)
 
 
-def test_tightened_limits_are_seen_to_bind_and_a_mistaken_quantity_is_found():
+def test_tightened_limits_bind_and_a_mistake_is_found():
     cases = [KINDS["limits"].draw(rng_of("limits", 6, number)) for number in range(20)]
     case = next(case for case in cases if "path" in case and len(case["path"]) == 1 and case["plugin"] == "NearOptimal")
     assert judge_once(case, None) == Verdict("certified")
@@ -263,7 +263,7 @@ def test_tightened_limits_are_seen_to_bind_and_a_mistaken_quantity_is_found():
     assert judge_once(case, "lateral_jerk_order").is_fault
 
 
-def test_the_rest_of_a_path_is_the_path_from_there_on():
+def test_cut_equals_the_piece_of_the_library():
     gears = [
         clothoid([0.0, 0.5, 1.0], [0.0, 1.0, -0.5]),
         {"type": "turn", "start": [0.0, 0.0, 0.0], "turn": -1.2, "gear": 0},
@@ -277,7 +277,7 @@ def test_the_rest_of_a_path_is_the_path_from_there_on():
         assert mine.poses_at(s) == pytest.approx(rest.poses_at(s), abs=1e-8)
 
 
-def test_shrinking_keeps_the_fault_and_drops_the_rest():
+def test_shrinking_keeps_the_fault():
     posts = [[[x, 1.0], [x + 0.1, 1.0], [x, 1.1]] for x in range(6)]
     case = scene([clothoid([0.0, 0.5, 1.0, 1.5], [0.0, 0.1, 0.0, 0.0])], obstacles=posts, limits={"max_speed": 1.0})
 
@@ -292,29 +292,23 @@ def test_shrinking_keeps_the_fault_and_drops_the_rest():
     assert len(case["obstacles"]) == 6
 
 
-def test_a_saved_case_can_be_replayed(tmp_path, capsys):
-    number = next(n for n in range(12) if judge_once(_drawn("dropped_obstacle", n), "dropped_obstacle").is_fault)
+def test_a_saved_case_can_be_replayed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("experiments.fuzz.campaign.prepare", lambda: None)  # no limits for the process of the tests
+    plant = "dropped_obstacle"
+    drawn = (KINDS["paths"].draw(rng_of("paths", SEEDS[plant], number)) for number in range(12))
     target = tmp_path / "found.json"
-    save_case(target, _drawn("dropped_obstacle", number), Verdict("false certificate"), "")
-    command = [sys.executable, "-m", "experiments.fuzz", "--replay", str(target)]
-    done = subprocess.run(
-        [*command, "--plant", "dropped_obstacle"], cwd=ROOT, capture_output=True, text=True, check=False
+    save_case(
+        target, next(case for case in drawn if judge_once(case, plant).is_fault), Verdict("false certificate"), ""
     )
-    assert done.returncode == 1, done.stderr
-    assert done.stdout.startswith(("false certificate", "overclaimed bound"))
+    assert main(["--replay", str(target), "--plant", plant]) == 1
+    assert capsys.readouterr().out.startswith(("false certificate", "overclaimed bound"))
 
 
-def _drawn(name, number):
-    return KINDS["paths"].draw(rng_of("paths", SEEDS[name], number))
-
-
-def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path):
-    command = ["-m", "experiments.fuzz", "--kinds", "trajectories", "--count", "9", "--jobs", "1", "--seed", "0"]
-    done = subprocess.run(
-        [sys.executable, *command, "--out", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert "trajectories: 9 cases" in done.stdout, done.stderr
-    assert done.returncode == (1 if list(tmp_path.iterdir()) else 0)
+def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path, capsys):
+    options = ["--kinds", "trajectories", "--count", "5", "--jobs", "1", "--seed", "0", "--out", str(tmp_path)]
+    status = main(options)
+    assert "trajectories: 5 cases" in capsys.readouterr().out
+    assert status == (1 if list(tmp_path.iterdir()) else 0)
 
 
 def test_unknown_kinds_are_refused(capsys):
@@ -322,7 +316,7 @@ def test_unknown_kinds_are_refused(capsys):
     assert "pathes" in capsys.readouterr().err
 
 
-# Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
+# Chosen so that a mistake is found within a dozen cases; `--plant NAME` finds it from any seed.
 SEEDS = {
     "tolerance_x5": 0,
     "always_true": 0,
@@ -343,8 +337,8 @@ SEEDS = {
 }
 
 
-def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
-    """A case of a run that stopped there: its last gear has neither poses nor knots."""
+def test_path_that_ends_with_a_turn_is_shrunk():
+    """Regression: its last gear has neither poses nor knots."""
     case = KINDS["paths"].draw(rng_of("paths", 991, 14515))
     assert case["path"][-1]["type"] == "turn"
     smaller = minimised(case, Verdict("false refusal"), lambda one: Verdict("false refusal"))
@@ -352,8 +346,8 @@ def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
 
 
 @pytest.mark.parametrize("rule", [[0.2, 0.0, 0.0], [0.05, 0.0, 0.3], [0.2, 0.05, 0.3, 0.4, 0.1]])
-def test_a_witness_keeps_within_its_steps_what_is_required_there(rule):
-    # A step that begins where little is asked for because of the start, and ends where little is because of the goal.
+def test_requirement_within_the_steps_of_a_witness(rule):
+    # A step that begins with a low requirement near the start, and ends with a low requirement near the goal.
     poses = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.6, 0.0, 0.0], [2.8, 0.0, 0.0]])
     enough = required_between(rule, poses, 0.005, SQUARE)
     case = {"clearance": rule, "footprint": {"polygon": SQUARE}, "start": [0.0] * 3, "dock": {"pose": [2.8, 0.0, 0.0]}}

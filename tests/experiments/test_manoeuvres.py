@@ -1,4 +1,4 @@
-"""The manoeuvre benchmark: its cases are what they say, its check sees faults, its tables count."""
+"""Manoeuvre benchmark: cases, independent check, tables."""
 
 import csv
 import dataclasses
@@ -10,7 +10,7 @@ import shapely
 from experiments.manoeuvres import cases
 from experiments.manoeuvres.__main__ import FAMILIES, families, main
 from experiments.manoeuvres.check import checked
-from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text
+from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, csv_text, run_case
 from experiments.manoeuvres.tables import budget_table, grid_table, proof_table, summary
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import Dock
@@ -28,7 +28,7 @@ def drawn():
     return [*cases.near_dock(), *cases.blocked(draws=2), *(one for s in (10.0, 60.0) for one in cases.open_hall(s, 4))]
 
 
-def test_names_are_unique_and_seeds_decide():
+def test_names_are_unique_and_cases_deterministic():
     first, again, other = drawn(), drawn(), cases.open_hall(10.0, 4, seed=1)
     assert len({(case.family, case.name) for case in first}) == len(first)
     assert [case.problem.fingerprint for case in first] == [case.problem.fingerprint for case in again]
@@ -36,7 +36,7 @@ def test_names_are_unique_and_seeds_decide():
     assert set(FAMILIES) == set(families(1)) == set(BUDGETS)
 
 
-def test_ends_are_free_but_where_a_bay_is_shorter_than_the_body():
+def test_ends_are_free_except_in_too_short_bays():
     for case in drawn():
         ends = end_clearances(case.problem)
         assert ends.start > 0.01, case.name
@@ -44,7 +44,7 @@ def test_ends_are_free_but_where_a_bay_is_shorter_than_the_body():
         assert (ends.goal < 0.0) == occupied, case.name
 
 
-def test_starts_in_the_hall_are_as_far_as_they_say_and_pillars_leave_room():
+def test_hall_start_distances_and_pillar_gaps():
     for length in (10.0, 60.0):
         for case in cases.open_hall(length, 4):
             start, goal = case.problem.start, case.problem.goal
@@ -57,7 +57,7 @@ def test_starts_in_the_hall_are_as_far_as_they_say_and_pillars_leave_room():
             assert shapely.distance(shapely.Point(start.x, start.y), pillars).min() >= cases.AROUND_START
 
 
-def test_the_gap_of_a_blocked_scene_is_where_and_as_narrow_as_its_truth_says():
+def test_gap_of_a_blocked_scene_equals_its_truth():
     needed = cases.ROBOT.footprint.width + 2.0 * cases.RULE.required
     seen = set()
     for case in cases.blocked(draws=2):
@@ -77,8 +77,8 @@ def test_the_gap_of_a_blocked_scene_is_where_and_as_narrow_as_its_truth_says():
     assert {is_body for _, is_body in seen} == {True, False, None}
 
 
-def test_no_disc_as_wide_as_the_robot_gets_from_start_to_dock_where_it_is_blocked_for_the_body():
-    """Free space shrunk by half the least width of the body falls apart between them."""
+def test_blocked_scenes_are_impassable_for_the_inscribed_disc():
+    """Free space shrunk by half the least width of the body is disconnected between start and dock."""
     half = 0.5 * cases.ROBOT.footprint.width
     for case in cases.blocked(draws=1):
         if case.truth.is_body and not case.tag.startswith("bay"):
@@ -102,7 +102,7 @@ def test_starts_around_real_docks(real_data):
         assert (before <= 0.0) == (case.tag == "beside or behind")
 
 
-def test_public_cases_are_whole(real_data):
+def test_public_cases_are_complete(real_data):
     assert len(cases.tpcap()) == 10
     assert [case.problem.clearance.required for case in cases.obca()] == [0.05] * 168
 
@@ -121,8 +121,8 @@ def test_a_certified_plan_is_confirmed(planned):
     assert found.poses > plan.path.length / 0.01
 
 
-def test_the_check_knows_both_rules_near_a_start_along_a_wall():
-    """A straight drive, 2 cm beside a wall all along: kept by the weaker rule, broken by the strict one."""
+def test_check_of_both_rules_near_a_start_along_a_wall():
+    """A straight motion, 2 cm along a wall: satisfies the weaker rule, violates the strict one."""
     case = next(case for case in cases.near_dock() if case.name == "0 cm aside, 1.00 m before")
     plan = plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
     outline = case.problem.robot.footprint
@@ -144,7 +144,7 @@ def with_limits(problem, **limits):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "rule"),
     [
         (lambda p: dataclasses.replace(p, obstacles=[[[-0.5, 0.28], [-0.4, 0.28], [-0.4, 0.4]]]), "clearance"),
         (lambda p: dataclasses.replace(p, clearance=0.05), "clearance"),
@@ -159,12 +159,12 @@ def with_limits(problem, **limits):
         (lambda p: with_limits(p, max_acceleration=0.05), "acceleration"),
     ],
 )  # fmt: skip
-def test_the_check_sees_a_broken_rule(planned, changed, told):
+def test_check_finds_a_violated_rule(planned, changed, rule):
     case, plan = planned
-    assert told in " ".join(fault.split(" ")[0].rstrip(",") for fault in checked(plan, changed(case.problem)).faults)
+    assert rule in " ".join(fault.split(" ")[0].rstrip(",") for fault in checked(plan, changed(case.problem)).faults)
 
 
-def test_the_check_sees_wheels_that_turn_too_far_too_fast_or_while_nobody_waits():
+def test_check_of_steering_limits():
     case = next(case for case in cases.near_dock() if case.name == "30 cm aside, 0.70 m before")
     limits = dataclasses.asdict(case.problem.robot.limits)
     plan = plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
@@ -199,14 +199,14 @@ def test_tables_count():
     assert rows["parallel"]["refuted"] == 0
 
 
-def test_plans_that_get_lost_or_worse_with_the_budget_are_counted():
+def test_budget_table_counts_lost_and_worse_plans():
     plan = record(CERTIFIED, price=4.0)
     worse = budget_table({0.1: [plan, plan], 0.2: [plan._replace(price=4.1), record(NOT_FOUND)]})
     row = dict(zip(worse.header, worse.rows[1], strict=True))
     assert (row["lost"], row["worse"], row["certified"]) == (1, 1, 1)
 
 
-def test_proofs_are_held_against_the_truth():
+def test_proof_table():
     proof = record(IMPOSSIBLE, bottleneck_error=0.03, missing_error=-0.02, cause="right")
     wrong = proof._replace(bottleneck_error=0.01, cause="wrong", wall=0.2)
     table = proof_table([proof, wrong, record(NOT_FOUND)])
@@ -215,19 +215,19 @@ def test_proofs_are_held_against_the_truth():
     assert (row["place off cm worst"], row["width off cm worst"]) == (3.0, 2.0)
 
 
-def test_feasibility_near_the_dock_is_a_line_of_letters():
+def test_grid_table():
     rows = grid_table([record(CERTIFIED), record(NOT_FOUND), record(IMPOSSIBLE)]).rows
     assert rows == (("parallel", "C.I", 1),)
 
 
 def test_a_refusal_is_recorded_with_its_reason():
     case = next(case for case in cases.blocked(1) if case.tag == "bay, 30 cm missing")
-    found = ask(case)
+    found = run_case(case)
     assert found.outcome == IMPOSSIBLE
     assert found.error.startswith("GoalOccupied: ")
 
 
-def test_the_program_writes_a_row_and_a_picture_per_case(tmp_path, capsys):
+def test_command_writes_a_row_and_a_picture_per_case(tmp_path, capsys):
     words = ["--family", "near dock", "--every", "60", "--out", str(tmp_path), "--figures", "--budget", "0.2"]
     assert main(words) == 0
     rows = list(csv.DictReader((tmp_path / "cases.csv").read_text().splitlines()))
@@ -235,7 +235,7 @@ def test_the_program_writes_a_row_and_a_picture_per_case(tmp_path, capsys):
     assert {row["name"] for row in rows} < {case.name for case in cases.near_dock()}
     assert len(list((tmp_path / "figures").iterdir())) == len(rows)
     assert (tmp_path / "versions.json").is_file()
-    told = capsys.readouterr().out
-    assert "## Manoeuvres" in told
-    assert "near dock" in told
+    printed = capsys.readouterr().out
+    assert "## Manoeuvres" in printed
+    assert "near dock" in printed
     assert csv_text([]).splitlines() == [",".join(Record._fields)]

@@ -1,4 +1,4 @@
-"""Contact in MuJoCo keeps the balances of mechanics, and free driving is what the kinematic plant does."""
+"""MuJoCo plant: contact satisfies the balances of mechanics, and free driving equals the kinematic plant."""
 
 import dataclasses
 import math
@@ -44,7 +44,7 @@ def forces(states):
 class TestStations:
     @pytest.mark.parametrize("gear", [1.0, -1.0])
     @pytest.mark.parametrize("kind", ["flat", "V"])
-    def test_a_docked_robot_touches_and_goes_in_no_further(self, kind, gear):
+    def test_docked_robot_touches_the_station(self, kind, gear):
         direction = DockDirection.FORWARD if gear > 0.0 else DockDirection.BACKWARD
         v = VShape(direction=direction)
         robot = BOX.footprint if kind == "flat" else v.with_nose(0.3, 0.2, 0.5)
@@ -56,7 +56,7 @@ class TestStations:
         assert found[1] == pytest.approx(0.0, abs=1e-12)
         assert found[2] < -0.005
 
-    def test_what_is_no_station_is_refused(self):
+    def test_invalid_stations_are_refused(self):
         with pytest.raises(InvalidValue, match="station.width: must be > 0 m"):
             flat_station(BOX.footprint, width=0.0)
         with pytest.raises(InvalidValue, match="station.half_angle"):
@@ -68,7 +68,7 @@ class TestStations:
 
 
 class TestModel:
-    def test_the_outline_and_the_station_are_in_it_piece_by_piece(self):
+    def test_model_contains_outline_and_station(self):
         root = ElementTree.fromstring(docking_model(NOSED, WINGS))
         for name, footprint in (("robot", NOSED.footprint), ("station", WINGS.footprint)):
             geoms = root.findall(f".//body[@name='{name}']/geom")
@@ -78,7 +78,7 @@ class TestModel:
                 corners = np.array(meshes[geom.get("mesh")].split(), dtype=float).reshape(-1, 3)
                 assert np.array_equal(corners[: len(body.vertices), :2], body.vertices)
 
-    def test_a_chassis_that_cannot_be_is_refused(self):
+    def test_invalid_chassis_is_refused(self):
         for wrong in ({"mass": 0.0}, {"tyre_friction": -1.0}, {"restitution": 0.1}, {"bumper": (0.2, 0.1)}):
             with pytest.raises(InvalidValue, match=f"chassis.{next(iter(wrong))}: must be"):
                 Chassis(**wrong)
@@ -100,8 +100,10 @@ class TestDriving:
         [Twist2(0.2), Twist2(0.2, 0.3), Twist2(0.0, -0.5), Twist2(-0.15, 0.4)],
         ids=["straight", "arc", "turn", "back"],
     )
-    def test_free_driving_is_that_of_the_kinematic_plant(self, twist):
-        """Within half a percent of the way and 1.5 % of the turn (resistance of the casters), and the servos' 10 ms."""
+    def test_free_driving_equals_the_kinematic_plant(self, twist):
+        """Within half a percent of the distance and 1.5 % of the turn (resistance of the casters), and the servos' 10
+        ms.
+        """
         start, late = Pose2(-5.0, 2.0, 3.0), Actuation(linear_lag=0.1, angular_lag=0.05, latency=0.07)
         found = [
             driven(drive, drive.at_rest(start), twist, 3.0)
@@ -115,9 +117,9 @@ class TestDriving:
         assert math.hypot(error.x, error.y) <= (0.005 + late_by) * way + 0.5 * abs(error.yaw) * way + 3e-4
         assert np.max(np.abs(np.concatenate([state.physics.slip for state in found[0]]))) < 1e-3
         for name in ("twist", "encoders"):
-            told = getattr(ours, name)
-            assert told.linear == pytest.approx(twist.linear, abs=0.002)
-            assert told.angular == pytest.approx(twist.angular, abs=0.005)
+            found = getattr(ours, name)
+            assert found.linear == pytest.approx(twist.linear, abs=0.002)
+            assert found.angular == pytest.approx(twist.angular, abs=0.005)
 
     def test_equal_states_and_commands_give_equal_states_in_any_order(self):
         drive = MujocoDrive(BOX, PLATE)
@@ -137,20 +139,20 @@ class TestDriving:
             state = drive.step(state, command, (0.0333, 0.0411, 0.0256)[i % 3])
         assert state.pose.gap_to(whole.pose) < 1e-9
 
-    def test_the_world_measures_it_like_any_plant(self):
+    def test_simulated_robot_with_the_plant(self):
         robot = SimulatedRobot(
             MujocoDrive(BOX, PLATE), Pose2(-0.01, 0.0, 0.0), ORIGIN, Sensors(PoseSensor(0.002, 0.002))
         )
-        told = [robot.measurements, *(robot.advance(Twist2(0.1), 0.05) for _ in range(8))]
-        assert (told[0].contact, told[-1].contact) == (False, True)
+        found = [robot.measurements, *(robot.advance(Twist2(0.1), 0.05) for _ in range(8))]
+        assert (found[0].contact, found[-1].contact) == (False, True)
         assert robot.record().contact[-1]
 
 
 @needs_mujoco
 class TestContact:
     @pytest.mark.parametrize(("mass", "speed", "restitution"), [(None, 0.05, 0.3), (80.0, 0.2, 0.6)])
-    def test_an_impact_takes_the_momentum_and_gives_back_its_share(self, mass, speed, restitution):
-        """Momentum with that of wheels and rotors, 1.1 times the robot's; weak motors, casters without resistance."""
+    def test_impulse_of_an_impact(self, mass, speed, restitution):
+        """Momentum with wheels and rotors, 1.1 times the robot's; weak motors, casters without resistance."""
         chassis = Chassis(mass=mass, restitution=restitution, wheel_torque=1e-3, caster_friction=0.0)
         drive = MujocoDrive(BOX, PLATE, chassis)
         start = drive.moving(Pose2(-0.3 * speed, 0.0, 0.0), Twist2(speed))
@@ -162,7 +164,7 @@ class TestContact:
         assert np.abs(found[:, 1]).max() < 1e-4
 
     @pytest.mark.parametrize(("friction", "torque", "expected"), [(0.8, 2.0, 2.0 * 2.0 / 0.075), (0.3, 8.0, None)])
-    def test_pushing_at_rest_is_what_motors_or_tyres_hold(self, friction, torque, expected):
+    def test_static_pushing_force(self, friction, torque, expected):
         drive = MujocoDrive(BOX, PLATE, Chassis(tyre_friction=friction, wheel_torque=torque, caster_friction=0.0))
         end = driven(drive, drive.moving(Pose2(-0.01, 0.0, 0.0), Twist2(0.05)), Twist2(0.05), 2.0)[-1]
         if expected is None:  # the tyres slip
@@ -172,8 +174,8 @@ class TestContact:
         assert np.mean(end.physics.force[:, 0]) == pytest.approx(-expected, rel=0.03)
         assert end.contact
 
-    def test_a_v_centres_the_nose_and_not_the_axle(self):
-        """The wings push the nose to the apex; the tyres hold the axle, so that an error across becomes one of yaw."""
+    def test_v_centres_the_nose(self):
+        """The wings push the nose to the apex; the tyres hold the axle, so a lateral error becomes a yaw error."""
         drive = MujocoDrive(NOSED, WINGS)
         end = driven(drive, drive.moving(Pose2(-0.1, 0.03, 0.0), Twist2(0.1)), Twist2(0.1), 4.0)[-1]
         nose = end.pose @ Pose2(0.46, 0.0, 0.0)
@@ -181,8 +183,8 @@ class TestContact:
         assert end.pose.y > 0.02
         assert end.pose.yaw == pytest.approx(-end.pose.y / 0.35, rel=0.1)
 
-    def test_a_dock_may_stand_anywhere_and_be_entered_backward(self):
-        """The same drive seen from the dock; backward it is the mirror image."""
+    def test_dock_pose_and_backward_docking(self):
+        """The same motion in the frame of the dock; backward it is mirrored."""
         place, found = Pose2(2.0, -1.0, 2.0), []
         symmetric = dataclasses.replace(BOX, footprint=Footprint.rectangle(0.3, 0.3, 0.5))
         for pose, gear, direction in ((ORIGIN, 1.0, "FORWARD"), (place, 1.0, "FORWARD"), (ORIGIN, -1.0, "BACKWARD")):
@@ -210,7 +212,7 @@ def load_on_tyres(drive):
 
 @needs_mujoco
 class TestAnimation:
-    def test_it_shows_the_robot_at_its_dock(self, tmp_path):
+    def test_animation_shows_the_robot_at_its_dock(self, tmp_path):
         drive = MujocoDrive(BOX, PLATE)
         states = driven(drive, drive.moving(Pose2(-0.05, 0.0, 0.0), Twist2(0.2)), Twist2(0.2), 0.3)
         try:
@@ -225,7 +227,7 @@ class TestAnimation:
         robot, station = blue - red > 80, red - blue > 40
         assert robot.sum() > 5 * station.sum() > 10_000
 
-    def test_where_nothing_draws_it_says_what_to_install(self, tmp_path, monkeypatch):
+    def test_missing_renderer_is_reported(self, tmp_path, monkeypatch):
         drive = MujocoDrive(BOX, PLATE)
         states = driven(drive, drive.at_rest(Pose2(-0.05, 0.0, 0.0)), Twist2(0.2), 0.1)
         for kind in ("egl", "osmesa", "glfw"):

@@ -1,5 +1,6 @@
-"""The scenarios on maps: raw paths break the rules, smoothed ones are certified, and two judges agree."""
+"""Scenarios on maps: raw paths violate bounds, smoothed ones are certified, and two independent checks agree."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from optdock.model.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.planning.pipeline import plan_dock
 from optdock.verification import certify_path
 
-BUDGET = 20.0  # [s]: about verdicts, not about time
+BUDGET = 20.0  # [s]: the test is of verdicts, not of time
 ROOT = DRAWN_MAPS.parents[1]
 
 
@@ -27,22 +28,22 @@ def check(scenario):
 
 
 @pytest.mark.parametrize("scenario", DRAWN_SCENARIOS, ids=lambda scenario: scenario.name)
-def test_every_scenario_on_our_maps_is_certified_and_the_dense_check_agrees(scenario):
+def test_scenarios_on_our_maps_are_certified(scenario):
     check(scenario)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
-def test_every_scenario_is_certified_and_the_dense_check_agrees(scenario, real_data):
+def test_scenarios_on_real_maps_are_certified(scenario, real_data):
     check(scenario)
 
 
-def test_nearly_every_raw_path_breaks_a_rule(real_data):
+def test_raw_paths_violate_bounds(real_data):
     raw = {s.name: plan_dock(problem_of(s), time_budget=BUDGET).raw_path for s in SCENARIOS}
     broken = [s.name for s in SCENARIOS if not certify_path(raw[s.name], problem_of(s)).certified]
     assert len(broken) >= len(SCENARIOS) - 1
 
 
-def test_the_set_is_what_it_promises():
+def test_set_of_scenarios():
     assert len(SCENARIOS) >= 20
     assert {s.map_name for s in SCENARIOS} == {"depot", "warehouse"}
     assert {s.map_name for s in DRAWN_SCENARIOS} == set(PLACES)
@@ -50,8 +51,8 @@ def test_the_set_is_what_it_promises():
     assert max(abs(s.start[2]) for s in SCENARIOS) == 60
 
 
-def test_our_maps_are_those_that_the_script_draws():
-    """One of them, to the cell; but for the cells whose beam another processor's sine moves over an edge."""
+def test_committed_map_equals_the_drawn_map():
+    """One of the maps, except for cells at which rounding of another processor's sine moves a beam over an edge."""
     place = PLACES["corridor"]
     drawn = scanned(solid(place), place.tour, np.random.default_rng(1))
     costs = load_map(DRAWN_MAPS / "corridor.yaml").costmap.data
@@ -60,16 +61,11 @@ def test_our_maps_are_those_that_the_script_draws():
     assert min(np.mean(costs == cost) for cost in (FREE_SPACE, LETHAL, NO_INFORMATION)) > 0.02
 
 
-def run_experiment(folder, *options, **variables):
-    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"} | variables
-    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
-    script = ROOT / "experiments" / "01_docking_on_maps.py"
-    command = [sys.executable, script, *options]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=environment)
-
-
 def test_the_experiment_runs_from_a_clone(tmp_path):
-    done = run_experiment(tmp_path, "--only", "hall north wall")
+    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"}
+    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
+    command = [sys.executable, ROOT / "experiments" / "01_docking_on_maps.py", "--only", "hall north wall"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     assert "1 of 1 certified, 1 docked" in done.stdout
     made = {path.name for path in (tmp_path / "results" / "01_docking_on_maps").iterdir()}
@@ -78,12 +74,18 @@ def test_the_experiment_runs_from_a_clone(tmp_path):
 
 
 @pytest.mark.parametrize("given", ["option", "variable"])
-def test_maps_that_are_asked_for_and_missing_are_said_with_where_to_get_them(tmp_path, given):
+def test_requested_maps_that_are_missing_are_reported_with_their_source(tmp_path, given, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "argv", ["01_docking_on_maps", *(["--maps", "nowhere"] if given == "option" else [])])
     if given == "option":
-        done = run_experiment(tmp_path, "--maps", "nowhere")
+        monkeypatch.delenv("OPTDOCK_DATA", raising=False)
     else:
-        done = run_experiment(tmp_path, OPTDOCK_DATA="nowhere")
-    assert done.returncode == 2
-    assert "holds no depot.yaml and no warehouse.yaml; " in done.stderr
-    assert "https://github.com/ros-navigation/navigation2" in done.stderr
+        monkeypatch.setenv("OPTDOCK_DATA", "nowhere")
+    with pytest.raises(SystemExit) as left:
+        importlib.import_module("experiments.01_docking_on_maps").main()
+    assert left.value.code == 2
+    message = capsys.readouterr().err
+    assert "holds no depot.yaml and no warehouse.yaml; " in message
+    assert "https://github.com/ros-navigation/navigation2" in message
     assert not (tmp_path / "results").exists()

@@ -1,4 +1,4 @@
-"""Every script says what it does, and does nothing else, when it is asked for help."""
+"""Every script prints its help without running anything."""
 
 import pkgutil
 import runpy
@@ -18,14 +18,14 @@ BENCHMARKS = [
 ]
 
 
-def test_there_is_something_to_ask():
+def test_scripts_are_found():
     assert len(SCRIPTS) >= 4
     assert len(BENCHMARKS) >= 8
 
 
 @pytest.fixture
 def as_before(monkeypatch, tmp_path):
-    """An empty folder to run in; what a script changes of the process is put back."""
+    """Run in an empty folder, and restore the process state changed by a script."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -42,7 +42,7 @@ def as_before(monkeypatch, tmp_path):
     ],
     ids=lambda command: " ".join(Path(word).name for word in command),
 )
-def test_help_is_given_and_nothing_is_run(as_before, tmp_path, monkeypatch, capsys, command):
+def test_help_runs_nothing(as_before, tmp_path, monkeypatch, capsys, command):
     monkeypatch.setattr(sys, "argv", [*command, "--help"])
     monkeypatch.delitem(sys.modules, f"{command[0]}.__main__", raising=False)
     run = runpy.run_path if command[0].endswith(".py") else runpy.run_module

@@ -1,4 +1,4 @@
-"""A camera that sees the dock: late, out of order, wrong now and then, and least of all where it matters most."""
+"""Simulated dock detector: late, out of order, with outliers, and with losses near the dock."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ _INSTANT = 1e-9  # [s]: rounding of times that are sums of sub-steps
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with a detector of docks. Ranges are (lowest, highest) of a uniform distribution.
+    """Parameters of a camera with a dock detector. Ranges are (lowest, highest) of a uniform distribution.
 
     Args:
-        mount: Of the camera on the robot; it looks along its x axis.
-        field_of_view: Whole angle [rad].
-        range: Distances from the marker at which it is seen [m].
-        period: Between two pictures [s].
-        latency: Of each detection [s]; they overtake each other.
-        position_sigma: Of the docked pose's x and y at no distance, each [m]; told as it is.
-        position_slope: What each metre from the marker adds to it [1].
-        yaw_sigma: Likewise of the yaw [rad].
-        yaw_slope: [rad/m].
-        outliers: Share of the detections that are wrong, with sigmas as if they were right [1].
-        outlier_distance: How far off in any direction [m].
-        outlier_yaw: And turned to either side [rad].
-        near: Nearer to the docked pose than this [m] ...
-        near_loss: ... this share of the pictures shows nothing [1]; 1: the camera is blind there.
-        hidden_for: So long something stands before the dock, once in a run [s].
-        hidden_from: When that begins [s].
-        second_tag: Share of the pictures in which another tag is taken for the dock [1]; all while it is hidden.
-        second_tag_aside: How far to the left of the dock that one is [m].
-        stamped_on_arrival: Whether a detection bears the time when it is told instead of the picture's.
+        mount: Camera pose on the robot; the camera points along its x axis.
+        field_of_view: Full angle [rad].
+        range: Distances from the marker at which it is visible [m].
+        period: Time between two pictures [s].
+        latency: Latency of each detection [s]; detections can overtake each other.
+        position_sigma: Standard deviation of the docked pose's x and y at distance 0 [m]; reported truthfully.
+        position_slope: Increase of the position deviation per metre from the marker [1].
+        yaw_sigma: Standard deviation of the yaw at distance 0 [rad].
+        yaw_slope: Increase of the yaw deviation per metre from the marker [rad/m].
+        outliers: Share of outliers among the detections, which report the sigmas of inliers [1].
+        outlier_distance: Position error of outliers, in any direction [m].
+        outlier_yaw: Yaw error of outliers, of either sign [rad].
+        near: Distance to the docked pose below which pictures are lost [m].
+        near_loss: Share of lost pictures within `near` [1]; 1: the camera is blind there.
+        hidden_for: Duration of one occlusion of the dock per run [s].
+        hidden_from: Start time of the occlusion [s].
+        second_tag: Share of pictures in which another tag is detected instead of the dock [1]; all while it is hidden.
+        second_tag_aside: Lateral offset of the other tag to the left of the dock [m].
+        stamped_on_arrival: Whether a detection has the time of its arrival as stamp instead of the time of the picture.
     """
 
     mount: Pose2 = _FRONT
@@ -66,7 +66,7 @@ class Camera:
     stamped_on_arrival: bool = False
 
     def sigmas(self, distance: float) -> tuple[float, float]:
-        """Standard deviations of position [m] and yaw [rad] at a distance from the marker [m]."""
+        """Return the standard deviations of position [m] and yaw [rad] at a distance from the marker [m]."""
         return (
             self.position_sigma + self.position_slope * distance,
             self.yaw_sigma + self.yaw_slope * distance,
@@ -74,12 +74,12 @@ class Camera:
 
 
 class CameraState:
-    """Takes pictures and remembers what is not told yet.
+    """Camera that queues its detections until they arrive.
 
     Args:
-        camera: What it is like.
-        marker: Seen from the docked robot.
-        random: For noise, latency and everything that goes wrong.
+        camera: Camera parameters.
+        marker: Marker position in the frame of the docked robot.
+        random: Generator of noise, latency and failures.
     """
 
     def __init__(self, camera: Camera, marker: Pose2, random: np.random.Generator) -> None:
@@ -94,11 +94,11 @@ class CameraState:
 
         Args:
             time: [s].
-            robot: True pose.
+            robot: True pose of the robot.
             dock: True pose of the docked robot.
         """
         camera = self.camera
-        # The same numbers are drawn whatever is seen, so that no trait changes the noise of another.
+        # Always draw the same number of values, so that no parameter changes the noise of another part.
         wrong, bearing, side, missed, confused, wait = self._random.random(6).tolist()
         noise = self._random.standard_normal(3).tolist()
         hidden = 0.0 <= time - self._hidden_from < camera.hidden_for
@@ -132,14 +132,14 @@ class CameraState:
         )
 
     def arrived(self, time: float) -> tuple[Detection, ...]:
-        """What has been told since the last call, in the order of arrival."""
+        """Return the detections that arrived since the last call, in the order of arrival."""
         found = []
         while self._under_way and self._under_way[0][0] <= time + _INSTANT:
             found.append(heapq.heappop(self._under_way)[2])
         return tuple(found)
 
     def _in_view(self, seen: Pose2, distance: float) -> bool:
-        """Whether a marker is in view, seen from the camera."""
+        """Return whether a marker, given in the camera frame, is in view."""
         nearest, farthest = self.camera.range
         bearing = math.atan2(seen.y, seen.x)
         return nearest <= distance <= farthest and abs(bearing) <= 0.5 * self.camera.field_of_view

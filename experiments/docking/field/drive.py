@@ -1,7 +1,7 @@
-"""A differential drive whose commands come late, whose wheels lag, slip and are not as large as it believes.
+"""Differential drive with command latency, wheel lag, slip and wrong kinematic parameters.
 
-Time advances in sub-steps of 5 ms. Within one the commanded wheel speed is constant, so the first-order lag is exact;
-the way of the robot is the arc of the mean wheel speeds, exact where they are steady.
+Time advances in sub-steps of 5 ms. The commanded wheel speed is constant within a sub-step, so the first-order lag is
+exact; the motion of the robot is the arc of the mean wheel speeds, exact for constant speeds.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
 
 __all__ = ["SUBSTEP", "Drive", "DriveState"]
 
-SUBSTEP = 0.005  # [s]: a twentieth of the wheels' lag, and half the period of the odometry
+SUBSTEP = 0.005  # [s]: 1/20 of the time constant of the wheels, and half the period of the odometry
 _INSTANT = 1e-9  # [s]: rounding of times that are sums of sub-steps
-_STRAIGHT = 1e-9  # [rad]: the chord of a smaller turn is its arc
+_STRAIGHT = 1e-9  # [rad]: the chord of a smaller turn equals its arc
 
 
 @dataclass(frozen=True)
 class Drive:
-    """How commands become motion. Ranges are (lowest, highest) of a uniform distribution.
+    """Parameters of the drive. Ranges are (lowest, highest) of a uniform distribution.
 
     Args:
-        track_width: That the base believes in [m].
-        wheel_radius: That the base believes in [m].
-        radius_spread: Each true radius is within this of the believed one, drawn for each run [1].
-        track_spread: Likewise the true track width [1].
+        track_width: Track width assumed by the base [m].
+        wheel_radius: Wheel radius assumed by the base [m].
+        radius_spread: Largest relative deviation of each true radius, drawn per run [1].
+        track_spread: Largest relative deviation of the true track width, drawn per run [1].
         lag: Time constant of each wheel's speed [s].
-        dead_band: A wheel that is commanded less stands still, drawn for each wheel and run [m/s].
-        latency: Of each command [s]; commands stay in order.
-        command_loss: Share of the commands that never arrive [1].
-        watchdog: Without a command for so long the base stops by itself [s].
+        dead_band: Commanded speed below which a wheel stands still, drawn per wheel and run [m/s].
+        latency: Latency of each command [s]; commands stay in order.
+        command_loss: Share of lost commands [1].
+        watchdog: Time without a command after which the base stops [s].
         slip_rate: Slip bursts per second [1/s].
-        slip_duration: Of each [s].
-        slip_share: Of the rim's way that is lost in it [1], on the left wheel, on the right, or on both.
+        slip_duration: Duration of each burst [s].
+        slip_share: Lost share of the rim's distance during a burst [1], on the left wheel, the right wheel, or both.
     """
 
     track_width: float = 0.4
@@ -57,20 +57,20 @@ class Drive:
 
 
 class DriveState:
-    """One robot, driving.
+    """State of one driving robot.
 
     Args:
-        drive: What it is like.
+        drive: Drive parameters.
         start: True pose, at rest.
-        seeds: A seed for each of: what the wheels are like, commands, slip.
+        seeds: Seeds of wheel properties, commands and slip.
 
     Attributes:
         time: [s].
         x: True [m].
         y: True [m].
         yaw: True, continuous [rad].
-        left: Angle that the left wheel has turned by [rad].
-        right: Likewise.
+        left: Rotation angle of the left wheel [rad].
+        right: Rotation angle of the right wheel [rad].
         radii: True radii, left and right [m].
         width: True track width [m].
         dead_bands: Left and right [m/s].
@@ -105,7 +105,7 @@ class DriveState:
 
     @property
     def wheel_speeds(self) -> tuple[float, float]:
-        """Left and right [rad/s]."""
+        """Angular speeds of the left and the right wheel [rad/s]."""
         return self._speeds
 
     @property
@@ -114,7 +114,7 @@ class DriveState:
         return max(abs(speed) for speed in self._speeds) * self.drive.wheel_radius < 1e-3
 
     def send(self, command: Twist2) -> None:
-        """Send a velocity command now; it arrives later, or never."""
+        """Send a velocity command; it arrives later or is lost."""
         lowest, highest = self.drive.latency
         lost, share = self._commands.random(2).tolist()
         if lost < self.drive.command_loss:
@@ -125,12 +125,12 @@ class DriveState:
         self._under_way.append((arrival, command.linear, command.angular))
 
     def advance(self) -> None:
-        """One sub-step."""
+        """Advance one sub-step."""
         self._receive()
         keep = self._keep
         (left, right), (to_left, to_right) = self._speeds, self._targets
         ends = to_left + keep * (left - to_left), to_right + keep * (right - to_right)
-        # The integral of a speed that approaches its target exponentially.
+        # Integral of a speed that approaches its target exponentially.
         spent = self.drive.lag * (1.0 - keep)
         turned_left = to_left * SUBSTEP + (left - to_left) * spent
         turned_right = to_right * SUBSTEP + (right - to_right) * spent
@@ -143,12 +143,12 @@ class DriveState:
         self._roll(turned_left * self.radii[0] * (1.0 - slip[0]), turned_right * self.radii[1] * (1.0 - slip[1]))
 
     def stall(self, x: float, y: float, yaw: float) -> None:
-        """Stand still at a pose, held there by something; the wheels stand too."""
+        """Hold the robot and its wheels at a pose."""
         self.x, self.y, self.yaw = x, y, yaw
         self._speeds = (0.0, 0.0)
 
     def _receive(self) -> None:
-        """Take the commands that have arrived as targets of the wheels."""
+        """Set the commands that have arrived as targets of the wheels."""
         while self._under_way and self._under_way[0][0] <= self.time + _INSTANT:
             self._last_arrival, linear, angular = self._under_way.popleft()
             turn = 0.5 * self.drive.track_width * angular
@@ -157,11 +157,11 @@ class DriveState:
             self._targets = (0.0, 0.0)
 
     def _target(self, rim: float, wheel: int) -> float:
-        """Speed of a wheel that is to roll at `rim` [m/s], as the base believes [rad/s]."""
+        """Return the angular speed for a rim speed `rim` [m/s] with the assumed radius [rad/s]."""
         return 0.0 if abs(rim) < self.dead_bands[wheel] else rim / self.drive.wheel_radius
 
     def _roll(self, left: float, right: float) -> None:
-        """Along the arc of two rims' ways [m]."""
+        """Move along the arc given by the distances of both rims [m]."""
         way, turn = 0.5 * (left + right), (right - left) / self.width
         half = 0.5 * turn
         chord = way * math.sin(half) / half if abs(half) > _STRAIGHT else way
@@ -174,7 +174,7 @@ class DriveState:
         return float(self._slips.exponential(1.0 / rate)) if rate > 0.0 else math.inf
 
     def _next_burst(self) -> tuple[float, float]:
-        """Outside a burst: begin the next one where its time has come."""
+        """Start the next slip burst if it is due."""
         if self.time < self._next_slip:
             return (0.0, 0.0)
         duration, share = (

@@ -1,4 +1,4 @@
-"""Localization in a map, as AMCL gives it: seldom, late, with an error that drifts and jumps."""
+"""Localization in a map, similar to AMCL: low rate, latency, and an error that drifts and jumps."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ _INSTANT = 1e-9  # [s]: rounding of times that are sums of sub-steps
 
 @dataclass(frozen=True)
 class Localization:
-    """Localization of the robot in the fixed frame. Ranges are (lowest, highest) of a uniform distribution.
+    """Parameters of the localization in the fixed frame. Ranges are (lowest, highest) of a uniform distribution.
 
-    The error is a pose in the fixed frame that the true one is moved by: a Gauss-Markov process and, between two
-    jumps, an offset that the next jump takes back.
+    The error is a displacement of the true pose in the fixed frame: a Gauss-Markov process, plus an offset that every
+    second jump adds and the next jump removes.
 
     Args:
-        period: Between two estimates [s].
-        latency: Of each [s].
-        drift: Standard deviation of the drifting error's x and y, each [m].
-        drift_yaw: Likewise of its yaw [rad].
+        period: Time between two estimates [s].
+        latency: Latency of each estimate [s].
+        drift: Standard deviation of the drifting error in x and y [m].
+        drift_yaw: Standard deviation of the drifting error in yaw [rad].
         drift_time: Correlation time of the drift [s].
         jump_pause: Mean time between two jumps [s]; infinite: none.
-        jump: How far [m].
-        jump_yaw: How far turned at most [rad].
-        lost_for: So long there is no pose at all, once in a run [s].
-        lost_from: When that begins [s].
-        composed: Whether the pose that is told is the newest correction of the odometry applied to the newest
-            odometry, as transforms from map to odom to base are looked up, without a stamp of its own; else each
-            estimate is told once, with the stamp of its measurement.
+        jump: Distance of a jump [m].
+        jump_yaw: Largest rotation of a jump [rad].
+        lost_for: Duration of one loss of localization per run [s].
+        lost_from: Start time of the loss [s].
+        composed: Whether the reported pose is the newest correction of the odometry applied to the newest odometry,
+            without a separate stamp, as in a lookup of the transforms map, odom and base; otherwise each estimate is
+            reported once, with the stamp of its measurement.
     """
 
     period: float = 0.2
@@ -54,7 +54,7 @@ class Localization:
 
 
 class _Estimate(NamedTuple):
-    """When it was measured and when it is told [s], the pose, and where that puts the origin of the odometry."""
+    """One estimate: measurement time and arrival time [s], the pose, and the resulting origin of the odometry."""
 
     stamp: float
     arrival: float
@@ -63,11 +63,11 @@ class _Estimate(NamedTuple):
 
 
 class LocalizationState:
-    """Localizes and remembers.
+    """Localization that queues its estimates until they arrive.
 
     Args:
-        localization: What it is like.
-        random: For drift, jumps and the loss.
+        localization: Localization parameters.
+        random: Generator of drift, jumps and the loss.
     """
 
     def __init__(self, localization: Localization, random: np.random.Generator) -> None:
@@ -84,12 +84,12 @@ class LocalizationState:
         self._correction: Pose2 | None = None
 
     def estimate(self, time: float, true: Pose2, odometry: Pose2) -> None:
-        """Measure.
+        """Take a measurement.
 
         Args:
             time: [s].
-            true: Pose.
-            odometry: Pose by the odometry at the same time.
+            true: True pose.
+            odometry: Odometry pose at the same time.
         """
         self._wander(time)
         x, y, yaw = self._drift
@@ -97,15 +97,15 @@ class LocalizationState:
         pose = Pose2(true.x + x + jumped.x, true.y + y + jumped.y, true.yaw + yaw + jumped.yaw)
         found = _Estimate(time, time + self.localization.latency, pose, pose @ odometry.inverse())
         self._under_way.append(found)
-        if self._correction is None:  # it stood there long before the run began
+        if self._correction is None:  # the robot stood there long before the start of the run
             self._correction = found.correction
 
-    def told(self, time: float, odometry: Pose2) -> tuple[Pose2 | None, float | None]:
-        """The robot's pose as it is told, and its stamp where it has one of its own [s].
+    def reported(self, time: float, odometry: Pose2) -> tuple[Pose2 | None, float | None]:
+        """Return the reported pose, and its stamp if it has a separate one [s].
 
         Args:
-            time: Of the control cycle [s].
-            odometry: Newest pose of the odometry.
+            time: Time of the control cycle [s].
+            odometry: Newest odometry pose.
         """
         newest = None
         while self._under_way and self._under_way[0].arrival <= time + _INSTANT:
@@ -122,7 +122,7 @@ class LocalizationState:
         return float(self._random.exponential(pause)) if math.isfinite(pause) else math.inf
 
     def _wander(self, time: float) -> None:
-        """Let the error drift, and jump where it is time."""
+        """Advance the drift of the error, and jump if a jump is due."""
         fresh = math.sqrt(1.0 - self._keep**2)
         steps = self._random.standard_normal(3).tolist()
         self._drift = [

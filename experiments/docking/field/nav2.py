@@ -1,8 +1,8 @@
-"""Nav2's docking law with a velocity smoother behind it, as its docking server would drive in the field world.
+"""Nav2's docking law with a velocity smoother, as run by its docking server, in the field world.
 
-Where the server has a choice it is made in its favour: the dock is kept in the odometry's frame, a detection is placed
-by where the robot was when the picture was taken, the last filtered dock is kept while none is seen, and the robot
-drives on until the switch or a stall says contact instead of stopping within 5 cm.
+Ambiguous settings of the server are resolved in its favour: the dock is kept in the odometry frame, a detection is
+placed by the robot pose at the time of the picture, the last filtered dock is kept while none is detected, and the
+robot drives on until the switch or a stall signals contact instead of stopping within 5 cm.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.docking.field.outcome import Steered
-from experiments.graceful_law import GracefulLaw
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from experiments.docking.field.outcome import SteeringResult
+from experiments.graceful_law import nav2_command, nav2_filtered
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.dock import DockDirection
 from optdock.model.path import Direction
 
@@ -26,21 +26,19 @@ if TYPE_CHECKING:
 
 __all__ = ["VelocitySmoother", "by_nav2"]
 
-LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
-PROJECTION = 0.25  # [m]: how far behind the dock the server aims
-FILTER, FORGOTTEN = 0.1, 1.0  # filter_coef, and external_detection_timeout [s], after which the filter begins anew
+FORGOTTEN = 1.0  # [s]: external_detection_timeout, after which the filter is reset
 PERCEPTION = 5.0  # [s]: initial_perception_timeout
 STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
-NEAR = 0.05  # [m]: docking_threshold, within which a stall is contact
+NEAR = 0.05  # [m]: docking_threshold, within which a stall counts as contact
 TIMEOUT, SETTLING = 60.0, 1.0  # [s]
 SMOOTHING_PERIOD = 0.05  # [s]: smoothing_frequency of 20 Hz
-HISTORY = 1.0  # [s] of poses, to place detections by
+HISTORY = 1.0  # [s] of stored poses, for the placement of detections
 DOCKED = "docked"
 _INSTANT = 1e-9  # [s]: rounding of times that are sums of periods
 
 
 class VelocitySmoother:
-    """Nav2's velocity smoother, open loop, with its default accelerations: each command changes by so much a period."""
+    """Nav2's velocity smoother, open loop, with its default accelerations, which limit the change per period."""
 
     def __init__(
         self, acceleration: float = 2.5, yaw_acceleration: float = 3.2, period: float = SMOOTHING_PERIOD
@@ -49,7 +47,7 @@ class VelocitySmoother:
         self._last = Twist2()
 
     def smoothed(self, command: Twist2) -> Twist2:
-        """The next command on the way to `command`."""
+        """Return the next command on the way to `command`."""
         (linear, angular), last = self._steps, self._last
         self._last = Twist2(
             last.linear + min(max(command.linear - last.linear, -linear), linear),
@@ -59,7 +57,7 @@ class VelocitySmoother:
 
 
 class _SeenDock:
-    """The dock in the frame that the server keeps it in, filtered; None before it is seen at `found_at` [s]."""
+    """Filtered dock pose in the server's frame; None before the first detection at `found_at` [s]."""
 
     def __init__(self) -> None:
         self._history: deque[tuple[float, Pose2]] = deque()
@@ -68,7 +66,7 @@ class _SeenDock:
         self.pose: Pose2 | None = None
 
     def update(self, stamp: float, robot: Pose2, detections: tuple[Detection, ...]) -> None:
-        """Take in detections; `robot`: pose in the server's frame, now."""
+        """Process detections; `robot`: current robot pose in the server's frame."""
         self._history.append((stamp, robot))
         while self._history[0][0] < stamp - HISTORY:
             self._history.popleft()
@@ -82,15 +80,11 @@ class _SeenDock:
         if before is None or fresh:
             self.pose, self.found_at = seen, min(self.found_at, stamp)
             return
-        self.pose = Pose2(
-            before.x + FILTER * (seen.x - before.x),
-            before.y + FILTER * (seen.y - before.y),
-            before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
-        )
+        self.pose = nav2_filtered(before, seen)
 
 
 class _Server:
-    """Says what to command, and how it ends."""
+    """Docking server: computes commands and detects the end."""
 
     def __init__(self, layout: Layout) -> None:
         self._dock = _SeenDock()
@@ -99,18 +93,18 @@ class _Server:
         self.ending: str | None = None
 
     def step(self, now: Measurements) -> Twist2:
-        """The next command; `ending` is set where it is the last one."""
+        """Return the next command; `ending` is set if it is the last one."""
         robot = now.odometry.pose if now.odometry is not None else now.pose
         if robot is not None:
             self._dock.update(now.stamp if now.odometry is None else now.odometry.stamp, robot, now.detections)
-        self.ending = self._judged(now, robot)
+        self.ending = self._ending(now, robot)
         dock = self._dock.pose
         if self.ending is not None or robot is None or dock is None:
             return Twist2()
-        return LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
+        return nav2_command(dock, robot, self._gear)
 
-    def _judged(self, now: Measurements, robot: Pose2 | None) -> str | None:
-        """How it ends; None: it goes on."""
+    def _ending(self, now: Measurements, robot: Pose2 | None) -> str | None:
+        """Return the ending; None while docking continues."""
         dock = self._dock.pose
         if now.contact:
             return DOCKED
@@ -123,7 +117,7 @@ class _Server:
         return None
 
     def _stalled(self, now: Measurements) -> bool:
-        """Whether the wheels have stood for long against commands."""
+        """Return whether the wheels have stood still against commands for `PATIENCE`."""
         if abs(now.twist.linear) >= STALL:
             self._still_since = None
         elif self._still_since is None:
@@ -132,7 +126,7 @@ class _Server:
         return since is not None and now.stamp - max(since, self._dock.found_at) > PATIENCE
 
 
-def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
+def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> SteeringResult:
     """Drive a robot into its dock."""
     server, smoother = _Server(layout), VelocitySmoother()
     stamps: list[float] = []
@@ -152,8 +146,8 @@ def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
         robot.run(until)
         robot.measure()
     ending = server.ending or ""
-    unknown = math.nan  # it tells neither plans nor beliefs
-    return Steered(
+    unknown = math.nan  # it reports neither plans nor estimates
+    return SteeringResult(
         ending, "", ending == DOCKED, ended, unknown, 0, unknown, unknown, unknown, unknown, np.array(commands),
         np.array(stamps),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Odometry: encoder ticks, integrated with the radius and width that the base believes in, told late and twice."""
+"""Odometry: encoder ticks, integrated with the assumed wheel radius and track width, late and partly repeated."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 __all__ = ["Odometry", "OdometryMessage", "OdometryState"]
 
 _INSTANT = 1e-9  # [s]: rounding of times that are sums of sub-steps
-_STRAIGHT = 1e-9  # [rad]: the chord of a smaller turn is its arc
+_STRAIGHT = 1e-9  # [rad]: the chord of a smaller turn equals its arc
 
 
 @dataclass(frozen=True)
 class Odometry:
-    """Wheel odometry. Ranges are (lowest, highest) of a uniform distribution.
+    """Parameters of the wheel odometry. Ranges are (lowest, highest) of a uniform distribution.
 
     Args:
-        ticks: Of the encoders per revolution.
-        period: Between two readings [s].
-        window: The twist is the mean over so long [s]: half of it old while the speed changes.
-        delay: Of a message [s]; messages stay in order.
-        stamp_jitter: A message is stamped up to so long after the reading [s].
-        repeats: Share of the control cycles that see the message of the cycle before once more [1].
-        tells_pose: Whether the integrated pose is told; the twist always is.
+        ticks: Encoder ticks per revolution.
+        period: Time between two readings [s].
+        window: Averaging time of the twist [s]; it delays a change of speed by half of it.
+        delay: Delay of a message [s]; messages stay in order.
+        stamp_jitter: Largest delay of the stamp after the reading [s].
+        repeats: Share of the control cycles that receive the message of the previous cycle again [1].
+        tells_pose: Whether the integrated pose is reported; the twist always is.
     """
 
     ticks: int = 4096
@@ -44,7 +44,7 @@ class Odometry:
 
 
 class OdometryMessage(NamedTuple):
-    """What the base tells: when [s], where in a frame of its own, and how fast."""
+    """Odometry message: stamp [s], pose in the odometry frame, and twist."""
 
     stamp: float
     pose: Pose2
@@ -52,15 +52,15 @@ class OdometryMessage(NamedTuple):
 
 
 class OdometryState:
-    """Reads encoders and remembers.
+    """Encoder readings and queued messages.
 
     Args:
-        odometry: What it is like.
-        drive: For the radius and the width that it believes in.
-        random: For delays, jitter and repeats.
+        odometry: Odometry parameters.
+        drive: Drive with the assumed radius and width.
+        random: Generator of delays, jitter and repeats.
 
     Attributes:
-        pose: By the latest reading, told or not.
+        pose: Pose of the latest reading, reported or not.
     """
 
     def __init__(self, odometry: Odometry, drive: Drive, random: np.random.Generator) -> None:
@@ -76,7 +76,7 @@ class OdometryState:
         self._under_way: deque[tuple[float, OdometryMessage]] = deque()
 
     def ticks_of(self, angle: float) -> int:
-        """What an encoder has counted when its wheel has turned by `angle` [rad]: whole ticks only."""
+        """Return the whole encoder ticks of a wheel rotated by `angle` [rad]."""
         return math.floor(angle * self.odometry.ticks / (2.0 * math.pi))
 
     def read(self, time: float, left: float, right: float) -> None:
@@ -84,8 +84,8 @@ class OdometryState:
 
         Args:
             time: [s].
-            left: Angle that the left wheel has turned by [rad].
-            right: Likewise.
+            left: Rotation angle of the left wheel [rad].
+            right: Rotation angle of the right wheel [rad].
         """
         ticks = self.ticks_of(left), self.ticks_of(right)
         before = self._readings[-1]
@@ -106,14 +106,14 @@ class OdometryState:
         self._under_way.append((arrival, OdometryMessage(stamp, self.pose, twist)))
 
     def newest(self, time: float) -> OdometryMessage:
-        """The newest message that has arrived, or the one before once more."""
+        """Return the newest message that has arrived, or the previous one again."""
         repeated = float(self._random.random()) < self.odometry.repeats
         while not repeated and self._under_way and self._under_way[0][0] <= time + _INSTANT:
             self._told = self._under_way.popleft()[1]
         return self._told
 
     def _moved(self, pose: Pose2, left: int, right: int) -> Pose2:
-        """A pose, so many ticks later."""
+        """Return a pose advanced by the given ticks."""
         way, turn = 0.5 * self._per_tick * (left + right), self._per_tick * (right - left) / self._width
         half = 0.5 * turn
         chord = way * math.sin(half) / half if abs(half) > _STRAIGHT else way

@@ -1,4 +1,4 @@
-"""What is measured of a docking in the field world, all of it by what is true."""
+"""Evaluation of a docking in the field world, based on the true state."""
 
 from __future__ import annotations
 
@@ -14,32 +14,41 @@ from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
-    from experiments.docking.field.task import FieldTask
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FieldOutcome", "Steered", "clearances", "field_outcome"]
+__all__ = ["FieldOutcome", "FieldTask", "SteeringResult", "clearances", "field_outcome"]
 
-_EVERY = 4  # sub-steps between two poses whose clearance is looked at: 20 ms, 5 mm at full speed
-_DEEP = 0.0075  # [m] of the corners beyond the station's face: what its contacts give, and 0.6 degrees
+_EVERY = 4  # sub-steps between two poses with evaluated clearance: 20 ms, 5 mm at full speed
+_DEEP = 0.0075  # [m] of the corners beyond the station's face: travel of its contacts, and 0.6 degrees
 
 
-class Steered(NamedTuple):
-    """What whoever steered leaves behind.
+class FieldTask(NamedTuple):
+    """One docking in the field world, given by names so that any process can run it; `seed` seeds everything."""
+
+    method: str
+    world: str
+    spread: str
+    rate: float
+    seed: int
+
+
+class SteeringResult(NamedTuple):
+    """Result as reported by the steering method.
 
     Attributes:
-        ending: Its name.
-        reason: Of the ending, in a sentence.
-        docked: Whether it says so.
-        ended: When it said how it ended [s].
-        planned: How long the plan for the whole way takes that it began with [s]; NaN where it made none.
+        ending: Name of the ending.
+        reason: Reason of the ending, in a sentence.
+        docked: Whether the method reports that the robot is docked.
+        ended: Time of the ending [s].
+        planned: Planning time of the first plan for the whole way [s]; NaN without one.
         retries: Approaches after the first one.
-        busy: 99th percentile of the CPU of its control cycles without planning [s].
-        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
-        turned_off: And how far turned [rad].
-        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
-        commands: Linear and angular, one for each control cycle, Shape (n, 2) [m/s, rad/s].
-        stamps: When they were given, Shape (n,) [s].
+        busy: 99th percentile of the CPU time of its control cycles without planning [s].
+        off: Final error of its estimate of the robot in the dock frame [m]; NaN: unknown.
+        turned_off: Final yaw error of that estimate [rad].
+        recovered_after: Detections of a pushed dock until the estimate was correct again, see `Belief`.
+        commands: Linear and angular, one per control cycle, Shape (n, 2) [m/s, rad/s].
+        stamps: Times of the commands, Shape (n,) [s].
     """
 
     ending: str
@@ -57,32 +66,32 @@ class Steered(NamedTuple):
 
 
 class FieldOutcome(NamedTuple):
-    """One docking.
+    """Outcome of one docking.
 
     Attributes:
-        world: In which world.
+        world: Name of the world.
         rate: Control cycles per second [Hz].
-        method: How.
-        spread: From which starts.
-        seed: Of everything in it.
-        ending: Its name.
-        reason: Of the ending, in a sentence.
-        docked: Whether the method says that the robot is docked.
-        at_rest: Whether the robot stands in the end.
-        along: The robot seen from the true dock in the end [m].
-        cross: Likewise to the left [m].
-        yaw: Likewise [rad].
-        duration: Until the method said how it ended [s].
-        planned: How long its plan takes [s]; NaN: there was none.
+        method: Name of the method.
+        spread: Name of the distribution of starts.
+        seed: Seed of all random numbers.
+        ending: Name of the ending.
+        reason: Reason of the ending, in a sentence.
+        docked: Whether the method reports that the robot is docked.
+        at_rest: Whether the robot stands at the end.
+        along: Final longitudinal error of the robot in the frame of the true dock [m].
+        cross: Final lateral error, positive left [m].
+        yaw: Final heading error [rad].
+        duration: Time of the ending [s].
+        planned: Planning time [s]; NaN without a plan.
         retries: Approaches after the first one.
-        clearance: Smallest distance to what is not the station [m].
-        station: Smallest distance to the station [m]; negative: how deep the outlines overlapped.
+        clearance: Smallest distance to obstacles other than the station [m].
+        station: Smallest distance to the station [m]; negative: penetration depth.
         over: Largest ratio of a commanded quantity to its limit.
-        limit: Which that is.
-        busy: 99th percentile of the CPU of its control cycles without planning [s].
-        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
-        turned_off: And how far turned [rad].
-        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
+        limit: Name of that limit.
+        busy: 99th percentile of the CPU time of its control cycles without planning [s].
+        off: Final error of its estimate of the robot in the dock frame [m]; NaN: unknown.
+        turned_off: Final yaw error of that estimate [rad].
+        recovered_after: Detections of a pushed dock until the estimate was correct again, see `Belief`.
     """
 
     world: str
@@ -111,34 +120,34 @@ class FieldOutcome(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        """Whether the robot truly stands within 10 mm, 10 mm and 1.5 degrees."""
+        """Whether the true final pose is within 10 mm, 10 mm and 1.5 degrees."""
         seen = abs(self.along), abs(self.cross), abs(self.yaw)
         return self.at_rest and all(value <= most for value, most in zip(seen, ACCEPTED, strict=True))
 
     @property
     def good(self) -> bool:
-        """Said docked, and truly docked."""
+        """Whether the robot is reported docked and is docked."""
         return self.docked and self.exact
 
     @property
     def falsely_docked(self) -> bool:
-        """Said docked, and is not."""
+        """Whether the robot is reported docked and is not."""
         return self.docked and not self.exact
 
     @property
     def collided(self) -> bool:
-        """Whether the robot has hit something, or the station deeper than contact is."""
+        """Whether the robot has hit an obstacle, or the station deeper than its contacts yield."""
         return self.clearance < 0.0 or self.station < -_DEEP
 
 
-def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steered) -> FieldOutcome:
-    """The outcome of a run.
+def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: SteeringResult) -> FieldOutcome:
+    """Return the outcome of a run.
 
     Args:
-        task: Its names.
-        layout: Where everything stood.
-        robot: As the run has left it.
-        by: What whoever steered it has left.
+        task: Names of the run.
+        layout: Problem and true dock pose.
+        robot: Robot after the run.
+        by: Result as reported by the steering method.
     """
     error = robot.error
     clearance, station = clearances(layout, robot)
@@ -152,7 +161,7 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
 
 
 def clearances(layout: Layout, robot: FieldRobot) -> tuple[float, float]:
-    """Smallest distances of the true outline to obstacles and to the station [m], at most 1 m."""
+    """Return the smallest distances of the true outline to obstacles and to the station [m], at most 1 m."""
     rows = robot.record()[::_EVERY]
     problem = layout.problem
     assert problem.dock.footprint is not None

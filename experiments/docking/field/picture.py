@@ -1,4 +1,4 @@
-"""A picture of one run in the field world: where the robot truly drove, and what it was told of itself and the dock."""
+"""Picture of one run in the field world: the true path, the reported poses and the reported dock."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from experiments.docking.cases import Layout
-    from experiments.docking.field.task import FieldTask
+    from experiments.docking.field.outcome import FieldTask
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["draw_run"]
 
-_OUTLINES = 0.5  # [s] between two outlines of the robot
-_AROUND = 1.0  # [m] about the way that is shown
-_NEAR = 0.12  # [m] about the docked pose, in the right half
+_OUTLINES = 0.5  # [s] between two drawn outlines of the robot
+_AROUND = 1.0  # [m], margin around the path
+_NEAR = 0.12  # [m] around the docked pose, in the right half
 
 
 def draw_run(target: Path, task: FieldTask) -> None:
-    """Drive a task again and draw it, the whole on the left and about the docked pose on the right, axes in metres.
+    """Repeat a task and draw it: whole run on the left, close-up of the docked pose on the right, axes in metres.
 
     Args:
         target: Picture file.
-        task: What to drive.
+        task: Task to run.
     """
     import matplotlib as mpl
 
@@ -67,7 +67,7 @@ def draw_run(target: Path, task: FieldTask) -> None:
 
 
 def _draw_surroundings(axes: Axes, layout: Layout, rows: FloatArray) -> None:
-    """Obstacles, and the outline of the robot along its true path."""
+    """Draw obstacles, and the outline of the robot along its true path."""
     for piece in layout.problem.obstacles.vertices:
         axes.fill(*piece.T, color="0.6")
     step = max(1, round(_OUTLINES / (rows[1, 0] - rows[0, 0])))
@@ -79,22 +79,22 @@ def _draw_surroundings(axes: Axes, layout: Layout, rows: FloatArray) -> None:
 
 
 def _draw_paths(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray, size: int) -> None:
-    """Stations, the true path, and what was told; `size`: of the dots [points]."""
+    """Draw stations, the true path, and reported poses; `size`: size of the dots [points]."""
     problem = layout.problem
     assert problem.dock.footprint is not None
     for pose, style, mark, name in ((robot.dock, "-", "k+", "true"), (problem.goal, "--", "C2x", "stored")):
         outline = transform_points(pose.as_array()[None], problem.dock.footprint.vertices)[0]
         axes.fill(*outline.T, facecolor="none", edgecolor="C2", linestyle=style, label=f"station, {name}")
         axes.plot(pose.x, pose.y, mark, markersize=14, zorder=5, label=f"docked pose, {name}")
-    told = np.array(robot.told).reshape(-1, 4)
-    axes.plot(told[:, 1], told[:, 2], "C1.", markersize=0.5 * size, label="robot, as localized")
+    reported = np.array(robot.reported).reshape(-1, 4)
+    axes.plot(reported[:, 1], reported[:, 2], "C1.", markersize=0.5 * size, label="robot, as localized")
     axes.plot(rows[:, 1], rows[:, 2], "C0", linewidth=1.5, label="robot, true path")
     places = np.array([_placed(rows, at, one.stamp, one.pose) for at, one in robot.detections]).reshape(-1, 2)
     axes.plot(places[:, 0], places[:, 1], "C3.", markersize=size, label="docked pose, as detected")
 
 
-def _placed(rows: FloatArray, told: float, stamp: float, seen: Pose2) -> tuple[float, float]:
-    """Where a detection puts the docked pose, seen from the robot's true pose at its stamp."""
-    row = int(np.searchsorted(rows[:, 0], min(stamp, told)))
+def _placed(rows: FloatArray, reported: float, stamp: float, seen: Pose2) -> tuple[float, float]:
+    """Return the docked pose given by a detection, relative to the robot's true pose at its stamp."""
+    row = int(np.searchsorted(rows[:, 0], min(stamp, reported)))
     placed = Pose2.from_sequence(rows[min(row, len(rows) - 1), 1:]) @ seen
     return placed.x, placed.y

@@ -1,10 +1,10 @@
-"""The field study: which dockings are driven, and each of them by its names."""
+"""Field study: the tasks, and their execution."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from experiments.docking.field.task import FieldTask
+from experiments.docking.field.outcome import FieldTask
 
 if TYPE_CHECKING:
     import argparse
@@ -17,11 +17,11 @@ __all__ = ["DEFAULT_METHODS", "RATES", "driven_in_field", "field_tasks", "set_up
 
 RATES = 10.0, 20.0, 50.0, 100.0
 DEFAULT_METHODS = "executor", "Nav2's law"
-_APART = 1_000_000  # the runs of two seeds are different ones
+_APART = 1_000_000  # offset between seeds, so that the runs of two seeds differ
 
 
 def set_up(task: FieldTask) -> tuple[Layout, FieldRobot]:
-    """Where everything stands, and the robot at its start."""
+    """Return the layout, and the robot at its start."""
     import dataclasses
 
     import numpy as np
@@ -47,7 +47,7 @@ def set_up(task: FieldTask) -> tuple[Layout, FieldRobot]:
 
 
 def driven_in_field(task: FieldTask) -> FieldOutcome:
-    """The outcome of a task."""
+    """Return the outcome of a task."""
     from experiments.cpu_budgets import count_cpu
     from experiments.docking.field.methods import FIELD_METHODS
     from experiments.docking.field.outcome import field_outcome
@@ -59,7 +59,7 @@ def driven_in_field(task: FieldTask) -> FieldOutcome:
 
 
 def field_tasks(options: argparse.Namespace, worlds: list[str]) -> list[FieldTask]:
-    """Everything that was asked for, in the order of the table."""
+    """Return the selected tasks, in the order of the table."""
     from experiments.docking.field.methods import FIELD_METHODS
 
     return [

@@ -1,4 +1,4 @@
-"""What stands at the dock: an outline that stops the robot, a switch that it closes, and how a costmap shows it."""
+"""Docking station: an outline that stops the robot, a contact switch, and its appearance in a costmap."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Station", "deepest", "shown_in_costmap"]
 
-_FACE = 0.3  # [m]: half of the station's face across the dock's axis; what passes beside it is not stopped
-_SPACING = 0.01  # [m] of the points of an outline that mark cells: five to a cell of 5 cm
+# [m]: half width of the station's face across the dock's axis; the station does not stop a robot that passes next to it
+_FACE = 0.3
+_SPACING = 0.01  # [m] between outline points that mark cells: five per cell of 5 cm
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,11 @@ class Station:
     """A charging station with sprung contacts.
 
     Args:
-        give: How far the contacts yield until the robot stands [m].
-        has_switch: Whether contact is told; else nothing tells it.
-        switch_travel: The switch closes so far before the docked pose [m] ...
-        switch_cross: ... within this beside its axis [m] ...
-        switch_yaw: ... and this heading error [rad].
+        give: Travel of the contacts until the robot stands [m].
+        has_switch: Whether contact is signalled.
+        switch_travel: Distance before the docked pose at which the switch closes [m].
+        switch_cross: Largest lateral error at which the switch closes [m].
+        switch_yaw: Largest heading error at which the switch closes [rad].
     """
 
     give: float = 0.005
@@ -41,18 +42,18 @@ class Station:
     switch_yaw: float = 0.1
 
     def touched(self, seen: Pose2, gear: float) -> bool:
-        """Whether the switch is closed by a robot seen from the docked pose; gear: 1 forward, -1 backward."""
+        """Return whether a robot at `seen` in the docked frame closes the switch; gear: 1 forward, -1 backward."""
         aligned = abs(seen.y) <= self.switch_cross and abs(seen.yaw) <= self.switch_yaw
         return aligned and gear * seen.x >= -self.switch_travel
 
 
 def deepest(seen: tuple[float, float, float], corners: Sequence[tuple[float, float]], gear: float) -> float:
-    """How far the foremost corner of a robot is beyond the station's face [m]; negative before it, -inf beside it.
+    """Return the depth of the foremost corner beyond the station's face [m]; negative before it, -inf next to it.
 
     Args:
-        seen: The robot from the docked pose [m, m, rad].
-        corners: Of its outline [m]; docked, the foremost ones touch the face.
-        gear: Of the last motion, 1 forward, -1 backward.
+        seen: Robot pose relative to the docked pose [m, m, rad].
+        corners: Corners of the outline [m]; the foremost corners of the docked robot touch the face.
+        gear: Gear of the last motion, 1 forward, -1 backward.
     """
     x, y, yaw = seen
     c, s = math.cos(yaw), math.sin(yaw)
@@ -64,13 +65,13 @@ def deepest(seen: tuple[float, float, float], corners: Sequence[tuple[float, flo
 
 
 def shown_in_costmap(outline: Footprint, station: Pose2, resolution: float, reach: float) -> Costmap:
-    """What a local costmap shows of a station: every cell that its outline touches is lethal, all others are free.
+    """Return a local costmap of a station: every cell that its outline touches is lethal, all others are free.
 
     Args:
-        outline: Of the station, in the docked robot's frame.
-        station: Docked pose that the costmap puts it at.
-        resolution: Side of a cell [m]; cells lie on whole multiples of it.
-        reach: How far the costmap goes from there to each side [m].
+        outline: Outline of the station in the docked robot's frame.
+        station: Docked pose at which the costmap shows the station.
+        resolution: Side of a cell [m]; cell edges are multiples of it.
+        reach: Distance from the station to each side of the costmap [m].
     """
     c, s = math.cos(station.yaw), math.sin(station.yaw)
     corners = outline.vertices @ np.array([[c, s], [-s, c]]) + [station.x, station.y]

@@ -1,4 +1,4 @@
-"""The table of the field study."""
+"""Table of the field study."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HEAD = [
 
 
 def field_table(outcomes: Sequence[FieldOutcome]) -> str:
-    """One line per world, rate and method; the errors are those of the runs that are said to be docked."""
+    """Return one row per world, rate and method; the errors are of the runs that are reported docked."""
     groups: dict[tuple[str, float, str], list[FieldOutcome]] = {}
     for one in outcomes:
         groups.setdefault((one.world, one.rate, one.method), []).append(one)
@@ -61,7 +61,7 @@ def _row(key: tuple[str, float, str], found: list[FieldOutcome]) -> list[str]:
 
 
 def _percentile(values: Iterable[float], percent: float, digits: int) -> str:
-    """Of the values that are numbers, infinite ones included: one of them, never one between; `-` where none is."""
+    """Return a percentile of the values that are not NaN, as one of these values; `-` without values."""
     column = np.fromiter(values, dtype=np.float64)
     column = column[~np.isnan(column)]
     return f"{np.percentile(column, percent, method='higher'):.{digits}f}" if column.size else "-"

@@ -1,4 +1,4 @@
-"""The field world: a command goes in, what the sensors tell comes out, and the truth is recorded."""
+"""Field world: applies commands, returns sensor measurements, and records the true state."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ if TYPE_CHECKING:
 __all__ = ["FieldRobot", "FieldWorld"]
 
 MARKER = 0.45  # [m] before the docked robot's origin: the back of the station, 0.2 m before the docked camera
-PUSHED_AT = 0.6  # [m] before the dock, where it is pushed
-TOUCHABLE = 0.5  # [m] from the docked pose to the robot's, farther off no corner of it reaches the station's face
+PUSHED_AT = 0.6  # [m] before the dock: distance of the robot at which the dock is pushed
+TOUCHABLE = 0.5  # [m] between the robot and the docked pose; at larger distances no corner reaches the station's face
 CELL, COSTMAP_PERIOD = 0.05, 0.5  # [m], [s] of a local costmap
-COSTMAP_REACH = 3.0  # [m] from the dock: every start and the way to the staging pose lie on it, robot and all
+COSTMAP_REACH = 3.0  # [m] from the dock: covers every start and the way to the staging pose, including the robot
 
 
 @dataclass(frozen=True)
 class FieldWorld:
-    """A robot, a dock, and everything that is wrong with them.
+    """Parameters of a robot, a dock and their imperfections.
 
     Args:
-        name: As in the tables.
+        name: Name in the tables.
         drive: Wheels and commands.
-        odometry: Of the wheels.
-        localization: In the map.
-        camera: For the dock.
-        station: What stands there.
+        odometry: Wheel odometry.
+        localization: Localization in the map.
+        camera: Dock detector.
+        station: Docking station.
         direction: Gear into the dock, forward or backward.
-        moved: How far the true dock is from the stored one at most [m], and how far turned [rad].
-        pushed: How far it is pushed [m], and turned at most [rad], when the robot is 0.6 m away from it.
-        dropped_cycles: Share of the control cycles that are left out [1].
+        moved: Largest distance [m] and largest angle [rad] of the true dock from the stored dock.
+        pushed: Displacement [m] and largest rotation [rad] of the dock when the robot is 0.6 m away from it.
+        dropped_cycles: Share of dropped control cycles [1].
         costmap: Whether a local costmap shows the station.
-        told: Settings of the executor other than its defaults, as of a robot that was calibrated.
+        executor_settings: Settings of the executor that differ from its defaults, as for a calibrated robot.
     """
 
     name: str = "field"
@@ -64,25 +64,25 @@ class FieldWorld:
     pushed: tuple[float, float] = (0.0, 0.0)
     dropped_cycles: float = 0.01
     costmap: bool = False
-    told: Mapping[str, float] = field(default_factory=dict)
+    executor_settings: Mapping[str, float] = field(default_factory=dict)
 
 
 class FieldRobot:
-    """The robot of a field world, driving.
+    """The driving robot of a field world.
 
     Args:
-        world: What it is like.
-        layout: Where everything stands.
-        seed: Of everything random; equal seeds and commands give equal runs.
+        world: World parameters.
+        layout: Problem and true dock pose.
+        seed: Seed of all random numbers; equal seeds and commands give equal runs.
 
     Attributes:
         drive: True state.
         dock: True pose of the docked robot.
-        measurements: What was told last.
+        measurements: Latest measurements.
         poses: True poses after every sub-step, rows of (time [s], x [m], y [m], yaw [rad]).
-        docks: Since when the dock stands where, (time [s], pose).
-        detections: As they were told, (time [s], detection).
-        told: Poses as they were told, rows of (time [s], x [m], y [m], yaw [rad]).
+        docks: True dock poses with the time from which they hold, (time [s], pose).
+        detections: Reported detections, (time [s], detection).
+        reported: Reported poses, rows of (time [s], x [m], y [m], yaw [rad]).
     """
 
     def __init__(self, world: FieldWorld, layout: Layout, seed: int) -> None:
@@ -100,13 +100,13 @@ class FieldRobot:
         self._per_reading = round(world.odometry.period / SUBSTEP)
         self._per_estimate = round(world.localization.period / SUBSTEP)
         self._per_picture = round(world.camera.period / SUBSTEP)
-        # Sensors run on clocks of their own.
+        # Sensors have independent clocks.
         self._phases = int(self._cycles.integers(self._per_estimate)), int(self._cycles.integers(self._per_picture))
         start = layout.problem.start
         self.poses: list[tuple[float, float, float, float]] = [(0.0, start.x, start.y, start.yaw)]
         self.docks: list[tuple[float, Pose2]] = [(0.0, self.dock)]
         self.detections: list[tuple[float, Detection]] = []
-        self.told: list[tuple[float, float, float, float]] = []
+        self.reported: list[tuple[float, float, float, float]] = []
         self._costmap_at = 0.0
         self.odometry = OdometryMessage(0.0, self._odometry.pose, Twist2())
         self._localization.estimate(0.0, start, self._odometry.pose)
@@ -119,19 +119,19 @@ class FieldRobot:
 
     @property
     def pose(self) -> Pose2:
-        """True."""
+        """True pose."""
         return Pose2(self.drive.x, self.drive.y, self.drive.yaw)
 
     @property
     def error(self) -> Pose2:
-        """The robot seen from the docked pose, both true: along, cross [m] and yaw [rad]."""
+        """True pose of the robot relative to the docked pose: along, cross [m] and yaw [rad]."""
         return self.pose.in_frame_of(self.dock)
 
     def cycle(self, rate: float) -> float:
-        """How long it takes until the next control cycle [s]: a period, or two where one is dropped.
+        """Return the time until the next control cycle [s]: one period, or two if a cycle is dropped.
 
         Raises:
-            ValueError: A period is not a whole number of sub-steps.
+            ValueError: If a period is not a whole number of sub-steps.
         """
         substeps = round(1.0 / (rate * SUBSTEP))
         if abs(substeps * SUBSTEP * rate - 1.0) > 1e-9 or substeps < 1:
@@ -140,24 +140,24 @@ class FieldRobot:
         return (2 if dropped else 1) * substeps * SUBSTEP
 
     def advance(self, command: Twist2, rate: float) -> Measurements:
-        """Send a command, and measure at the next control cycle."""
+        """Send a command, and return the measurements at the next control cycle."""
         self.drive.send(command)
         self.run(self.time + self.cycle(rate))
         return self.measure()
 
     def run(self, until: float) -> None:
-        """Let time pass up to `until` [s]."""
+        """Advance the time up to `until` [s]."""
         end = round(until / SUBSTEP)
         while self._substeps < end:
             self._substep()
 
     def measure(self) -> Measurements:
-        """What is told now."""
+        """Return the current measurements."""
         time = self.time
         self.odometry = message = self._odometry.newest(time)
-        pose, stamp = self._localization.told(time, message.pose)
+        pose, stamp = self._localization.reported(time, message.pose)
         if pose is not None:
-            self.told.append((time, pose.x, pose.y, pose.yaw))
+            self.reported.append((time, pose.x, pose.y, pose.yaw))
         detections = self._camera.arrived(time)
         self.detections.extend((time, one) for one in detections)
         station = self.world.station
@@ -174,7 +174,7 @@ class FieldRobot:
         return self.measurements
 
     def record(self) -> FloatArray:
-        """True times and poses of all sub-steps, Shape (n, 4) [s, m, m, rad]."""
+        """Return true times and poses of all sub-steps, Shape (n, 4) [s, m, m, rad]."""
         return np.array(self.poses)
 
     def _substep(self) -> None:
@@ -193,7 +193,7 @@ class FieldRobot:
             self._camera.take(time, self.pose, self.dock)
 
     def _meet_the_dock(self, before: tuple[float, float, float]) -> None:
-        """Push the dock when the robot has come near it; hold the robot where it has driven against the station."""
+        """Push the dock if the robot is close to it; stop the robot at the station."""
         drive, dock = self.drive, self.dock
         distance = math.hypot(drive.x - dock.x, drive.y - dock.y)
         if distance < PUSHED_AT and self.world.pushed != (0.0, 0.0) and len(self.docks) == 1:
@@ -207,20 +207,20 @@ class FieldRobot:
         if depth <= give:
             return
         was = self._depth(*before)
-        if not -TOUCHABLE < was < depth:  # on its way out, or it came from beside
+        if not -TOUCHABLE < was < depth:  # moving away, or approaching from the side
             return
         share = min(max(give - was, 0.0) / (depth - was), 1.0)
         held = [a + share * (b - a) for a, b in zip(before, (drive.x, drive.y, drive.yaw), strict=True)]
         drive.stall(*held)
 
     def _depth(self, x: float, y: float, yaw: float) -> float:
-        """How far a corner of the robot at a true pose is beyond the station's face [m]."""
+        """Return the depth of the foremost corner of a robot at a true pose beyond the station's face [m]."""
         dx, dy, there = x - self.dock.x, y - self.dock.y, self.dock.yaw
         c, s = math.cos(there), math.sin(there)
         return deepest((c * dx + s * dy, c * dy - s * dx, yaw - there), self._corners, self._gear)
 
     def _costmap(self, pose: Pose2 | None) -> Costmap | None:
-        """The station where the robot sees it, put into the fixed frame by where the robot takes itself to be."""
+        """Return the station as detected by the robot, in the fixed frame given by its localization."""
         if not self.world.costmap or pose is None or self.time < self._costmap_at:
             return None
         self._costmap_at = self.time + COSTMAP_PERIOD

@@ -1,4 +1,4 @@
-"""The named field worlds: all that is wrong with a usual robot, and in each of the others one thing more."""
+"""Named field worlds: a typical robot with all its imperfections, and worlds with one additional imperfection each."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ __all__ = ["FIELD", "FIELD_WORLDS"]
 
 FIELD = FieldWorld()
 PUSHED = (0.03, math.radians(1.5))
-# Wheels that are calibrated: driven blind for 0.4 m, 1 % of a radius alone turns the robot by 0.6 degrees and more.
+# Calibrated wheels: over 0.4 m without detections, 1 % of one radius alone turns the robot by 0.6 degrees and more.
 GOOD_WHEELS = Drive(radius_spread=0.002, track_spread=0.002, slip_rate=0.0)
-# What is told of them to the executor of a robot that turns round unseen before it backs in.
+# Executor settings for a robot that turns around without detections before it backs in.
 CALIBRATED = {
     "odometry_yaw_sigma": 0.003,
     "odometry_straight_yaw_sigma": 0.003,
@@ -48,7 +48,11 @@ _VARIANTS: dict[str, dict[str, object]] = {
     "localization lost": {"localization": Localization(lost_for=5.0)},
     "raw localization": {"localization": Localization(composed=False)},
     "backward": {"direction": DockDirection.BACKWARD},
-    "backward, good wheels": {"direction": DockDirection.BACKWARD, "drive": GOOD_WHEELS, "told": CALIBRATED},
+    "backward, good wheels": {
+        "direction": DockDirection.BACKWARD,
+        "drive": GOOD_WHEELS,
+        "executor_settings": CALIBRATED,
+    },
     "rear camera": {"direction": DockDirection.BACKWARD, "camera": Camera(mount=Pose2(-0.25, 0.0, math.pi))},
 }
 FIELD_WORLDS: dict[str, FieldWorld] = {
@@ -58,4 +62,4 @@ FIELD_WORLDS: dict[str, FieldWorld] = {
         for name, changes in _VARIANTS.items()
     },
 }
-"""Each by its name."""
+"""Field worlds by name."""

@@ -1,1 +1,1 @@
-"""Random cases, each a function of a random generator and of nothing else."""
+"""Generators of random cases; each is a deterministic function of a random generator."""

@@ -1,4 +1,4 @@
-"""Scenes carved around a motion: all that it does not need is obstacle, and no proof that none exists may hold."""
+"""Scenes carved around a motion: everything off its swept area is obstacle, so an impossibility proof is wrong."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ __all__ = ["carved_scene", "required_between"]
 Rng: TypeAlias = np.random.Generator
 Floats: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
 
-# Of a step, at which the rule is asked; the outer ones are as good as its ends.
+# Shares of a step at which the rule is evaluated; the outer ones are as good as its ends.
 _SHARES = np.concatenate(([0.0, 1e-6], np.linspace(0.0, 1.0, 65)[1:-1], [1.0 - 1e-6, 1.0]))
 _TURN = 0.02  # [rad] per step: the hull of both outlines misses the arc between by 0.00005 of the robot's reach
 
 
 def carved_scene(rng: Rng) -> Case:
-    """A random motion of any kind, with reversing, turns in place and slips, among obstacles that it just clears.
+    """Return a random motion, with reversing, turns in place and slips, among obstacles that it just clears.
 
-    The witness is proven here: the hulls of the outlines at neighbouring poses keep what is required from all
-    obstacles, by shapely's distances. Scenes in which they do not, by rounding of the carving, are drawn again.
+    The witness is verified here: the hulls of the outlines at neighbouring poses keep the required clearance from all
+    obstacles, by shapely's distances. Scenes that fail, by rounding of the carving, are drawn again.
     """
     while True:
         scene = _drawn(rng)
@@ -84,14 +84,14 @@ def _box(rng: Rng) -> list[list[float]]:
 
 
 def _rule(rng: Rng) -> list[float | None]:
-    """Required, at the dock, taper; now and then the run at the dock, and what is enough at the start."""
+    """Return required, at the dock, taper; sometimes the run at the dock, and the clearance sufficient at the start."""
     required = float(rng.choice([0.0, 1e-6, 1e-5, 0.02, 0.05, 0.2]))
     rule = [required, float(rng.choice([0.0, required])), float(rng.choice([0.0, 0.3, 1.0]))]
     return [*rule, *end_rules(rng.spawn(1)[0], required)]
 
 
 def _motion(rng: Rng, outline: list[list[float]]) -> Floats:
-    """Poses of some moves with a constant velocity of the body each, Shape (n, 3)."""
+    """Return poses of several moves with a constant body velocity each, Shape (n, 3)."""
     reach = float(np.hypot(*np.array(outline).T).max())
     poses = [np.array([0.0, 0.0, rng.uniform(-4.0, 4.0)])]
     for _ in range(int(rng.integers(1, 6))):
@@ -114,7 +114,7 @@ def _at(shape: shapely.Geometry, pose: Floats) -> shapely.Geometry:
 
 
 def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geometry]:
-    """What the body sweeps between neighbouring poses: hulls of its pieces, with the sagitta of turns around them."""
+    """Return the swept areas between neighbouring poses: hulls of the body's pieces, grown by the sagitta of turns."""
     found = []
     for first, second in itertools.pairwise(poses):
         ends = [[_at(piece, pose) for pose in (first, second)] for piece in pieces]
@@ -128,10 +128,10 @@ def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geomet
 def required_between(
     rule: list[float | None], poses: Floats, start_clearance: float, outline: list[list[float]]
 ) -> Floats:
-    """The most that is required in each step; with the weaker relief, as the stronger one asks for more.
+    """Return the largest requirement within each step, with the weaker relief, because the stronger one requires more.
 
-    Within a step more may be asked for than at its ends: where it falls towards the goal and grows from the start, and
-    just before a goal at which it jumps.
+    Within a step the requirement may exceed that of its ends: if it falls towards the goal and grows from the start,
+    and just before a goal with a jump.
     """
     ends = {"dock": {"pose": poses[-1].tolist()}, "start": poses[0].tolist()}
     case: Case = {"clearance": rule, "footprint": {"polygon": outline}, **ends}
@@ -146,7 +146,7 @@ def required_between(
 
 
 def _obstacles(rng: Rng, room: shapely.Geometry) -> list[list[list[float]]]:
-    """Convex obstacles outside of the room: all else, cells of a grid, or shapes strewn about."""
+    """Return convex obstacles outside of the room: its complement, cells of a grid, or random shapes."""
     x0, y0, x1, y1 = room.bounds
     more = log_uniform(rng, 0.05, 3.0)
     world = shapely.box(x0 - more, y0 - more, x1 + more, y1 + more)

@@ -1,4 +1,4 @@
-"""Running plans in a world that changes under them: where the robot is, and what is another than it was."""
+"""Running plans in a changing world: the state of the robot, and the differences of the world."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ __all__ = ["running_plan"]
 
 Rng: TypeAlias = np.random.Generator
 _QUICK = [0.5, 0.1, 0.0, 0.4]
-_PATHS = 0.6  # share of cases with a path of their own, whose margins lie at the border; the rest is planned
-_PATHS_ASKED = 0.9  # likewise where the question is given: these cost a tenth
-# Limits that `_simple_law` keeps on any path.
+_PATHS = 0.6  # share of cases with a given path, whose margins are near the limit; the others are planned
+_PATHS_ASKED = 0.9  # the same share if the question is given: these cases cost a tenth
+# Limits that `_simple_law` satisfies on any path.
 _NO_LIMITS = dict.fromkeys(("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"), 1e6)
 _FAST_TURNS = {"max_yaw_rate": 1e6, "max_yaw_acceleration": 1e6}
 
 
 def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = False) -> Case:
-    """A plan, or a problem to be planned first; a world; how far the robot is; `kind` is `replans`.
+    """Return a plan, or a problem to be planned first; a world; the progress of the robot; `kind` is `replans`.
 
-    `world` holds what differs from the case itself. `beside` names obstacles that are placed beside the rest of the
-    path once that is known: a seed and gaps [m]. `offset` is the measured robot as seen from its reference; `moved` a
-    rigid motion of the running plan, as robots ask for that steer by their dock.
+    `world` holds the differences from the case itself. `beside` names obstacles that are placed next to the rest of the
+    path once it is known: a seed and gaps [m]. `offset` is the measured robot relative to its reference; `moved` a
+    rigid motion of the running plan, as requested by robots that steer relative to the dock.
 
     Args:
-        rng: Where random numbers come from.
+        rng: Random generator.
         question: `holds`, `replan`, or `decide` by the executor's planning; None: one of the first two.
-        is_beside: Whether the robot is measured beside its plan; else it is now and then.
+        is_beside: Whether the robot is always measured off its plan; otherwise only sometimes.
     """
     if rng.uniform() < (_PATHS if question is None else _PATHS_ASKED):
         case = path_problem(rng)
@@ -46,9 +46,9 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
         case["start_speed"], case["start_curvature"], case["start_acceleration"] = 0.0, None, 0.0
         case["zone"] = [None, 0.0]
         case["world"] = _revealed(rng, case)
-        asked = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
+        forms = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
         if question is not None:
-            asked = ["problem"]
+            forms = ["problem"]
         case["question"] = question or "holds"
     else:
         case = docking_problem(rng)
@@ -57,10 +57,10 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
         _steered(rng, case)
         case["world"] = _another_world(rng, case)
         case["beside"] = [int(rng.integers(2**31)), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]]
-        asked = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
+        forms = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
         case["question"] = question or "replan"
     case["kind"] = "replans"
-    case["asked"] = str(rng.choice(asked))
+    case["asked"] = str(rng.choice(forms))
     case["share"] = float(
         rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05])
     )
@@ -75,7 +75,7 @@ def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = Fal
 
 
 def _simple_law(path: list[Case]) -> Case:
-    """Four seconds for every gear, from rest to rest, in four phases of one jerk: 2 j T^3 is its way."""
+    """Return a time law of four seconds per gear, from rest to rest, in four phases of one jerk: distance 2 j T^3."""
     lengths = [segment.length for segment in motion_of(path).segments]
     jerks = [0.5 * length * sign for length in lengths for sign in (1.0, -1.0, -1.0, 1.0)]
     return {"durations": [1.0] * len(jerks), "jerks": jerks, "start_speed": 0.0, "start_acceleration": 0.0}
@@ -88,7 +88,7 @@ def _offset(rng: Rng) -> list[float]:
 
 
 def _gap(rng: Rng, case: Case) -> float:
-    """From the swept area to what appears: about what is required, or well inside."""
+    """Return a gap from the swept area to a new obstacle: about the required clearance, or well inside."""
     required = float(case["clearance"][0])
     style = rng.uniform()
     if style < 0.5:
@@ -97,7 +97,7 @@ def _gap(rng: Rng, case: Case) -> float:
 
 
 def _revealed(rng: Rng, case: Case) -> Case:
-    """The case becomes the world before: what is returned, the case as it was, has appeared since."""
+    """Make the case the previous world; the returned world, the case before this call, has appeared since."""
     world: Case = {}
     if case["obstacles"] and rng.uniform() < 0.9:
         world["obstacles"] = case["obstacles"]
@@ -119,14 +119,14 @@ def _revealed(rng: Rng, case: Case) -> Case:
 
 
 def _before(rng: Rng, grid: Case) -> Case | None:
-    """A grid as it was: fewer cells, another window, another resolution, or none."""
+    """Return an earlier state of a grid: fewer cells, another window, another resolution, or none."""
     cells, side = np.array(grid["cells"]), grid["resolution"]
     style = rng.uniform()
     if style < 0.15:
         return None
     before = np.where(rng.uniform(size=cells.shape) < 0.5, 0, cells)
     origin = np.array(grid["origin"])
-    if style < 0.35:  # a window that rolled on
+    if style < 0.35:  # a rolling window that moved on
         rows, columns = rng.integers(-3, 4, 2)
         origin, before = origin + side * np.array([columns, rows]), np.roll(before, (-rows, -columns), (0, 1))
     elif style < 0.5 and cells.size < 6000:
@@ -144,7 +144,7 @@ def _shifted(rng: Rng, pose: list[float]) -> list[float]:
 
 
 def _steered(rng: Rng, case: Case) -> None:
-    """Now and then a car, or a robot that turns in place."""
+    """Sometimes make the robot a car, or a robot that turns in place."""
     style, limits = rng.uniform(), case["limits"]
     if style < 0.15:
         case["drive"] = "ackermann"

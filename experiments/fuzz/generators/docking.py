@@ -1,4 +1,4 @@
-"""Random docking problems: what a user could ask, and what nobody in his right mind would."""
+"""Random docking problems, plausible and implausible."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BUDGETS = (0.02, 0.05, 0.1, 0.1, 0.1, 0.2, 0.3)
 
 
 def docking_problem(rng: Rng) -> Case:
-    """A start around a dock, with limits, obstacles, zones and a budget; `kind` is `plans`."""
+    """Return a start around a dock, with limits, obstacles, zones and a budget; `kind` is `plans`."""
     far = 0.0 if rng.uniform() < 0.93 else log_uniform(rng, 10.0, 1e5)
     goal = [float(rng.uniform(-4, 4)) + far, float(rng.uniform(-4, 4)), float(rng.uniform(-math.pi, math.pi))]
     start = _start(rng, goal)
@@ -56,7 +56,7 @@ def docking_problem(rng: Rng) -> Case:
 
 
 def _start(rng: Rng, goal: list[float]) -> list[float]:
-    """Mostly behind the dock's entry and roughly towards it; now and then anywhere."""
+    """Return a start, mostly behind the dock's entry and roughly towards it; sometimes anywhere."""
     away, side = rng.uniform(0.5, 4.0), rng.normal(0.0, 0.5)
     yaw = rng.normal(0.0, 0.4)
     if rng.uniform() < 0.2:
@@ -96,14 +96,14 @@ def _rule(rng: Rng) -> list[float]:
 
 
 def _moving(rng: Rng, case: Case) -> None:
-    """A start at speed, in either gear, and with an acceleration, up to the limits and a little beyond."""
+    """Return a start at speed, in either gear, with an acceleration, up to the limits and slightly beyond."""
     gear = 1 if rng.uniform() < 0.7 else -1
     top = case["limits"]["max_speed" if gear > 0 else "max_reverse_speed"]
     case["start_speed"] = gear * top * float(rng.uniform(0.05, 1.02))
     if rng.uniform() < 0.4:
         most = case["limits"]["max_acceleration"], case["limits"]["max_deceleration"]
         case["start_acceleration"] = gear * float(rng.uniform(-1.02 * most[1], 1.02 * most[0]))
-    if rng.uniform() < 0.3:  # the wheels turn faster already than they may
+    if rng.uniform() < 0.3:  # the wheels already turn faster than allowed
         case["limits"]["max_wheel_speed"] = abs(case["start_speed"]) * float(rng.uniform(0.3, 1.1))
         case["limits"]["track_width"] = float(rng.uniform(0.2, 0.9))
     if rng.uniform() < 0.2:
@@ -111,7 +111,7 @@ def _moving(rng: Rng, case: Case) -> None:
 
 
 def _furnish(rng: Rng, case: Case) -> None:
-    """Obstacles around the way, a station, a grid; those on the start or the goal are mostly taken out."""
+    """Add obstacles around the way, a station, a grid; those on the start or the goal are mostly removed."""
     start, goal = np.array(case["start"]), np.array(case["dock"]["pose"])
     ends = _outlines(case, np.stack((start, goal)))
     for _ in range(int(rng.choice([0, 1, 3, 8, 25], p=[0.2, 0.25, 0.3, 0.2, 0.05]))):
@@ -137,7 +137,7 @@ def _outlines(case: Case, poses: np.ndarray) -> np.ndarray:
 
 
 def _station(rng: Rng, case: Case) -> Points:
-    """A dock before or behind the docked robot."""
+    """Return a dock before or behind the docked robot."""
     shape = case["footprint"]
     points = np.array(shape["polygon"]) if "polygon" in shape else shape["radius"] * np.array([[-1.0, 0], [1.0, 0]])
     gap = log_uniform(rng, 1e-3, 0.1) + case["clearance"][1]
@@ -148,7 +148,7 @@ def _station(rng: Rng, case: Case) -> Points:
 
 
 def _add_grid(rng: Rng, case: Case, ends: np.ndarray) -> None:
-    """A grid around start and goal, with walls and speckles; now and then it is all that is told about obstacles."""
+    """Add a grid around start and goal, with walls and speckles; sometimes it is the only source of obstacles."""
     side = float(rng.choice([0.05, 0.1]))
     low, high = (
         np.array(shapely.bounds(ends)).reshape(-1, 4)[:, :2].min(axis=0),
@@ -157,7 +157,7 @@ def _add_grid(rng: Rng, case: Case, ends: np.ndarray) -> None:
     origin = low - rng.uniform(0.2, 2.0)
     size = np.minimum(np.ceil((high + rng.uniform(0.2, 2.0) - origin) / side), 200).astype(int)
     cells = rng.choice([0, 254, 255], size=(size[1], size[0]), p=[0.985, 0.01, 0.005])
-    if rng.uniform() < 0.3:  # a wall right across
+    if rng.uniform() < 0.3:  # a wall across the whole grid
         cells[:, int(rng.integers(size[0]))] = 254
     j, i = np.nonzero(cells)
     boxes = shapely.box(origin[0] + side * i, origin[1] + side * j,

@@ -1,4 +1,4 @@
-"""Scenario, map and plan files: honest ones, damaged ones, and plans whose columns lie about their motion."""
+"""Scenario, map and plan files: valid ones, damaged ones, and plans whose columns contradict their motion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _HOSTILE: tuple[Any, ...] = (
 
 
 def files_case(rng: Rng) -> Case:
-    """Texts of a scenario, its map and a plan, and what was done to them."""
+    """Return texts of a scenario, its map and a plan, and the modification applied to them."""
     gears, law = _drive(rng)
     scenario = _scenario(rng, gears)
     case: Case = {"kind": "files", "expected": "any", "map": yaml.safe_dump(_MAP), "pixels": int(rng.integers(1, 40))}
@@ -60,7 +60,7 @@ def files_case(rng: Rng) -> Case:
 
 
 def _drive(rng: Rng) -> tuple[list[Case], Case]:
-    """A gentle path of one gear with a law well within the limits."""
+    """Return a smooth path of one gear with a law well within the limits."""
     count = int(rng.integers(3, 8))
     knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.3, 0.7, count - 1))))
     curvature = np.where(np.arange(count) % 2, rng.uniform(0.3, 0.6, count), 0.0) * rng.choice([1.0, -1.0])
@@ -122,7 +122,7 @@ def _honest(_: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forgery:
 
 
 def _hidden_acceleration(rng: Rng, gears: list[Case], _: Case, scenario: Case) -> _Forgery:
-    """Three times the acceleration that is allowed, by columns that say zero."""
+    """Three times the allowed acceleration, with columns of zeros."""
     length = motion_of(gears).length
     columns = _columns(gears, _law(length, 0.5, float(rng.uniform(1.5, 2.5)), 1.9e1))
     columns["acceleration"] = 0.0 * columns["acceleration"]
@@ -131,14 +131,14 @@ def _hidden_acceleration(rng: Rng, gears: list[Case], _: Case, scenario: Case) -
 
 
 def _hidden_jerk(_: Rng, gears: list[Case], __: Case, scenario: Case) -> _Forgery:
-    """Ten times the jerk that is allowed; the column says what is allowed."""
+    """Ten times the allowed jerk; the column contains the allowed jerk."""
     columns = _columns(gears, _law(motion_of(gears).length, 0.5, 0.45, 20.0))
     columns["jerk"] = np.clip(columns["jerk"], -2.0, 2.0)
     return _written(gears, columns), scenario
 
 
 def _hidden_speed(rng: Rng, gears: list[Case], _: Case, scenario: Case) -> _Forgery:
-    """Positions run faster than the speed column says."""
+    """Positions advance faster than the speed column."""
     columns = _columns(gears, _law(motion_of(gears).length, 0.55, 0.45, 2.0))
     scenario["robot"]["limits"]["max_speed"] = scenario["robot"]["limits"]["max_reverse_speed"] = 0.4
     columns["speed"] = columns["speed"] * float(rng.uniform(0.2, 0.7))
@@ -146,7 +146,7 @@ def _hidden_speed(rng: Rng, gears: list[Case], _: Case, scenario: Case) -> _Forg
 
 
 def _hidden_yaw(rng: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forgery:
-    """The yaw rate or the yaw acceleration is beyond its limit; the column says zero."""
+    """Yaw rate or yaw acceleration beyond its limit, with columns of zeros."""
     columns = _columns(gears, law)
     name = str(rng.choice(["yaw_rate", "yaw_acceleration"]))
     top = float(np.max(np.abs(columns[name])))
@@ -166,7 +166,7 @@ def _wrong_sign(_: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forger
 
 
 def _beside_the_path(rng: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forgery:
-    """Every pose is up to a millimetre off the path, and the path has no room to spare."""
+    """Every pose up to a millimetre off a path without spare clearance."""
     columns = _columns(gears, law)
     side = log_uniform(rng, 2e-5, 0.9e-3)
     columns["x"] = columns["x"] - side * np.sin(columns["yaw"])
@@ -188,14 +188,14 @@ def _one_sample(rng: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forg
 
 
 def _faster_clock(rng: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forgery:
-    """All times shrunk: nothing else fits them any more."""
+    """All times scaled down, inconsistent with the other columns."""
     columns = _columns(gears, law)
     columns["t"] = columns["t"] * float(rng.uniform(0.05, 0.6))
     return _written(gears, columns), scenario
 
 
 def _hop(rng: Rng, gears: list[Case], law: Case, scenario: Case) -> _Forgery:
-    """Positions hop ahead along the path and wait there, while the speed column goes on as it was."""
+    """Positions jump ahead along the path and wait there, while the speed column is unchanged."""
     columns = _columns(gears, law)
     n = columns["t"].size
     first = int(rng.integers(n // 4, n // 2))
@@ -227,7 +227,7 @@ def _in_degrees(rng: Rng, scenario: Case) -> Case:
 
 
 def _damaged(rng: Rng, text: str, *, as_json: bool) -> str:
-    """Bytes or values changed."""
+    """Change bytes or values."""
     if rng.uniform() < 0.4:
         return _scratched(rng, text)
     document = json.loads(text) if as_json else yaml.safe_load(text)
@@ -240,7 +240,7 @@ def _damaged(rng: Rng, text: str, *, as_json: bool) -> str:
 
 
 def _scratched(rng: Rng, text: str) -> str:
-    """A few characters deleted, doubled or replaced, or the end cut off."""
+    """Delete, duplicate or replace a few characters, or cut off the end."""
     characters = list(text)
     for _ in range(int(rng.choice([1, 1, 2, 5]))):
         if not characters:
@@ -260,7 +260,7 @@ def _scratched(rng: Rng, text: str) -> str:
 
 
 def _mutate(rng: Rng, document: Any) -> None:  # noqa: ANN401 - JSON of any shape
-    """One place of a document: its value replaced, dropped, doubled or given another key."""
+    """Change one place of a document: its value replaced, dropped, duplicated or under another key."""
     holder, depth = document, 0
     while isinstance(holder, dict | list) and len(holder):
         keys = list(holder) if isinstance(holder, dict) else list(range(len(holder)))
@@ -282,7 +282,7 @@ def _replace(rng: Rng, holder: Any, key: Any) -> None:  # noqa: ANN401
     elif style < 0.35 and isinstance(holder, list):
         holder.append(holder[key])
     elif style < 0.55 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
-        with contextlib.suppress(OverflowError):  # what an earlier mutation made of it may be beyond all floats
+        with contextlib.suppress(OverflowError):  # an earlier mutation may have made the value too large for floats
             holder[key] = holder[key] * float(rng.choice([-1.0, 57.29578, 1e6, 1e-6, 1.001]))
     else:
         holder[key] = copy.deepcopy(_HOSTILE[int(rng.integers(len(_HOSTILE)))])

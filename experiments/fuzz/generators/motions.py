@@ -1,4 +1,4 @@
-"""Random motions: jerk-limited laws over random paths, and limits just above or just below what they need."""
+"""Random motions: jerk-limited laws over random paths, and limits just above or just below the largest values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from experiments.fuzz.generators.routes import clothoid_route, route, with_turns
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 __all__ = ["motion_problem"]
 
 Rng: TypeAlias = np.random.Generator
-_TURNS, _STEERED = 0.25, 0.3  # shares of motions that turn in place, and of steered wheels
-_HUGE = 1e9  # stands for no limit where a finite one is required
+_TURNS, _STEERED = 0.25, 0.3  # shares of motions with turns in place, and with steered wheels
+_HUGE = 1e9  # no limit, in places that require a finite one
 _CURVED = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "wheel_speed", "lateral_jerk")
 _PLAIN = ("speed", "acceleration", "deceleration", "jerk")
 
 
 def motion_problem(rng: Rng) -> Case:
-    """A path, a law over it, and limits at the border of what the motion does."""
+    """Return a path, a law over it, and limits near the largest values of the motion."""
     gears = clothoid_route(rng) if rng.uniform() < 0.85 else route(rng)
     style = rng.uniform()
     if style < _TURNS and all(gear["type"] != "turn" for gear in gears):
@@ -54,7 +54,7 @@ def motion_problem(rng: Rng) -> Case:
 
 
 def _law(rng: Rng, lengths: list[float], *, rests: bool = False) -> Case:
-    """Every gear from rest to rest; now and then the first begins at speed."""
+    """Return a law with every gear from rest to rest; sometimes the first begins at speed."""
     durations: list[float] = []
     jerks: list[float] = []
     begins_moving = rng.uniform() < 0.2
@@ -75,7 +75,7 @@ def _law(rng: Rng, lengths: list[float], *, rests: bool = False) -> Case:
 
 
 def _double_s(length: float, v: float, a: float, j: float) -> tuple[list[tuple[float, float]], float]:
-    """Phases (duration, jerk) from rest to rest over `length`, and the speed in the middle."""
+    """Return phases (duration, jerk) from rest to rest over `length`, and the speed in the middle."""
 
     def ramp(top: float) -> tuple[float, float]:
         return (a / j, top / a - a / j) if top * j >= a * a else (math.sqrt(top / j), 0.0)
@@ -99,14 +99,14 @@ def _double_s(length: float, v: float, a: float, j: float) -> tuple[list[tuple[f
 def _from_speed(
     phases: list[tuple[float, float]], top: float, length: float
 ) -> tuple[list[tuple[float, float]], float]:
-    """The second half of a motion, after a cruise that covers the rest."""
+    """Return the second half of a motion, after a cruise over the rest of the distance."""
     braking = phases[-3:] if len(phases) >= 6 else phases[-2:]
     way = 0.5 * top * sum(h for h, _ in braking)
     return [((length - way) / top, 0.0), *braking], top
 
 
 def _split(rng: Rng, law: Case) -> None:
-    """One phase becomes several of the same jerk, some of them tiny."""
+    """Split one phase into several of the same jerk, some of them tiny."""
     i = int(rng.integers(len(law["durations"])))
     whole = law["durations"][i]
     share = rng.uniform() if rng.uniform() < 0.5 else log_uniform(rng, 1e-13, 1e-2)
@@ -116,21 +116,21 @@ def _split(rng: Rng, law: Case) -> None:
 
 
 def _wait(rng: Rng, law: Case) -> None:
-    """A rest before the motion, of any length."""
+    """Insert a rest of any duration before the motion."""
     if law["start_speed"] == 0.0:
         law["durations"].insert(0, log_uniform(rng, 1e-12, 1e18))
         law["jerks"].insert(0, 0.0)
 
 
 def _stretched(rng: Rng, law: Case) -> None:
-    """One duration a little wrong."""
+    """Change one duration slightly."""
     law["durations"][int(rng.integers(len(law["durations"])))] *= 1.0 + rng.choice([-1, 1]) * log_uniform(
         rng, 1e-9, 1e-2
     )
 
 
 def _kicked(rng: Rng, law: Case) -> None:
-    """A short push that is taken back at once, too strong or just strong enough."""
+    """Add a short jerk that is compensated at once, at or above the limit."""
     i, width, jerk = (
         int(rng.integers(len(law["durations"]) + 1)),
         log_uniform(rng, 1e-9, 1e-2),
@@ -144,16 +144,18 @@ _CHANGES: tuple[Callable[[Rng, Case], None], ...] = (_split, _split, _wait, _str
 
 
 def _aim(rng: Rng, case: Case) -> None:
-    """Limits with 2 % to spare, but for one or two at the border, and a slow zone likewise."""
+    """Set limits with 2 % of reserve, but one or two at the border, and a slow zone in the same way."""
     turns = any(one["type"] == "turn" for one in case["path"])
     track = 0.0 if turns and rng.uniform() < 0.6 else rng.uniform(0.1, 1.0)
     unit = dict.fromkeys((f"max_{name}" for name in (*_PLAIN, *_CURVED)), 1.0)
     case["limits"] = {**unit, "max_reverse_speed": 1.0, "track_width": track}
     motion = motion_of(case["path"])
-    seen = judged(case, motion).ratios
-    if turns:  # of turns by limits of 1
+    seen = judge_timing(case, motion).ratios
+    if turns:  # limits of turns are scaled to 1
         seen |= {
-            name: value for name, value in judged({**case, "limits": unit}, motion).ratios.items() if "turn_" in name
+            name: value
+            for name, value in judge_timing({**case, "limits": unit}, motion).ratios.items()
+            if "turn_" in name
         }
     sharp = set(rng.choice([*_PLAIN, *_CURVED], size=int(rng.integers(0, 3)), replace=False).tolist())
     limits: Case = {"track_width": track}
@@ -172,7 +174,7 @@ def _aim(rng: Rng, case: Case) -> None:
 
 
 def _border(rng: Rng) -> float:
-    """A factor next to 1: within the tolerance, between it and five times it, or beyond."""
+    """Return a factor near 1: within the tolerance, between once and five times the tolerance, or beyond."""
     style = rng.uniform()
     if style < 0.3:
         return 1.0 + log_uniform(rng, 1e-9, 1e-3)
@@ -180,17 +182,17 @@ def _border(rng: Rng) -> float:
 
 
 def _add_zone(rng: Rng, case: Case) -> None:
-    """A slow zone whose limit is what the motion does in it, nearly."""
+    """Add a slow zone with a limit near the speed of the motion in it."""
     motion = motion_of(case["path"])
     distance = float(motion.length * rng.uniform(0.02, 1.1))
     free = {**case, "limits": {**case["limits"], "max_speed": 1e12, "max_reverse_speed": 1e12}, "zone": [1.0, distance]}
-    top = judged(free, motion).ratios["speed"]
+    top = judge_timing(free, motion).ratios["speed"]
     if math.isfinite(top) and top > 1e-9:
         case["zone"] = [top * (_border(rng) if rng.uniform() < 0.5 else 1.02), distance]
 
 
 def _aim_turns(rng: Rng, case: Case, seen: dict[str, float]) -> None:
-    """Limits of turning at the border of what the turns do, or with a little to spare."""
+    """Set limits of turning near the largest values of the turns, or with a small reserve."""
     limits = case["limits"]
     gain = max(limits["max_acceleration"], limits["max_deceleration"]) / limits["max_jerk"]
     rate, acceleration, jerk = (seen.get(name, 0.0) for name in ("turn_rate", "turn_acceleration", "turn_jerk"))
@@ -206,11 +208,11 @@ def _aim_turns(rng: Rng, case: Case, seen: dict[str, float]) -> None:
 
 
 def _steer(rng: Rng, case: Case) -> None:
-    """Steered wheels whose rate is at the border of what the motion and its rests need."""
+    """Set a steering rate limit near the largest value of the motion and its rests."""
     limits = case["limits"]
     limits["wheelbase"] = log_uniform(rng, 0.05, 4.0)
     motion, law = motion_of(case["path"]), case["law"]
-    rates = [judged({**case, "limits": {**limits, "max_steering_rate": 1.0}}, motion).ratios["steering_rate"]]
+    rates = [judge_timing({**case, "limits": {**limits, "max_steering_rate": 1.0}}, motion).ratios["steering_rate"]]
     rests = [h for h, j in zip(law["durations"], law["jerks"], strict=True) if j == 0.0]
     for before, after in itertools.pairwise(motion.segments):
         ends = (before.gear * motion.k1[before.stop - 1], after.gear * motion.k0[after.first])

@@ -1,4 +1,4 @@
-"""Path problems whose margins lie at the border of the requirement: where a false certificate would be."""
+"""Path problems whose margins are near the requirement, the likely place of a false certificate."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 __all__ = ["beside", "path_problem"]
 
 Rng: TypeAlias = np.random.Generator
-_POSES = 48  # of the swept area, for placing obstacles beside it
+_POSES = 48  # poses of the swept area used to place obstacles next to it
 _TRAPS = 0.06  # share of cases built around one weak spot
-_TRIES = 10  # points of the outline per obstacle, until one is at the border of the swept area
+_TRIES = 10  # outline points tried per obstacle, until one is at the border of the swept area
 
 
 def path_problem(rng: Rng) -> Case:
-    """A path with a problem that it may solve, nearly solve or nearly miss."""
+    """Return a path with a problem that it solves, nearly solves or nearly misses."""
     if rng.uniform() < _TRAPS:
         return trap(rng)
     gears = route(rng)
@@ -79,20 +79,20 @@ def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
 
 
 def _tracking(rng: Rng) -> Case:
-    """Now and then a tube; from a stream of its own, so that the other cases of a seed stay what they are."""
+    """Sometimes set a tube; from a separate random stream, so that the other cases of a seed stay unchanged."""
     if rng.uniform() > 0.15:
         return {}
     return {"tracking": [log_uniform(rng, 1e-4, 0.1), float(rng.uniform(0.0, 0.2))]}
 
 
 def _turning(rng: Rng, motion: Motion) -> Case:
-    """Whether the robot turns in place: nearly always where its path does."""
+    """Return whether the robot turns in place: nearly always if its path does."""
     turns = any(one.in_place for one in motion.segments)
     return {"turns_in_place": bool(rng.uniform() < 0.97)} if turns else {}
 
 
 def _entry(rng: Rng, motion: Motion) -> Case:
-    """The gear that the dock asks for, and its final straight."""
+    """Return the gear required by the dock, and its final straight."""
     last = motion.segments[-1]
     gears = [one.gear for one in motion.segments if not one.in_place]
     fitting = "forward" if (gears or [1])[-1] > 0 else "backward"
@@ -111,7 +111,7 @@ def _rule(rng: Rng) -> list[float]:
 
 
 def _bounds(rng: Rng, motion: Motion) -> Case:
-    """Curvature limits at, above and (seldom) below what the path does."""
+    """Return curvature limits at, above and (rarely) below the largest values of the path."""
     limits: Case = {}
     if any(one.in_place for one in motion.segments):
         limits = {"max_yaw_rate": 1.0, "max_yaw_acceleration": 1.0}
@@ -132,7 +132,7 @@ def _bounds(rng: Rng, motion: Motion) -> Case:
 
 
 class _Swept:
-    """Poses along the path, the outline at each, and points at the border of the area that they sweep."""
+    """Poses along the path, the outline at each, and points at the border of the swept area."""
 
     def __init__(self, case: Case, motion: Motion) -> None:
         share = np.linspace(0.0, 1.0, _POSES)
@@ -140,7 +140,7 @@ class _Swept:
         piece = np.clip(np.searchsorted(motion.s, s, side="right") - 1, 0, motion.s.size - 1)
         local = np.clip((s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)
         poses = motion.poses_at(piece, local)
-        if len(motion.h) <= 400:  # turns in place have poses that arc length does not reach
+        if len(motion.h) <= 400:  # turns in place have poses that no arc length addresses
             poses = np.vstack((poses, motion.poses_at(np.arange(motion.h.size), np.full(motion.h.size, 0.5))))
         self.poses: Floats = poses
         shape = case["footprint"]
@@ -156,7 +156,7 @@ class _Swept:
         self.bodies: Any = shapely.polygons(self.corners)
 
     def border_point(self, rng: Rng, gap: float) -> tuple[Floats, Floats] | None:
-        """A point beside the swept area and the direction away from it."""
+        """Return a point next to the swept area and the direction away from it."""
         pose = rng.integers(0, len(self.poses), _TRIES)
         edge = rng.integers(0, len(self.outline), _TRIES)
         a, b = self.corners[pose, edge], self.corners[pose, (edge + 1) % len(self.outline)]
@@ -175,7 +175,7 @@ class _Swept:
 
 
 def _beside(rng: Rng, swept: _Swept, required: float) -> list[Points]:
-    """Obstacles around the path; those that stand in its way are mostly taken out."""
+    """Return obstacles around the path; those that block it are mostly removed."""
     count = int(rng.choice([1, 2, 4, 8], p=[0.35, 0.3, 0.25, 0.1]))
     placed: list[Points] = []
     for _ in range(count):
@@ -187,7 +187,7 @@ def _beside(rng: Rng, swept: _Swept, required: float) -> list[Points]:
 
 
 def beside(rng: Rng, case: Case, motion: Motion, gaps: list[float]) -> list[Points]:
-    """Obstacles so far from the area that a motion sweeps [m]; a gap below 0 reaches into it."""
+    """Return obstacles at given gaps [m] from the swept area of a motion; a negative gap reaches into it."""
     swept = _Swept(case, motion)
     return [one for gap in gaps for one in _one(rng, swept, gap)]
 
@@ -208,7 +208,7 @@ def _one(rng: Rng, swept: _Swept, gap: float) -> list[Points]:
 
 
 def _wall(rng: Rng, swept: _Swept, gap: float) -> Points:
-    """A wall along a side of everything that is swept; now and then a long one of almost flat reflex corners."""
+    """Return a wall along a side of the swept area; sometimes a long one of almost flat reflex corners."""
     heading = rng.uniform(-math.pi, math.pi)
     if rng.uniform() < 0.4:
         heading = float(swept.poses[int(rng.integers(len(swept.poses))), 2]) + 0.5 * math.pi * int(rng.integers(4))
@@ -221,7 +221,7 @@ def _wall(rng: Rng, swept: _Swept, gap: float) -> Points:
 
 
 def _touching(rng: Rng, point: Floats, normal: Floats) -> list[Points]:
-    """Two squares side by side whose seam points at the robot."""
+    """Return two adjacent squares whose seam points at the robot."""
     heading = math.atan2(float(normal[1]), float(normal[0])) - 0.5 * math.pi
     size = rng.uniform(0.1, 0.6)
     halves = (
@@ -232,13 +232,13 @@ def _touching(rng: Rng, point: Floats, normal: Floats) -> list[Points]:
 
 
 def _station(rng: Rng, swept: _Swept) -> Points:
-    """A dock in front of the docked robot."""
+    """Return a dock in front of the docked robot."""
     front = float(swept.outline[:, 0].max()) + log_uniform(rng, 1e-6, 0.1)
     return turned(rectangle(0.2, 0.0, rng.uniform(0.2, 1.0)), 0.0, front, 0.0)
 
 
 def _add_grid(rng: Rng, case: Case, swept: _Swept) -> None:
-    """A grid around the path, with cells that are occupied or unknown beside it; seldom a small one far away."""
+    """Add a grid around the path, with occupied or unknown cells next to it; rarely a small one far away."""
     side = float(rng.choice([0.05, 0.1, 0.25]))
     low, high = swept.corners.reshape(-1, 2).min(axis=0), swept.corners.reshape(-1, 2).max(axis=0)
     origin = low - log_uniform(rng, 1e-3, 0.6)
@@ -259,7 +259,7 @@ def _add_grid(rng: Rng, case: Case, swept: _Swept) -> None:
 
 
 def _wanted_margin(rng: Rng) -> float:
-    """Margins at the border: what a tolerance five times too large would accept, or a lost centimetre, or nothing."""
+    """Return a margin near the limit: accepted by a tolerance five times too large, a missing centimetre, or none."""
     style = rng.uniform()
     if style < 0.3:
         return -float(rng.uniform(2.2e-6, 4.9e-6))
@@ -271,7 +271,7 @@ def _wanted_margin(rng: Rng) -> float:
 
 
 def _aim(rng: Rng, case: Case, motion: Motion) -> None:
-    """Move the requirement, the nearest obstacle or the grid until the margin is a chosen one."""
+    """Move the requirement, the nearest obstacle or the grid until the margin has a chosen value."""
     world = World.of(case)
     if world.is_empty or rng.uniform() < 0.12:
         return
@@ -291,7 +291,7 @@ def _require(case: Case, found: Sweep, wanted: float) -> None:
 
 
 def _shift(case: Case, found: Sweep, world: World, wanted: float) -> None:
-    """Move the obstacle that is nearest at the worst pose, or the grid, by what the margin lacks."""
+    """Move the nearest obstacle of the worst pose, or the grid, by the missing margin."""
     k = found.worst
     if world.solid is None or found.clearance[k] > 1.0:
         return
@@ -306,14 +306,14 @@ def _shift(case: Case, found: Sweep, world: World, wanted: float) -> None:
     if near and min(near) <= length + 1e-9:
         nearest = shapely.Polygon(case["obstacles"][int(np.argmin(near))])
         for i, one in enumerate(case["obstacles"]):
-            if shapely.Polygon(one).distance(nearest) <= 1e-9:  # what touches it goes with it
+            if shapely.Polygon(one).distance(nearest) <= 1e-9:  # obstacles that touch it move with it
                 case["obstacles"][i] = (np.array(one) + move).tolist()
     elif case["grid"] is not None:
         case["grid"]["origin"] = (np.array(case["grid"]["origin"]) + move).tolist()
 
 
 def _spoil(rng: Rng, case: Case) -> None:
-    """Seldom: a start or goal that the path misses, by what is tolerated or by more."""
+    """Rarely change start or goal by an error within or beyond the tolerance."""
     if rng.uniform() < 0.06:
         error = log_uniform(rng, 1e-7, 1e-2)
         target = case["start"] if rng.uniform() < 0.5 else case["dock"]["pose"]

@@ -1,4 +1,4 @@
-"""Random paths: clothoid splines in both gears, and polylines of every quality."""
+"""Random paths: clothoid splines in both gears, and polylines of varying quality."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TURNS = 0.3  # share of paths that turn in place
 
 
 def route(rng: Rng) -> list[Case]:
-    """The gears of a path: clothoids, or polylines made from them."""
+    """Return the gears of a path: clothoids, or polylines made from them."""
     gears = clothoid_route(rng)
     if rng.uniform() >= 0.65:
         gears = _polylines(rng, gears)
@@ -31,7 +31,7 @@ def route(rng: Rng) -> list[Case]:
 
 
 def with_turns(rng: Rng, gears: list[Case]) -> list[Case]:
-    """The same gears with turns in place before, between and behind them: what follows turns with them."""
+    """Insert turns in place before, between and after the gears; later gears are rotated accordingly."""
     made: list[Case] = []
     for gear in gears:
         if rng.uniform() < 0.5:
@@ -51,7 +51,7 @@ def _turn_at(rng: Rng, made: list[Case], pose: np.ndarray) -> None:
 
 
 def _moved(gear: Case, to: np.ndarray) -> Case:
-    """A gear moved so that it begins at a pose."""
+    """Return a gear moved to begin at a pose."""
     x, y, yaw = motion_of([gear]).start
     c, s = math.cos(to[2] - yaw), math.sin(to[2] - yaw)
     if gear["type"] == "clothoid":
@@ -63,7 +63,7 @@ def _moved(gear: Case, to: np.ndarray) -> Case:
 
 
 def clothoid_route(rng: Rng) -> list[Case]:
-    """One to four gears; neighbours differ in gear, but now and then do not."""
+    """Return one to four gears; neighbours mostly differ in direction."""
     count = int(rng.choice([1, 2, 3, 4], p=[0.6, 0.25, 0.1, 0.05]))
     far = 0.0 if rng.uniform() < 0.85 else log_uniform(rng, 10.0, 1e5)
     yaw = rng.uniform(-math.pi, math.pi) if rng.uniform() < 0.97 else log_uniform(rng, 1e2, 1e7)
@@ -82,7 +82,7 @@ def clothoid_route(rng: Rng) -> list[Case]:
 
 
 def _profile(rng: Rng, steep: float) -> tuple[list[float], list[float]]:
-    """Knots and curvatures of a gear."""
+    """Return knots and curvatures of a gear."""
     n = int(rng.choice([2, 3, 4, 6, 10, 20]))
     pieces = 10.0 ** rng.uniform(-1.6, -0.2, n - 1) if n > 2 else np.array([rng.uniform(0.1, 2.5)])
     style = rng.uniform()
@@ -101,7 +101,7 @@ def _profile(rng: Rng, steep: float) -> tuple[list[float], list[float]]:
 
 
 def _spiked(rng: Rng, knots: np.ndarray, curvature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curvature that jumps, or turns the robot, within 1e-14 to 1e-3 m."""
+    """Return a curvature that jumps, or turns the robot, within 1e-14 to 1e-3 m."""
     where = int(rng.integers(0, knots.size - 1))
     a, width = 0.5 * (knots[where] + knots[where + 1]), log_uniform(rng, 1e-14, 1e-3)
     inner = np.array([a, a + width, a + 2.0 * width])
@@ -113,7 +113,7 @@ def _spiked(rng: Rng, knots: np.ndarray, curvature: np.ndarray) -> tuple[np.ndar
 
 
 def _disjoint(rng: Rng, gears: list[Case]) -> None:
-    """Gears that do not quite meet: each may jump a little, and the jumps add up."""
+    """Return gears with small gaps between them, which accumulate."""
     if rng.uniform() < 0.5 and len(gears) > 1:
         gears[-1]["start"] = [value + log_uniform(rng, 1e-7, 1e-3) for value in gears[-1]["start"]]
         return
@@ -147,7 +147,7 @@ def _sampled(gear: Case, spacing: float) -> Case:
 
 
 def _rejoined(gears: list[Case]) -> list[Case]:
-    """Gears moved so that each begins where the one before it ends."""
+    """Return gears moved so that each begins at the end of the previous one."""
     for before, after in itertools.pairwise(gears):
         shift = np.array(before["poses"][-1]) - np.array(after["poses"][0])
         after["poses"] = (np.array(after["poses"]) + shift).tolist()
@@ -171,14 +171,14 @@ def _turning_in_place(rng: Rng, poses: np.ndarray) -> np.ndarray:
 
 
 def _thinned(rng: Rng, poses: np.ndarray) -> np.ndarray:
-    """Long steps here and there."""
+    """Remove poses, which leaves some long steps."""
     keep = rng.uniform(size=len(poses)) < rng.uniform(0.1, 0.9)
     keep[[0, -1]] = True
     return poses[keep]
 
 
 def _crabbing(rng: Rng, poses: np.ndarray) -> np.ndarray:
-    """Every step a little sideways: by itself below what is tolerated."""
+    """Shift every step slightly sideways: each within the tolerance."""
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
     side = way * rng.uniform(1e-4, 0.0099)
     yaw = poses[0, 2]
@@ -186,13 +186,13 @@ def _crabbing(rng: Rng, poses: np.ndarray) -> np.ndarray:
 
 
 def _zigzag(rng: Rng, poses: np.ndarray) -> np.ndarray:
-    """Every other pose a little to the side."""
+    """Shift every other pose slightly to the side."""
     side = np.where(np.arange(len(poses)) % 2, log_uniform(rng, 1e-7, 1e-3), 0.0)
     return poses + np.column_stack((-np.sin(poses[:, 2]) * side, np.cos(poses[:, 2]) * side, np.zeros(side.size)))
 
 
 def _creeping(rng: Rng, poses: np.ndarray) -> np.ndarray:
-    """A sideways motion in steps so short that they carry no direction."""
+    """Return a sideways motion in steps too short to have a direction."""
     at, count = int(rng.integers(0, len(poses))), int(rng.integers(10, 400))
     side = 0.95e-9 * np.arange(1, count + 1)
     normal = [-math.sin(poses[at, 2]), math.cos(poses[at, 2])]

@@ -1,4 +1,4 @@
-"""Outlines of robots and obstacles: common ones, and those at which geometry breaks."""
+"""Outlines of robots and obstacles: common ones, and numerically difficult ones."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ Rng: TypeAlias = np.random.Generator
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
-    """A number whose logarithm is uniform."""
+    """Return a number whose logarithm is uniform."""
     return float(10.0 ** rng.uniform(math.log10(low), math.log10(high)))
 
 
 def end_rules(rng: Rng, required: float) -> list[float | None]:
-    """What a clearance rule seldom says: the run at the dock, and what is enough at the start; mostly nothing [m]."""
+    """Return rare parts of a clearance rule: the run at the dock, and the sufficient clearance at the start [m]."""
     if rng.uniform() < 0.8:
         return []
     return [float(rng.choice([0.0, 0.1, 1.0])), float(required * rng.uniform()) if rng.uniform() < 0.5 else None]
 
 
 def turned(points: Points, yaw: float, x: float = 0.0, y: float = 0.0) -> Points:
-    """Points rotated, then moved."""
+    """Return points rotated, then moved."""
     c, s = math.cos(yaw), math.sin(yaw)
     return [[x + c * px - s * py, y + s * px + c * py] for px, py in points]
 
 
 def rectangle(front: float, rear: float, width: float) -> Points:
-    """From x = -rear to x = front, centred in y."""
+    """Return a rectangle from x = -rear to x = front, centred in y."""
     return [[front, width / 2], [-rear, width / 2], [-rear, -width / 2], [front, -width / 2]]
 
 
@@ -58,14 +58,14 @@ def _regular(rng: Rng) -> Points:
 
 
 def _fork(rng: Rng) -> Points:
-    """A U, open to the front."""
+    """Return a U, open to the front."""
     a, w, t = rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.8), log_uniform(rng, 1e-3, 0.12)
     return [[a, w / 2], [-0.2, w / 2], [-0.2, -w / 2], [a, -w / 2], [a, t - w / 2], [0.0, t - w / 2],
             [0.0, w / 2 - t], [a, w / 2 - t]]  # fmt: skip
 
 
 def _angle(rng: Rng) -> Points:
-    """An L."""
+    """Return an L."""
     a, b, t = rng.uniform(0.3, 0.8), rng.uniform(0.2, 0.6), rng.uniform(0.02, 0.15)
     return [[-t, -t], [a, -t], [a, 0.0], [0.0, 0.0], [0.0, b], [-t, b]]
 
@@ -79,7 +79,7 @@ def _star(rng: Rng) -> Points:
 
 
 def _bitten(rng: Rng) -> Points:
-    """A round bay of many corners: it triangulates into a fan of slivers."""
+    """Return a shape with a round bay of many corners, which triangulates into a fan of slivers."""
     angle = np.linspace(-0.4, 0.4, int(rng.integers(8, 40)))
     arc = np.column_stack((3.0 - 2.6 * np.cos(angle), 2.6 * np.sin(angle)))
     points: Points = arc.tolist()
@@ -98,7 +98,7 @@ def _drawn(rng: Rng, table: tuple[tuple[float, Callable[[Rng], Points]], ...]) -
 
 
 def footprint(rng: Rng) -> Case:
-    """A robot's outline: a polygon, or in one of twelve cases a disc."""
+    """Return a robot's outline: a polygon, or (one in twelve) a disc."""
     if rng.uniform() < 1.0 / 12.0:
         return {"radius": float(rng.uniform(0.1, 0.5))}
     return {"polygon": _valid(_drawn(rng, _ROBOTS))}
@@ -132,7 +132,7 @@ def _drum(rng: Rng) -> Points:
 
 
 def shallow_wall(rng: Rng) -> Points:
-    """A wall whose face is a chain of reflex corners of almost a nanoradian each; it looks to -y."""
+    """Return a wall towards -y whose face is a chain of reflex corners of almost a nanoradian each."""
     length = float(rng.choice([4.0, 100.0, 1e4, 1e5]))
     n = int(rng.choice([1, 40, 200])) if length < 1e3 else 1
     x = np.linspace(length / 2, -length / 2, n + 2)
@@ -148,6 +148,6 @@ _OBSTACLES: tuple[tuple[float, Callable[[Rng], Points]], ...] = (
 
 
 def obstacle(rng: Rng) -> Points:
-    """An obstacle around the origin, at a random heading."""
+    """Return an obstacle around the origin, at a random heading."""
     points = turned(_drawn(rng, _OBSTACLES), rng.uniform(-math.pi, math.pi))
     return points if shapely.Polygon(points).is_valid else _post(rng)

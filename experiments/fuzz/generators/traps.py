@@ -1,6 +1,6 @@
-"""Scenes built around places where exact geometry breaks: seams, slivers, denormal edges, the end of the world.
+"""Scenes at the limits of exact geometry: seams, slivers, denormal edges, places outside of the map.
 
-Each changes a path problem into one whose path is short and simple, so that only the trap decides.
+Each changes a path problem into one with a short and simple path, so that only the trap decides.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Rng: TypeAlias = np.random.Generator
 
 
 def trap(rng: Rng) -> Case:
-    """One of the scenes below."""
+    """Return one of the scenes below."""
     return _TRAPS[int(rng.integers(len(_TRAPS)))](rng)
 
 
@@ -49,14 +49,14 @@ def _scene(path: list[Case], outline: Points, obstacles: list[Points], required:
 
 
 def _straight(rng: Rng, x: float, y: float, yaw: float) -> list[Case]:
-    """A straight path that ends at a pose."""
+    """Return a straight path that ends at a pose."""
     way = float(rng.uniform(0.1, 1.5))
     start = [x - way * math.cos(yaw), y - way * math.sin(yaw), yaw]
     return [{"type": "clothoid", "start": start, "knots": [0.0, way], "curvature": [0.0, 0.0], "gear": 1}]
 
 
 def _into_a_seam(rng: Rng) -> Case:
-    """A pointed robot whose tip ends between two obstacles that touch, or on a seam within one that is not convex."""
+    """A pointed robot whose tip ends between two touching obstacles, or on a seam within a non-convex one."""
     half = log_uniform(rng, 1e-5, 0.3)
     outline = [[0.3, 0.0], [0.0, half], [-0.3, max(half, 0.1)], [-0.3, -max(half, 0.1)], [0.0, -half]]
     yaw, depth = float(rng.uniform(-math.pi, math.pi)), log_uniform(rng, 2e-6, 0.05)
@@ -66,7 +66,7 @@ def _into_a_seam(rng: Rng) -> Case:
         [[front, 0.0], [1.3, 0.0], [1.3, 1.0], [front, 1.0]],
         [[front, -1.0], [1.3, -1.0], [1.3, 0.0], [front, 0.0]],
     )
-    # Cut into convex pieces these two have a seam that may begin at the front.
+    # Cut into convex pieces, these two have a seam that may begin at the front.
     corner = [[front, -1.0], [1.3, -1.0], [1.3, 1.0], [front + 0.5, 1.0], [front + 0.5, 0.0], [front, 0.0]]
     tee = [[front, -0.3], [1.3, -1.0], [1.0, 0.0], [1.3, 1.0], [front, 0.3]]
     solids = ([above, below], [corner], [tee])[int(rng.choice(3, p=[0.6, 0.2, 0.2]))]
@@ -74,7 +74,7 @@ def _into_a_seam(rng: Rng) -> Case:
 
 
 def _splinter(rng: Rng) -> Case:
-    """A post of a micrometre or less inside the robot, near a corner of an outline that is not convex."""
+    """A post of a micrometre or less inside the robot, near a corner of a non-convex outline."""
     outline = None
     for _ in range(30):
         drawn = footprint(rng)
@@ -101,10 +101,10 @@ def _is_convex(outline: Points) -> bool:
 
 
 def _denormal_edge(rng: Rng) -> Case:
-    """An edge whose length is hardly a number, at the origin, where such numbers exist."""
+    """An edge of nearly denormal length at the origin."""
     a, b = float(rng.integers(1, 4)) * 5e-324, float(rng.integers(-3, 4)) * 5e-324
     wedge = [[0.0, 0.0], [a, b], [1.0, 1.0], [-1.0, 1.0]]
-    heading = float(rng.uniform(0.1, math.pi - 0.1))  # of the motion, towards the tip from below
+    heading = float(rng.uniform(0.1, math.pi - 0.1))  # heading of the motion, towards the tip from below
     required = log_uniform(rng, 1e-2, 1.0)
     gap = 0.2 + required - log_uniform(rng, 3e-6, 0.1 * required)
     path = _straight(rng, -gap * math.cos(heading), -gap * math.sin(heading), heading)

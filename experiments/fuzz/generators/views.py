@@ -1,4 +1,4 @@
-"""Motions past a marker, and cameras that see it all the way, or lose it, by a hair."""
+"""Motions past a marker, and cameras that just keep it in view or just lose it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["view_problem"]
 
 Rng: TypeAlias = np.random.Generator
-_BORDER = 0.85  # share of cases whose camera is chosen by what the motion shows it
+_BORDER = 0.85  # share of cases with camera limits near the values of the motion
 
 
 def view_problem(rng: Rng) -> Case:
-    """A path and a camera that keeps the marker in view, nearly keeps it or nearly loses it."""
+    """Return a path and a camera that keeps the marker in view, nearly keeps it or nearly loses it."""
     gears = route(rng)
     motion = motion_of(gears)
     length = float(np.sum(np.where(motion.gear == 0.0, 0.0, motion.h)))
@@ -58,9 +58,9 @@ def view_problem(rng: Rng) -> Case:
 
 
 def _marker(rng: Rng, motion: Motion) -> list[float]:
-    """Near the end of the path, on the path itself, or far away; seen from the end."""
+    """Return a marker near the end of the path, on the path, or far away, relative to the end."""
     style = rng.uniform()
-    if style < 0.15:  # a place of the path: the camera may come to stand in it
+    if style < 0.15:  # a place on the path: the camera may come to stand in it
         at = rng.integers(motion.s.size, size=1)
         x, y, _ = motion.poses_at(at, rng.uniform(size=1))[0]
         c, s = math.cos(motion.end[2]), math.sin(motion.end[2])
@@ -72,7 +72,7 @@ def _marker(rng: Rng, motion: Motion) -> list[float]:
 
 
 def _look_there(rng: Rng, case: Case, motion: Motion) -> None:
-    """Mostly a mount that looks towards the marker from the middle of the stretch: a narrow cone may then do."""
+    """Return a mount, mostly towards the marker from the middle of the stretch, so that a narrow cone may suffice."""
     if rng.uniform() > 0.8:
         return
     piece = rng.integers(motion.s.size, size=1)
@@ -85,14 +85,14 @@ def _look_there(rng: Rng, case: Case, motion: Motion) -> None:
 
 
 def _aim(rng: Rng, case: Case, motion: Motion) -> None:
-    """Cone and ranges at what the motion shows, a hair more or a hair less; or any."""
+    """Return cone and ranges at the values of the motion, slightly more or slightly less; or arbitrary."""
     seen, camera = views(case, motion), case["camera"]
     if not seen.s.size or rng.uniform() > _BORDER:
         camera["field_of_view"] = float(rng.uniform(0.05, 2.0 * math.pi))
         camera["max_range"] = None if rng.uniform() < 0.5 else log_uniform(rng, 0.5, 10.0)
         return
     most = 2.0 * float(seen.bearing.max())
-    # A border is what this case is about; the others leave some room.
+    # One limit is at its border; the others have some reserve.
     borders = {str(name) for name in rng.choice(["cone", "near", "far"], size=int(rng.integers(1, 4)))}
     cone = most + (2.0 * _hair(rng) if "cone" in borders else float(rng.uniform(0.01, 0.5)))
     camera["field_of_view"] = min(max(cone, 1e-3), 2.0 * math.pi)
@@ -104,5 +104,5 @@ def _aim(rng: Rng, case: Case, motion: Motion) -> None:
 
 
 def _hair(rng: Rng) -> float:
-    """A little [m], [rad], of either sign."""
+    """Return a small value [m], [rad], of either sign."""
     return float(rng.choice([-1, 1])) * log_uniform(rng, 1e-9, 1e-2)

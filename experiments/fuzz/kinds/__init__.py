@@ -1,4 +1,4 @@
-"""The kinds of cases: how each is drawn, and how the library is judged on it."""
+"""Registry of the kinds of cases: how each is drawn, and how the library is checked on it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["KINDS", "Kind"]
 
 
 class Kind(NamedTuple):
-    """One kind of cases."""
+    """Functions of one kind of cases."""
 
     draw: Callable[[np.random.Generator], Case]
     judge: Callable[[Case], Verdict]

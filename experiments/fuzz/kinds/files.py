@@ -26,12 +26,12 @@ _STATUSES = {0: "certified", 2: "bad input", 3: "not certified", 4: "impossible"
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """Files, mostly damaged or forged."""
+    """Draw files, mostly damaged or forged."""
     return files_case(rng)
 
 
 def judge(case: Case) -> Verdict:
-    """Write the files and hand them over."""
+    """Write the files and load them."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         for name in ("scenario", "plan", "map"):
@@ -44,7 +44,7 @@ def judge(case: Case) -> Verdict:
 
 
 def _loaded(load: object, source: Path) -> str:
-    """What a door says about a file; anything but an error of the library is raised on."""
+    """Return the result of loading a file; exceptions that are no error of the library are raised on."""
     try:
         load(source)  # type: ignore[operator]
     except OptdockError as error:
@@ -58,17 +58,17 @@ def _compared(case: Case, root: Path, errors: list[str]) -> Verdict:
         raise result.exception
     status = _STATUSES.get(result.exit_code)
     if status == "not certified" and "not refuted and not proven" in result.output:
-        status = "unproven"  # a motion that is known by its samples alone
+        status = "unproven"  # a motion that is given only by its samples
     if status is None:
         return Verdict("untyped exception", f"exit status {result.exit_code}: {result.output[-200:]}")
-    contradicts = not any(errors) and "plan.json: " in result.output  # parts that are each in order by themselves
+    contradicts = not any(errors) and "plan.json: " in result.output  # parts that are each valid alone
     if any(errors) != (status == "bad input") and not contradicts:
-        return Verdict("untyped exception", f"doors disagree: certify says {status}; loading says {errors}")
+        return Verdict("untyped exception", f"inconsistent verdicts: certify: {status}; loading: {errors}")
     return _expected(case, status, errors) or Verdict(status)
 
 
 def _expected(case: Case, status: str, errors: list[str]) -> Verdict | None:
-    """A verdict that is not the one that the files deserve."""
+    """Return a verdict if the result differs from the expected one."""
     wanted = case["expected"]
     if wanted == "not certified" and status != wanted:
         return Verdict("accepted forgery", f"{case['forgery']}: {status} {errors}")

@@ -1,4 +1,4 @@
-"""`prove_impossible` on scenes with a motion: there must be no proof. A proof that is made must also hold its check."""
+"""`prove_impossible` on feasible scenes: there must be no proof. A proof must also pass its check."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A scene carved around a motion."""
+    """Draw a scene carved around a motion."""
     return carved_scene(rng)
 
 
 def problem_of(case: Case) -> DockingProblem:
-    """The problem of a case."""
+    """Return the problem of a case."""
     x, y = case["moved"]
     start, goal = (Pose2(pose[0] + x, pose[1] + y, pose[2]) for pose in (case["start"], case["goal"]))
     robot = Robot(Footprint(np.array(case["footprint"]["polygon"])), _LIMITS)
@@ -41,7 +41,7 @@ def problem_of(case: Case) -> DockingProblem:
 
 
 def judge(case: Case) -> Verdict:
-    """Try to prove that the motion around which the scene was carved does not exist."""
+    """Try to prove that the scene, which was carved around a motion, is infeasible."""
     try:
         problem = problem_of(case)
     except InvalidValue as error:

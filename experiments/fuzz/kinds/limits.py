@@ -1,8 +1,8 @@
-"""Every limit in turn, tightened until it binds: the certificate turns where the oracle says, and timing keeps it.
+"""Every limit in turn, tightened until it binds: the certificate must switch at the oracle's value, and timing comply.
 
-A path is timed under limits that leave room. What the oracle then sees of each quantity is the limit at which the
-certificate must turn: certified just above, refused by that name just below. Timed again under a limit that binds, the
-motion is certified and the oracle agrees, or the refusal names a limit.
+A path is timed under limits with reserve. The oracle's value of each quantity is the limit at which the certificate
+must switch: certified just above, refused by that name just below. If timed again under a binding limit, the motion is
+certified and the oracle agrees, or the refusal names a limit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from experiments.fuzz.generators.routes import clothoid_route
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.kinds import trajectories
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import LIMITED, judged
+from experiments.fuzz.oracle.timing import LIMITED, judge_timing
 from optdock.errors import OptdockError
 from optdock.model.limits import MotionLimits
 from optdock.planning.pipeline import plan_dock, warm_up
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge"]
 
-_PLANNED = 0.5  # share of paths that `plan_dock` makes
-_ABOVE, _BELOW = 1.0 + 1e-5, 1.0 - 1e-5  # times what the oracle sees; the certificate accepts 1e-6 beyond a limit
+_PLANNED = 0.5  # share of paths made by `plan_dock`
+_ABOVE, _BELOW = 1.0 + 1e-5, 1.0 - 1e-5  # factors of the oracle's value; the certificate accepts 1e-6 beyond a limit
 _NO_ZONE = [None, 0.0]
 _LEAST, _MOST = 1e-6, 1e6  # smaller quantities are rounding, larger ones those of spikes of the curvature
-_SEEN = 1e9  # stands for no limit where the oracle is to see a quantity
+_SEEN = 1e9  # no limit, in places where the oracle evaluates a quantity
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A path to time, and by how much to tighten each limit."""
+    """Draw a path to time, and a factor for each limit."""
     limits: Case = {
         "max_speed": log_uniform(rng, 0.2, 2.0),
         "max_reverse_speed": log_uniform(rng, 0.2, 2.0),
@@ -80,7 +80,7 @@ def judge(case: Case) -> Verdict:
         return Verdict("no motion: not of clothoids")
     law = law_spec(motion.time_law)
     wide = {f"max_{name}": _SEEN for name in (*LIMITED, "reverse_speed")}
-    seen = judged({**case, "zone": _NO_ZONE, "law": law, "limits": {**case["limits"], **wide}}, route).ratios
+    seen = judge_timing({**case, "zone": _NO_ZONE, "law": law, "limits": {**case["limits"], **wide}}, route).ratios
     outcome = Verdict("certified")
     for name in LIMITED:
         top = seen[name] * _SEEN
@@ -96,13 +96,13 @@ def judge(case: Case) -> Verdict:
 
 
 def _limited(case: Case, name: str, value: float) -> Case:
-    """The limits of a case with one of them, of both gears, at a value."""
+    """Return the limits of a case with one of them, for both gears, set to a value."""
     both = {"max_speed": value, "max_reverse_speed": value} if name == "speed" else {f"max_{name}": value}
     return {**case["limits"], **both}
 
 
 def _turns_at(case: Case, motion: Trajectory, name: str, top: float) -> Verdict | None:
-    """Whether the certificate does not turn where the oracle says."""
+    """Return a fault if the certificate does not switch at the oracle's value."""
     for share, wanted in ((_ABOVE, []), (_BELOW, [name])):
         limits = MotionLimits(**_limited(case, name, top * share))
         proof = certify_trajectory(motion, limits, zone_of({"zone": _NO_ZONE}))
@@ -116,7 +116,7 @@ def _turns_at(case: Case, motion: Trajectory, name: str, top: float) -> Verdict 
 
 
 def _kept(case: Case, name: str, value: float) -> Verdict | None:
-    """What is wrong with the motion that is timed under a limit which binds, or with a refusal."""
+    """Return the fault of the motion timed under a binding limit, or of its refusal."""
     limits = _limited(case, name, value)
     words, motion = _timed(case, limits)
     if motion is None:
@@ -131,7 +131,7 @@ def _kept(case: Case, name: str, value: float) -> Verdict | None:
 
 
 def _timed(case: Case, limits: Case) -> tuple[str, Trajectory | None]:
-    """How timing ended, with ` limit=` where it names one, and the motion where it is OK."""
+    """Return how timing ended, with ` limit=` if it names one, and the motion if it is OK."""
     plugin = create_plugin(TimeParameterizer, case["plugin"])
     result = plugin.parameterize(path_of(case["path"]), MotionLimits(**limits), zone_of(case))
     named = f" limit={result.limit}" if result.limit else ""
@@ -146,6 +146,6 @@ def _warm() -> None:
 
 
 def _planned(problem: Case) -> list[Case]:
-    """The gears of the path that `plan_dock` finds."""
+    """Return the gears of the path found by `plan_dock`."""
     _warm()
     return path_spec(plan_dock(problem_of(problem), time_budget=problem["budget"]).path)

@@ -1,4 +1,4 @@
-"""`certify_path` on random paths: nothing certified that the oracle refutes, nothing refused that is clearly right."""
+"""`certify_path` on random paths: no certificate that the oracle refutes, no refusal that is clearly wrong."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge", "refuted"]
 
-_FORGIVEN = 2e-6  # [m]: twice what the certificate forgives
+_FORGIVEN = 2e-6  # [m]: twice the tolerance of the certificate
 _SPARE = 1e-3  # [m]: a path with more margin must not be refused for its clearance
-_ROUND = 0.02  # of the radius: a disc may be taken for the polygon around it
+_ROUND = 0.02  # of the radius: a disc may be approximated by the circumscribed polygon
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random path problem."""
+    """Draw a random path problem."""
     return path_problem(rng)
 
 
 def judge(case: Case) -> Verdict:
-    """Ask the library, then the oracle."""
+    """Compare the verdicts of the library and the oracle."""
     try:
         path, problem = path_of(case["path"]), problem_of(case)
         certificate = certify_path(path, problem)
@@ -47,7 +47,7 @@ def judge(case: Case) -> Verdict:
 
 
 def refuted(case: Case, certificate: Certificate) -> Verdict | None:
-    """What shows that a certificate is false, or claims more than there is."""
+    """Return evidence that a certificate is false, or claims too large bounds."""
     motion = motion_of(case["path"])
     for finding in findings(case, motion):
         if finding.is_broken:
@@ -84,7 +84,7 @@ def refuted(case: Case, certificate: Certificate) -> Verdict | None:
 
 
 def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
-    """What shows that every reason of a refusal is clearly unfounded."""
+    """Return evidence that every reason of a refusal is clearly unfounded."""
     kinds = {violation.kind for violation in certificate.violations}
     motion = motion_of(case["path"])
     doubtful = {finding.kind for finding in findings(case, motion) if not finding.is_kept}
@@ -98,7 +98,7 @@ def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
 
 
 def _scene(case: Case) -> str:
-    """What tells apart failures of different origin: the path, the robot, and what it meets."""
+    """Return a description that distinguishes failures: the path, the robot, and the obstacles."""
     path = "polyline" if any(gear["type"] == "polyline" for gear in case["path"]) else "clothoid"
     grid = "" if case.get("grid") is None else (", grid alone" if case.get("grid_alone") else ", grid")
     contact = ", contact" if case["clearance"][1] == 0.0 else ""
@@ -106,12 +106,12 @@ def _scene(case: Case) -> str:
 
 
 def _has_room(case: Case, motion: Motion, certificate: Certificate) -> bool:
-    """Whether the margin is above a millimetre everywhere, where the certificate says it is not first of all."""
+    """Whether the margin exceeds a millimetre everywhere, including the place named by the certificate."""
     if jumps_at_goal(case):
         return False
     world = World.of(case)
     spare, kept = _SPARE + _ROUND * world.radius, start_clearance(case, world)
-    # A start that has what is required, or all but, may be judged by the strict rule alone.
+    # A start with nearly the required clearance may be checked by the strict rule alone.
     run = start_run(case) if kept < case["clearance"][0] + tube(case) - _SPARE else 0.0
     shown = [violation.where["pose"] for violation in certificate.violations if "pose" in violation.where]
     if shown and not world.is_empty:

@@ -1,4 +1,4 @@
-"""`plan_dock` on random docking problems: whatever it returns is right, and whatever it raises is typed."""
+"""`plan_dock` on random docking problems: results must be correct, and exceptions typed."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge"]
 
-_FAMILIES = 0.25  # share of problems from `optdock.testing`
-_LATE_CPU, _LATE = 0.2, 2.0  # [s] of processor time, of time on a loaded machine, past the budget
+_FAMILIES = 0.25  # share of problems from `experiments.families`
+_LATE_CPU, _LATE = 0.2, 2.0  # [s] of CPU time, and of wall clock on a loaded machine, past the budget
 _AGREEMENT = 1e-6  # [m], [rad] between a trajectory's poses and its path
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random docking problem, or a member of a family."""
+    """Draw a random docking problem, or an instance of a family."""
     case = docking_problem(rng)
     if rng.uniform() >= _FAMILIES:
         return case
@@ -49,7 +49,7 @@ def _warm() -> None:
 
 
 def judge(case: Case) -> Verdict:
-    """Plan, and look at what comes back."""
+    """Plan, and check the result."""
     _warm()
     try:
         problem = problem_of(case)
@@ -72,13 +72,13 @@ def judge(case: Case) -> Verdict:
 
 
 def _failed(case: Case, error: CertificationFailed) -> Verdict:
-    """A solver's result that the certificate refused."""
+    """Return the verdict on a solver's result that the certificate refused."""
     what = str(error.where.get("kind", ""))
     return Verdict("CertificationFailed", f"{what}: {error}, family {case.get('family')}")
 
 
 def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
-    """What is wrong with a plan."""
+    """Return the fault of a plan."""
     if not (says_yes(plan.certificate) and says_yes(plan.trajectory_certificate)):
         return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
     gears, law = path_spec(plan.path), plan.trajectory.time_law
@@ -107,7 +107,7 @@ def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
 
 
 def _disagreement(plan: DockPlan, gears: list[Case]) -> Verdict | None:
-    """Whether the trajectory's samples lie on its path as the oracle drives it."""
+    """Return a fault if the trajectory's samples do not lie on the oracle's path."""
     samples, motion = plan.trajectory.sample(0.1), motion_of(gears)
     piece = np.clip(np.searchsorted(motion.s, samples.s, side="right") - 1, 0, motion.s.size - 1)
     share = np.clip((samples.s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)

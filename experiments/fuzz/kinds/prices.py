@@ -1,7 +1,7 @@
-"""Prices do not rise where less is asked for: half the clearance, wider limits, an obstacle less, twice the budget.
+"""Prices of easier problems: half the clearance, wider limits, one obstacle less, twice the budget.
 
-What solves a problem solves the easier one too, so its plan should cost no more; a search may miss that. The rule is
-that it costs at most 3 % more.
+A solution of a problem solves the easier one too, so the plan of the easier problem should not cost more; the search is
+not exhaustive, so up to 3 % more is accepted.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _WIDER = 1.1
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random docking problem, and what is made easier."""
+    """Draw a random docking problem, and the requirement to relax."""
     return {**docking_problem(rng), "kind": "prices", "easier": str(rng.choice(EASIER))}
 
 
 def easier(case: Case) -> Case:
-    """The same problem with less asked for."""
+    """Return the same problem with one requirement relaxed."""
     made = copy.deepcopy(case)
     limits, what = made["limits"], case["easier"]
     if what == "clearance":
@@ -49,20 +49,20 @@ def easier(case: Case) -> Case:
 
 
 def judge(case: Case) -> Verdict:
-    """Plan both."""
+    """Plan both problems."""
     try:
-        asked, relaxed = problem_of(case), problem_of(easier(case))
+        original, relaxed = problem_of(case), problem_of(easier(case))
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     try:
-        price = plan_dock(asked, time_budget=_BUDGET).price
+        price = plan_dock(original, time_budget=_BUDGET).price
     except OptdockError as error:
         return Verdict(type(error).__name__)
     longer = _BUDGET * (2.0 if case["easier"] == "budget" else 1.0)
     try:
         found = plan_dock(relaxed, time_budget=longer).price
     except OptdockError as error:
-        return Verdict("dearer", f"{case['easier']}: {price:.3f} s, then {type(error).__name__}")
+        return Verdict("more expensive", f"{case['easier']}: {price:.3f} s, then {type(error).__name__}")
     if found > _MORE * price:
-        return Verdict("dearer", f"{case['easier']}: {price:.3f} s, then {found:.3f} s")
-    return Verdict("no dearer")
+        return Verdict("more expensive", f"{case['easier']}: {price:.3f} s, then {found:.3f} s")
+    return Verdict("no more expensive")

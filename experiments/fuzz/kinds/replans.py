@@ -1,6 +1,6 @@
-"""`replan`, `still_holds` and the executor's planning on running plans in worlds that have changed.
+"""`replan`, `still_holds` and the executor's planning on running plans in changed worlds.
 
-Whatever they say to be proven is true, of the robot where it is measured.
+Every result reported as proven must be true for the robot at its measured pose.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
 from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
-from experiments.fuzz.oracle.timing import judged, state_at
+from experiments.fuzz.oracle.timing import judge_timing, state_at
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
@@ -44,26 +44,26 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "draw_decision", "draw_measured", "judge"]
 
-_FORGIVEN = 2e-6  # [m]: twice what the certificate forgives
+_FORGIVEN = 2e-6  # [m]: twice the tolerance of the certificate
 _SPARE, _ROUND = 1e-3, 0.02  # [m], of the radius: a rest with more margin must hold
 _SAME = 2e-6  # [m], [rad], [m/s], [m/s^2]: at the joint
-_LATE_CPU = 0.2  # [s] of processor time past the budget
+_LATE_CPU = 0.2  # [s] of CPU time past the budget
 _TOLERANCES = 0.02, 0.02, 0.05  # of docks: along, cross [m], yaw [rad]
 _UNPROVEN = "stop, not proven"
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random running plan in another world."""
+    """Draw a random running plan in a changed world."""
     return running_plan(rng)
 
 
 def draw_measured(rng: np.random.Generator) -> Case:
-    """One that is replanned while the robot is measured beside its plan."""
+    """Draw a running plan that is replanned while the robot is measured off its path."""
     return {**running_plan(rng, question="replan", is_beside=True), "kind": "measured"}
 
 
 def draw_decision(rng: np.random.Generator) -> Case:
-    """One in which the executor's planning decides."""
+    """Draw a running plan for the decision of the executor's planning."""
     return {**running_plan(rng, question="decide", is_beside=True), "kind": "decisions"}
 
 
@@ -73,7 +73,7 @@ def _warm() -> None:
 
 
 def judge(case: Case) -> Verdict:
-    """Make the plan, change the world, ask, and look at what is said."""
+    """Make the plan, change the world, call the library, and check the answer."""
     try:
         plan = _plan(case)
     except OptdockError as error:
@@ -88,10 +88,10 @@ def judge(case: Case) -> Verdict:
         later = problem_of(world)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
-    asked = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
+    known = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
     word, wrong = "", None
     if case["question"] != "decide":
-        found = still_holds(plan, asked, time_now)
+        found = still_holds(plan, known, time_now)
         wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
         word = "holds" if says_yes(found) else "holds no more"
     if wrong is None and case["question"] != "holds":
@@ -100,7 +100,7 @@ def judge(case: Case) -> Verdict:
 
 
 def _known(case: Case) -> Case:
-    """The world that the plan is made in."""
+    """Return the world in which the plan is made."""
     return {key: value for key, value in case.items() if key not in ("world", "beside")}
 
 
@@ -117,9 +117,9 @@ def _plan(case: Case) -> DockPlan | None:
 
 
 def _world(case: Case, scene: Case, now: float) -> Case:
-    """The world as it is now, with what appears beside the rest of the path."""
-    told = {"costmap": {"grid"}, "obstacles": {"obstacles"}, "pose": {"dock"}}.get(case["asked"], case["world"])
-    world = {**scene, **{key: value for key, value in case["world"].items() if key in told}}
+    """Return the present world, with the obstacles that appear next to the rest of the path."""
+    passed = {"costmap": {"grid"}, "obstacles": {"obstacles"}, "pose": {"dock"}}.get(case["asked"], case["world"])
+    world = {**scene, **{key: value for key, value in case["world"].items() if key in passed}}
     seed, gaps = case.get("beside", [0, []])
     if gaps:
         rest = motion_of(cut(scene["path"], state_at(scene["law"], now).s))
@@ -136,7 +136,7 @@ def _difference(scene: Case, world: Case) -> Case:
 
 
 def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds, relief: float) -> Verdict | None:
-    """Whether the rest keeps the rule of the plan, growth from its start included, in the world as it is now."""
+    """Check whether the rest satisfies the plan's rule, including growth from its start, in the present world."""
     solid = World.of(world)
     if solid.is_empty:
         return None if found or "frame" in found.changed else Verdict("false refusal", "still_holds: in an empty world")
@@ -168,10 +168,10 @@ def _short(what: str, world: Case, seen: Sweep) -> Verdict | None:
 
 
 class _Now(NamedTuple):
-    """What is so, by the oracle.
+    """True state by the oracle.
 
-    `driven`: the running path where it is followed. `ahead`: that one moved to where the robot is measured; the same
-    where it is on its path. `pose`: of the robot; None: on its path.
+    `driven`: the running path in which it is followed. `ahead`: that path moved to the measured robot, or the same path
+    if the robot is on it. `pose`: of the robot; None: on its path.
     """
 
     time: float
@@ -188,19 +188,19 @@ class _Now(NamedTuple):
         return state_at(self.scene["law"], t).s
 
     def steers_at(self, t: float) -> bool:
-        """Whether the robot rests at a cusp then, and will for longer than a microsecond."""
+        """Whether the robot rests at a cusp then, and for longer than a microsecond."""
         law = self.scene["law"]
         is_cusp = any(abs(one.start_s - self.s_at(t)) < 1e-6 for one in motion_of(self.scene["path"]).segments[1:])
         later = state_at(law, t + 1e-6), state_at(law, t + 1e-3)
         return is_cusp and all(max(abs(one.v), abs(one.a)) < 1e-6 for one in later)
 
     def pose_at(self, t: float) -> Floats:
-        """Where the robot is when the trajectory's clock shows `t`."""
+        """Return the robot's pose at trajectory time `t`."""
         return motion_of(cut(self.ahead, self.s_at(t))).start
 
 
 class _Answer(NamedTuple):
-    """What is to be driven, and whether that is said to be proven; as of `Replanned`, or of the executor's planning."""
+    """The motion to drive, and whether it is reported as proven; as in `Replanned`, or by the executor's planning."""
 
     outcome: ReplanOutcome
     trajectory: Trajectory
@@ -215,7 +215,7 @@ class _Answer(NamedTuple):
 
     @classmethod
     def decided(cls, found: PlanResult, running: DockPlan) -> _Answer | None:
-        """None: the planning has failed, and says so."""
+        """Return the executor's answer; None if the planning has reported failure."""
         if not says_yes(found):
             return None
         outcome = ReplanOutcome(found.outcome.value)
@@ -226,7 +226,7 @@ class _Answer(NamedTuple):
 
 
 def _moved(path: list[Case], by: Pose2) -> list[Case]:
-    """A path as a rigid motion of the plane leaves it."""
+    """Return a path after a rigid motion of the plane."""
     x, y, turn = by.x, by.y, by.yaw
     c, s = math.cos(turn), math.sin(turn)
 
@@ -284,7 +284,7 @@ def _about_the_answer(
 
 
 def _instant(this: _Now, found: _Answer) -> Verdict | None:
-    """When the answer takes over: not before it is there."""
+    """Check the time at which the answer takes over: not before it is available."""
     if found.outcome is ReplanOutcome.KEPT:
         return None
     duration = sum(this.scene["law"]["durations"])
@@ -295,12 +295,12 @@ def _instant(this: _Now, found: _Answer) -> Verdict | None:
 
 
 def _standing_start(this: _Now) -> Case:
-    """The world, from where the robot is now."""
+    """Return the world with the present robot pose as start."""
     return {**this.world, "start": this.pose_at(this.time).tolist(), "start_speed": 0.0, "start_curvature": None}
 
 
 def _way(this: _Now, what: str, way: list[Case], world: Case | None = None) -> Verdict | None:
-    """Whether a way that begins where the robot is now keeps clear, by the weaker rule at least."""
+    """Check whether a path from the present pose keeps clear, at least by the weaker rule."""
     world = _standing_start(this) if world is None else world
     solid = World.of(world)
     if solid.is_empty:
@@ -313,7 +313,7 @@ def _until(this: _Now, joint: float) -> list[Case]:
 
 
 def _joined(this: _Now, found: _Answer) -> tuple[Case, Verdict | None]:
-    """The state at the joint as `start...`, and what of the answer does not continue it."""
+    """Return the state at the joint as `start...`, and discontinuities of the answer."""
     path, law = path_spec(found.trajectory.path), found.trajectory.time_law
     state, pose = state_at(this.scene["law"], found.starts_at), this.pose_at(found.starts_at)
     speed, gained = this.rate * state.v, this.rate**2 * state.a
@@ -332,7 +332,7 @@ def _joined(this: _Now, found: _Answer) -> tuple[Case, Verdict | None]:
 
 
 def _wheels_jump(this: _Now, found: _Answer, *, moving: bool) -> str:
-    """What of gear and curvature does not continue at the joint; of polylines, which jump at every step, only gears."""
+    """Return discontinuities of gear and curvature at the joint; for polylines only of gears."""
     if found.trajectory.path.driven <= 1e-6:
         return ""
     before = motion_of(cut(this.scene["path"], state_at(this.scene["law"], found.starts_at).s))
@@ -371,7 +371,7 @@ def _new(this: _Now, found: _Answer) -> Verdict | None:
     start, wrong = _joined(this, found)
     if wrong is not None:
         return wrong
-    if max(start["start_speed"], abs(start["start_acceleration"])) <= 1e-6:  # a rest, but for rounding
+    if max(start["start_speed"], abs(start["start_acceleration"])) <= 1e-6:  # at rest, except for rounding
         start = {**start, "start_speed": 0.0, "start_acceleration": 0.0}
     timed = _timed(this, found, start, this.world["zone"])
     is_moving = start["start_speed"] > 1e-6
@@ -390,7 +390,7 @@ def _kept(this: _Now, found: _Answer) -> Verdict | None:
     errors = abs(c * dx + s * dy), abs(c * dy - s * dx), abs(math.remainder(end[2] - goal[2], 2.0 * math.pi))
     if any(error > most + 1e-9 for error, most in zip(errors, _TOLERANCES, strict=True)):
         return Verdict("false certificate", f"KEPT: ends {errors} from the dock")
-    # The station is taken to stand where the plan ends, which is as near as the tolerances allow.
+    # The station stands at the end of the plan, which is as close as the tolerances allow.
     start = _standing_start(this)
     world = {**start, "dock": {**this.world["dock"], "pose": end.tolist()}}
     if this.pose is not None and gap(this.pose, motion_of(cut(this.driven, this.s_at(this.time))).start) > _SAME:
@@ -402,7 +402,7 @@ def _kept(this: _Now, found: _Answer) -> Verdict | None:
 
 
 def _in_tube(this: _Now, found: _Answer) -> Verdict | None:
-    """Whether a robot that is left beside its path is within the tube around it, until something new begins."""
+    """Check whether a robot that stays off its path is within the tube around it, until the new motion begins."""
     if not found.proven:
         return None
     world = _standing_start(this)
@@ -413,10 +413,10 @@ def _in_tube(this: _Now, found: _Answer) -> Verdict | None:
 def _beside(
     this: _Now, what: str, world: Case, rest_of_path: list[Case], begun: float, relief: float
 ) -> Verdict | None:
-    """Whether a robot beside its path, and every pose between it and the path, keeps what is required.
+    """Check whether a robot off its path, and every pose between it and the path, keeps the required clearance.
 
-    That is the clearance without the tube, at the place of the path that it is nearest to. The station is left out for
-    poses that count as docked. Within the tube no pose is looked at that is farther off than the tube is wide there.
+    That is the clearance without the tube, at the nearest place of the path. The station is ignored for poses that
+    count as docked. Within the tube, poses farther off than the width of the tube are ignored.
     """
     assert this.pose is not None
     plain = {**world, "tracking": [0.0, 0.0]}
@@ -458,17 +458,17 @@ def _beside(
 
 
 def _leg(path: list[Case], now: float) -> OracleMotion:
-    """What lies within half a metre of a place, in the same gear."""
+    """Return the part within half a metre of a place, in the same gear."""
     legs = motion_of(path).segments
     leg = next((one for one in legs if now < one.start_s + one.length), legs[-1])
     return motion_of(cut(path, max(leg.start_s, now - 0.5), min(leg.start_s + leg.length, now + 0.5)))
 
 
-_NEAREST = 2e-3  # [m]: how well the oracle knows the place of the path that a robot is nearest to
+_NEAREST = 2e-3  # [m]: accuracy of the nearest place of the path
 
 
 def _poses_along(motion: OracleMotion, count: int) -> Floats:
-    """Poses of a path, the pieces sampled by their length and turn. Shape (about count, 3)."""
+    """Return poses of a path, with the pieces sampled by their length and turn. Shape (about count, 3)."""
     weight = motion.way + motion.turn
     parts = np.maximum(1, np.ceil(count * weight / max(float(weight.sum()), 1e-12))).astype(np.int64)
     piece = np.repeat(np.arange(parts.size), parts + 1)
@@ -477,14 +477,14 @@ def _poses_along(motion: OracleMotion, count: int) -> Floats:
 
 
 def _displacements(pose: Floats, poses: Floats, reach: float) -> Floats:
-    """Bound of how far a point of the outline is from where it would be at each of the poses. Shape (n,) [m]."""
+    """Return bounds of the displacement of any outline point from its place at each of the poses. Shape (n,) [m]."""
     turned = np.abs(np.remainder(pose[2] - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
     found: Floats = np.hypot(pose[0] - poses[:, 0], pose[1] - poses[:, 1]) + 2.0 * reach * np.sin(0.5 * turned)
     return found
 
 
 def _shifted(poses: Floats, local: Floats) -> Floats:
-    """Every pose, moved in its own frame."""
+    """Return every pose, moved in its local frame."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + c * local[:, 0] - s * local[:, 1]
     y = poses[:, 1] + s * local[:, 0] + c * local[:, 1]
@@ -492,7 +492,7 @@ def _shifted(poses: Floats, local: Floats) -> Floats:
 
 
 def _limits(this: _Now, what: str, now: float) -> Verdict | None:
-    """Whether the rest of the running motion keeps the limits of the world now."""
+    """Check whether the rest of the running motion satisfies the limits of the present world."""
     if this.world["limits"] == this.scene["limits"] and this.world["zone"] == this.scene["zone"]:
         return None
     law, state = this.scene["law"], state_at(this.scene["law"], now)
@@ -508,7 +508,7 @@ def _limits(this: _Now, what: str, now: float) -> Verdict | None:
         "start_acceleration": state.a,
     }
     path = cut(this.scene["path"], state.s)
-    found = judged(
+    found = judge_timing(
         {**this.world, "path": path, "law": rest, "start_speed": None, "start_acceleration": None}, motion_of(path)
     ).ratios
     worst = max(found, key=lambda name: found[name])

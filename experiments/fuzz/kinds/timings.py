@@ -1,4 +1,4 @@
-"""Timing plugins on random paths, limits and start speeds: what they call OK is proven, and they come to an end."""
+"""Timing plugins on random paths, limits and start speeds: OK results must be provable, and calls must terminate."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge"]
 
-_SLOW = 2.0  # [s] of processor time for one path
+_SLOW = 2.0  # [s] of CPU time for one path
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A path of clothoids with limits; the start may be faster than any of them allows."""
+    """Draw a path of clothoids with limits; the start may be faster than any of them allows."""
     limits: Case = {
         "max_speed": log_uniform(rng, 0.1, 2.0),
         "max_reverse_speed": log_uniform(rng, 0.1, 2.0),
@@ -55,7 +55,7 @@ def draw(rng: np.random.Generator) -> Case:
 
 
 def _start(rng: np.random.Generator, top: float, limits: Case) -> Case:
-    """At rest, at speed, or at speed with an acceleration that may be more than the robot can keep."""
+    """Return a start at rest, at speed, or at speed with an acceleration that may exceed the limits."""
     if rng.uniform() < 0.5:
         return {"start_speed": 0.0}
     speed: Case = {"start_speed": float(top * rng.uniform(0.0, 1.0))}
@@ -70,7 +70,7 @@ def _begins(case: Case) -> dict[str, float]:
 
 
 def judge(case: Case) -> Verdict:
-    """Time the path, prove what is called OK, and look at it."""
+    """Time the path, and certify an OK result."""
     limits = MotionLimits(**case["limits"])
     began = time.process_time()
     try:

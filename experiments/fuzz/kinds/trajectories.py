@@ -1,4 +1,4 @@
-"""`certify_trajectory` on random motions: what it certifies keeps every limit at every instant that is looked at."""
+"""`certify_trajectory` on random motions: a certified motion satisfies every limit at every sampled instant."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import law_of, path_of, zone_of
 from experiments.fuzz.generators.motions import motion_problem
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.timing import judge_timing
 from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
 from optdock.model.limits import MotionLimits
@@ -31,17 +31,17 @@ _ALIASES = {
     "yaw_acceleration": ("yaw_acceleration", "turn_acceleration"),
     "yaw_jerk": ("turn_jerk",),
 }
-_LONG = 1e6  # [s]: after a longer wait times are too coarse to blame a refusal
+_LONG = 1e6  # [s]: after a longer wait the resolution of times is too coarse to blame a refusal
 _CLAIM = 3e-6  # relative: a proven ratio may be below the true one by rounding and tolerance
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random motion with limits."""
+    """Draw a random motion with limits."""
     return motion_problem(rng)
 
 
 def judge(case: Case) -> Verdict:
-    """Ask the library, then the oracle."""
+    """Compare the verdicts of the library and the oracle."""
     try:
         trajectory = Trajectory(path_of(case["path"]), law_of(case["law"]))
         limits = MotionLimits(**case["limits"])
@@ -54,9 +54,9 @@ def judge(case: Case) -> Verdict:
 
 
 def refuted(case: Case, certificate: TrajectoryCertificate) -> Verdict | None:
-    """What shows that a certificate is false, or claims more than there is."""
+    """Return evidence that a certificate is false, or claims too small ratios."""
     motion = motion_of(case["path"])
-    found = judged(case, motion)
+    found = judge_timing(case, motion)
     if found.broken:
         worst = found.broken[0]
         ratio = found.ratios.get(worst, found.structure.get(worst, 0.0))
@@ -71,17 +71,17 @@ def refuted(case: Case, certificate: TrajectoryCertificate) -> Verdict | None:
 
 
 def _wrongly_refused(case: Case, certificate: TrajectoryCertificate) -> Verdict | None:
-    """What shows that a reason of a refusal is clearly unfounded."""
+    """Return evidence that a reason of a refusal is clearly unfounded."""
     if sum(case["law"]["durations"]) > _LONG:
         return None
     motion = motion_of(case["path"])
-    found = judged(case, motion)
+    found = judge_timing(case, motion)
     exact = all(one.exact or one.in_place for one in motion.segments)
     drives_only = not any(one.in_place for one in motion.segments)
     for violation in certificate.violations:
         judgeable = violation.kind in _PLAIN or exact
         if not drives_only and violation.kind in _OF_PHASES:
-            continue  # what phases of a nanometre at a cusp belong to is not ours to judge
+            continue  # the piece of phases of a nanometre at a cusp is ambiguous
         if judgeable and all(found.is_clear(kind) for kind in _ALIASES.get(violation.kind, (violation.kind,))):
             return Verdict("false refusal", f"{violation.kind}: {violation.message}")
     return None

@@ -1,4 +1,4 @@
-"""Hostile values through public constructors: a typed error, or a value that behaves and cannot be changed."""
+"""Hostile values through public constructors: a typed error, or an immutable value that works."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class _ForeignSegment:
 
 
 def _hostile() -> tuple[Any, ...]:
-    """New hostile values on every call, as some of them are mutable."""
+    """Return new hostile values on every call, because some of them are mutable."""
     return (
         math.nan, math.inf, -math.inf, 1e308, -1e308, 1e200, 5e-324, -5e-324, -0.0, 0, -1, 10**400, True, None, "",
         "abc", "0.5", b"x", [], {}, object(), 1j, np.float32(0.1), np.array(0.5), np.array([]), np.array([[]]),
@@ -74,8 +74,8 @@ def _hostile() -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-class _Door(NamedTuple):
-    """A public constructor with honest arguments, and what its value must be able to do."""
+class _Constructor(NamedTuple):
+    """A public constructor with valid arguments, and the checks of its value."""
 
     call: Callable[..., Any]
     arguments: Callable[[], dict[str, Any]]
@@ -140,14 +140,15 @@ def _maps(costmap: Costmap) -> object:
     return costmap.cost_at([[0.0, 0.0]])
 
 
-_TWO = np.array([0, 1])
-_DOORS: dict[str, _Door] = {
-    "Pose2": _Door(Pose2, lambda: {"x": 0.0, "y": 0.0, "yaw": 0.0}, lambda pose: pose @ pose.inverse()),
-    "Twist2": _Door(Twist2, lambda: {"linear": 0.0, "angular": 0.0, "lateral": 0.0}),
-    "Footprint": _Door(Footprint, lambda: {"vertices": np.array(_SQUARE)}, _stands),
-    "Footprint.from_radius": _Door(Footprint.from_radius, lambda: {"radius": 0.3}, _stands),
-    "Footprint.rectangle": _Door(Footprint.rectangle, lambda: {"front": 0.4, "rear": 0.4, "width": 0.5}, _stands),
-    "Dock": _Door(
+_CONSTRUCTORS: dict[str, _Constructor] = {
+    "Pose2": _Constructor(Pose2, lambda: {"x": 0.0, "y": 0.0, "yaw": 0.0}, lambda pose: pose @ pose.inverse()),
+    "Twist2": _Constructor(Twist2, lambda: {"linear": 0.0, "angular": 0.0, "lateral": 0.0}),
+    "Footprint": _Constructor(Footprint, lambda: {"vertices": np.array(_SQUARE)}, _stands),
+    "Footprint.from_radius": _Constructor(Footprint.from_radius, lambda: {"radius": 0.3}, _stands),
+    "Footprint.rectangle": _Constructor(
+        Footprint.rectangle, lambda: {"front": 0.4, "rear": 0.4, "width": 0.5}, _stands
+    ),
+    "Dock": _Constructor(
         Dock,
         lambda: {
             "pose": Pose2(2, 0, 0),
@@ -160,19 +161,19 @@ _DOORS: dict[str, _Door] = {
         },
         _within,
     ),
-    "DockTolerances": _Door(DockTolerances, lambda: {"along": 0.02, "cross": 0.02, "yaw": 0.05}),
-    "SpeedZone": _Door(SpeedZone, lambda: {"speed": 0.1, "distance": 0.3}),
-    "MotionLimits": _Door(
+    "DockTolerances": _Constructor(DockTolerances, lambda: {"along": 0.02, "cross": 0.02, "yaw": 0.05}),
+    "SpeedZone": _Constructor(SpeedZone, lambda: {"speed": 0.1, "distance": 0.3}),
+    "MotionLimits": _Constructor(
         MotionLimits,
         lambda: {spec.name: spec.default for spec in dataclasses.fields(MotionLimits)},
         lambda limits: _certified(_problem(robot=Robot(Footprint(np.array(_SQUARE)), limits))),
     ),
-    "ClearanceRule": _Door(
+    "ClearanceRule": _Constructor(
         ClearanceRule,
         lambda: {"required": 0.05, "at_dock": 0.0, "taper": 0.5},
         lambda r: _certified(_problem(clearance=r)),
     ),
-    "DockingProblem": _Door(
+    "DockingProblem": _Constructor(
         _problem,
         lambda: {
             "start": Pose2(0, 0, 0),
@@ -186,24 +187,26 @@ _DOORS: dict[str, _Door] = {
         },
         _certified,
     ),
-    "Robot": _Door(
+    "Robot": _Constructor(
         Robot,
         lambda: {"footprint": Footprint(np.array(_SQUARE)), "limits": MotionLimits(), "drive": Drive.DIFFERENTIAL},
         lambda robot: _certified(_problem(robot=robot)),
     ),
-    "ObstacleSet": _Door(
+    "ObstacleSet": _Constructor(
         ObstacleSet, lambda: {"vertices": np.array([_SQUARE]), "names": ("a",), "group": np.array([0])}, _blocks
     ),
-    "ObstacleSet.from_polygons": _Door(ObstacleSet.from_polygons, lambda: {"polygons": [np.array(_SQUARE)]}, _blocks),
-    "ObstacleSet.from_rectangles": _Door(
+    "ObstacleSet.from_polygons": _Constructor(
+        ObstacleSet.from_polygons, lambda: {"polygons": [np.array(_SQUARE)]}, _blocks
+    ),
+    "ObstacleSet.from_rectangles": _Constructor(
         ObstacleSet.from_rectangles,
         lambda: {"lower": np.array([[1.0, 1.0]]), "upper": np.array([[2.0, 2.0]]), "name": "a"},
         _blocks,
     ),
-    "Costmap": _Door(
+    "Costmap": _Constructor(
         Costmap, lambda: {"data": np.zeros((3, 4), dtype=np.uint8), "resolution": 0.1, "origin": (0.0, 0.0)}, _maps
     ),
-    "obstacles_from_costmap": _Door(
+    "obstacles_from_costmap": _Constructor(
         obstacles_from_costmap,
         lambda: {
             "costmap": Costmap(np.array([[0, 254]]), 0.5),
@@ -214,19 +217,21 @@ _DOORS: dict[str, _Door] = {
         },
         _blocks,
     ),
-    "Path.from_poses": _Door(Path.from_poses, lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])}, _walk),
-    "PolylineSegment": _Door(
+    "Path.from_poses": _Constructor(
+        Path.from_poses, lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])}, _walk
+    ),
+    "PolylineSegment": _Constructor(
         PolylineSegment,
         lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0]]), "direction": Direction.FORWARD},
         lambda segment: _walk(Path((segment,))),
     ),
-    "Path": _Door(Path, lambda: {"segments": (ClothoidSegment(_spline()),)}, _walk),
-    "ClothoidSpline": _Door(
+    "Path": _Constructor(Path, lambda: {"segments": (ClothoidSegment(_spline()),)}, _walk),
+    "ClothoidSpline": _Constructor(
         _spline,
         lambda: {"start": Pose2(0, 0, 0), "knots": np.array([0.0, 1.0, 2.0]), "curvature": np.zeros(3), "sign": 1},
         lambda spline: _walk(Path((ClothoidSegment(spline),))),
     ),
-    "TimeLaw": _Door(
+    "TimeLaw": _Constructor(
         TimeLaw,
         lambda: {
             "durations": np.array([1.0, 1.0]),
@@ -237,27 +242,27 @@ _DOORS: dict[str, _Door] = {
         },
         _drive,
     ),
-    "plan_dock": _Door(
+    "plan_dock": _Constructor(
         lambda time_budget: plan_dock(_problem(), time_budget=time_budget), lambda: {"time_budget": 0.02}
     ),
 }
 
 
-def _plugin_doors() -> Iterator[tuple[str, str]]:
+def _plugin_parameters() -> Iterator[tuple[str, str]]:
     for plugin in available_plugins():
         for name in load_plugin(INTERFACES[plugin.kind], plugin.name).Parameters.model_fields:
             yield f"{plugin.kind}/{plugin.name}", name
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A door, one of its arguments, and what goes in there."""
+    """Draw a constructor, one of its arguments, and the value to insert."""
     hostile = int(rng.integers(len(_hostile())))
     if rng.uniform() < 0.25:
-        slots = list(_plugin_doors())
+        slots = list(_plugin_parameters())
         door, argument = slots[int(rng.integers(len(slots)))]
     else:
-        door = sorted(_DOORS)[int(rng.integers(len(_DOORS)))]
-        argument = list(_DOORS[door].arguments())[int(rng.integers(len(_DOORS[door].arguments())))]
+        door = sorted(_CONSTRUCTORS)[int(rng.integers(len(_CONSTRUCTORS)))]
+        argument = list(_CONSTRUCTORS[door].arguments())[int(rng.integers(len(_CONSTRUCTORS[door].arguments())))]
     return {
         "kind": "values",
         "door": door,
@@ -268,10 +273,10 @@ def draw(rng: np.random.Generator) -> Case:
 
 
 def judge(case: Case) -> Verdict:
-    """Call the door; then look whether what it made can be changed.
+    """Call the constructor; then test whether the result can be changed.
 
-    A value of the right sort (a number, an array of numbers, a word) must be refused by name or taken. One of another
-    sort breaks the types that the library declares: any exception will do, and what is made of it is nobody's concern.
+    A value of the right type (a number, an array of numbers, a string) must be refused with a named error or accepted.
+    A value of another type violates the declared types: any exception is allowed, and the result is not checked.
     """
     value = _hostile()[case["hostile"]]
     where = f"{case['door']}({case['argument']}={case['is']})"
@@ -280,23 +285,23 @@ def judge(case: Case) -> Verdict:
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}")
     except Exception as error:
-        if _is_right_sort(case, value):
+        if _is_right_type(case, value):
             raise type(error)(f"{where}: {error}") from error
         return Verdict("wrong type refused")
-    if not _is_right_sort(case, value):
+    if not _is_right_type(case, value):
         return Verdict("wrong type accepted")
     return _changeable(made, value, where) or Verdict("accepted")
 
 
-def _is_right_sort(case: Case, value: object) -> bool:
-    """Whether a value is of the sort that the argument takes."""
+def _is_right_type(case: Case, value: object) -> bool:
+    """Whether a value is of the type of the argument."""
     if "/" in case["door"]:
-        return True  # parameters come from files: they are checked whatever they are
-    honest = _DOORS[case["door"]].arguments()[case["argument"]]
-    return _sort(value) == ("number" if honest is None else _sort(honest))
+        return True  # parameters come from files and are checked for any type
+    honest = _CONSTRUCTORS[case["door"]].arguments()[case["argument"]]
+    return _type_name(value) == ("number" if honest is None else _type_name(honest))
 
 
-def _sort(value: object) -> str:
+def _type_name(value: object) -> str:
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, Enum):
         return "number"
     if isinstance(value, np.ndarray):
@@ -308,15 +313,15 @@ def _called(case: Case, value: object) -> object:
     if "/" in case["door"]:
         kind, name = case["door"].split("/", 1)
         return create_plugin(INTERFACES[kind], name, {case["argument"]: value})
-    door = _DOORS[case["door"]]
-    made = door.call(**{**door.arguments(), case["argument"]: value})
+    constructor = _CONSTRUCTORS[case["door"]]
+    made = constructor.call(**{**constructor.arguments(), case["argument"]: value})
     if case["door"] != "plan_dock":
-        door.use(made)
+        constructor.use(made)
     return made
 
 
 def _changeable(made: object, given: object, where: str) -> Verdict | None:
-    """Arrays that can be written to, or that are the caller's own."""
+    """Return arrays that are writable, or shared with the caller."""
     for name, array in _arrays(made, ""):
         if _can_be_written_to(array):
             return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: can be written to")
@@ -326,7 +331,7 @@ def _changeable(made: object, given: object, where: str) -> Verdict | None:
 
 
 def _can_be_written_to(array: np.ndarray) -> bool:
-    """Whether its flag, or that of a view of it, can be taken back."""
+    """Whether an array, or a view of it, can be made writable."""
     for one in (array, array.view(), array.base):
         if isinstance(one, np.ndarray):
             with contextlib.suppress(ValueError):
@@ -336,7 +341,7 @@ def _can_be_written_to(array: np.ndarray) -> bool:
 
 
 def _arrays(value: object, name: str, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
-    """Every array that a value shows, with the way to it."""
+    """Yield every reachable array of a value, with its access path."""
     if isinstance(value, np.ndarray):
         yield name, value
     elif depth < 4 and dataclasses.is_dataclass(value) and not isinstance(value, type):

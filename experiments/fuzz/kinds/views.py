@@ -1,7 +1,7 @@
-"""The view of the dock by `certify_path`: nothing proven that the oracle sees lost, nothing refused that is seen.
+"""The view of the dock by `certify_path`: no proof of a view that the oracle sees lost, no refusal of a clear view.
 
-What else is wrong with a path, slips and jumps and curvature, says nothing about the view: a case counts as seen where
-the certificate names neither the view nor anything unproven.
+Other faults of a path (slips, jumps, curvature) are independent of the view: the view counts as certified if the
+certificate reports neither the view nor anything unproven.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge"]
 
-_FORGIVEN = 2e-6  # [m]: twice what the certificate forgives
-_SPARE = 1e-4  # [m]: a path with more must not be refused
+_FORGIVEN = 2e-6  # [m]: twice the tolerance of the certificate
+_SPARE = 1e-4  # [m]: a path with more reserve must not be refused
 
 
 def draw(rng: np.random.Generator) -> Case:
-    """A random motion with a random camera."""
+    """Draw a random motion with a random camera."""
     return view_problem(rng)
 
 
 def judge(case: Case) -> Verdict:
-    """Ask the library, then the oracle."""
+    """Compare the verdicts of the library and the oracle."""
     try:
         certificate = certify_path(path_of(case["path"]), _seeing(case))
     except OptdockError as error:
@@ -65,7 +65,7 @@ def _seeing(case: Case) -> DockingProblem:
 
 
 def _refuted(case: Case, certificate: Certificate) -> Verdict | None:
-    """What shows that the view is lost, or that more is claimed than there is."""
+    """Return evidence that the view is lost, or that the claimed bounds are too large."""
     seen = views(case, motion_of(case["path"]))
     if not seen.s.size:
         return None
@@ -83,7 +83,7 @@ def _refuted(case: Case, certificate: Certificate) -> Verdict | None:
 
 
 def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
-    """What shows that a refusal is clearly unfounded: room everywhere by the oracle, and at the place that is named."""
+    """Return evidence that a refusal is clearly unfounded: reserve everywhere by the oracle, and at the named place."""
     seen = views(case, motion_of(case["path"]))
     named = next(v for v in certificate.violations if v.kind in ("view", "unproven"))
     least = float(seen.spare.min()) if seen.s.size else math.inf
@@ -93,7 +93,7 @@ def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
 
 
 def _scene(case: Case) -> str:
-    """What tells apart failures of different origin."""
+    """Return a description that distinguishes failures of different origin."""
     kinds = sorted({gear["type"] for gear in case["path"]})
     wide = "wide" if case["camera"]["field_of_view"] > math.pi else "narrow"
     return f"{' and '.join(kinds)}, {wide}{', tube' if case.get('tracking') else ''}"

@@ -1,5 +1,5 @@
-"""The independent oracle: its own curves, its own clearances by shapely, its own rules.
+"""Independent oracle: separate curves, separate clearances by shapely, separate rules.
 
-Nothing here imports optdock. It reads cases (plain data), samples densely, refines where it is tight, and claims a
-fault only where a pose or an instant shows it.
+Does not import optdock. It reads cases (plain data), samples densely, refines where margins are small, and reports a
+fault only with a violating pose or instant.
 """

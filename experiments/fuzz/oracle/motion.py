@@ -1,8 +1,8 @@
 """Paths of a case, evaluated piece by piece.
 
 A place on a path is (piece, share): pieces are so short that none turns by more than a radian, and within a piece the
-share runs from 0 to 1. Arc length alone would not do: a robot that turns in place has many poses at one arc length,
-and a piece of 1e-14 m has no inner point once it is added to a metre.
+share runs from 0 to 1. Arc length alone is insufficient: a robot that turns in place has many poses at one arc length,
+and a piece of 1e-14 m has no inner point after its arc length is added to a metre.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ __all__ = ["Motion", "Segment", "cut", "motion_of", "step_arc"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _NODES, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
 _TURN_PER_PIECE = 1.0
-_SAME_POSITION = 1e-9  # [m]: the documented length below which a step carries no direction
+_SAME_POSITION = 1e-9  # [m]: the documented length below which a step has no direction
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One gear or turn in place: which rows of the motion's pieces it owns, its gear, its knots and what they say."""
+    """One gear or turn in place: its rows of the motion's pieces, its gear, its knots and their values."""
 
     exact: bool
     gear: int
@@ -41,12 +41,12 @@ class Segment:
     start_s: float
     length: float
     knots: Floats
-    curvature: Floats  # exact: at the knots; polyline: of the steps; none of a turn
-    poses: Floats  # exact: the start pose; polyline: all poses, unwrapped; of a turn where it begins and ends
+    curvature: Floats  # exact: at the knots; polyline: of the steps; empty for a turn
+    poses: Floats  # exact: the start pose; polyline: all poses, unwrapped; turn: first and last pose
 
     @property
     def in_place(self) -> bool:
-        """Whether it turns where it stands."""
+        """Whether the robot turns in place."""
         return self.gear == 0
 
     @property
@@ -60,8 +60,8 @@ class Motion:
     """Pieces of a path, all columns Shape (n,) or (n, 3).
 
     `pose`: at the start of the piece. `step`: polyline: change of the pose. `exact`: whether it is a clothoid. `h`: arc
-    length, of a turn in place its angle. `k0`, `k1`: curvature at both ends, along the travel. `gear`: 1, -1, or 0 in a
-    turn. `s`: path coordinate at its start.
+    length, or the angle of a turn in place. `k0`, `k1`: curvature at both ends, along the travel. `gear`: 1, -1, or 0
+    in a turn. `s`: path coordinate at its start.
     """
 
     pose: Floats
@@ -76,18 +76,18 @@ class Motion:
 
     @property
     def length(self) -> float:
-        """Where the path coordinate ends [m]: arc length of all gears, and 1 m for every radian of a turn in place."""
+        """Largest path coordinate [m]: arc length of all gears, plus 1 m for every radian of a turn in place."""
         return float(self.s[-1] + self.h[-1])
 
     def driven_before(self, piece: Ints, share: Floats) -> Floats:
-        """How far the robot has driven up to these places, Shape (n,) [m]."""
+        """Return the distance driven up to these places, Shape (n,) [m]."""
         driven = np.where(self.gear == 0.0, 0.0, self.h)
         before: Floats = np.cumsum(driven)[piece] - driven[piece] * (1.0 - share)
         return before
 
     @property
     def turn(self) -> Floats:
-        """Largest |change of yaw| within each piece, as a bound [rad]."""
+        """Upper bound of |change of yaw| within each piece [rad]."""
         with np.errstate(invalid="ignore"):  # a turn in place has no length and infinite curvature
             bent = self.h * np.maximum(np.abs(self.k0), np.abs(self.k1))
         turn: Floats = np.where(self.exact, bent, np.abs(self.step[:, 2]))
@@ -95,12 +95,12 @@ class Motion:
 
     @property
     def way(self) -> Floats:
-        """Distance that the origin moves within each piece [m]."""
+        """Distance of the origin's motion within each piece [m]."""
         way: Floats = np.where(self.exact, self.h, np.hypot(self.step[:, 0], self.step[:, 1]))
         return way
 
     def poses_at(self, piece: Ints, share: Floats) -> Floats:
-        """Poses, Shape (n, 3)."""
+        """Return poses, Shape (n, 3)."""
         base, h, k0, k1 = self.pose[piece], self.h[piece], self.k0[piece], self.k1[piece]
         out = base + share[:, None] * self.step[piece]
         rows = np.flatnonzero(self.exact[piece])
@@ -115,7 +115,7 @@ class Motion:
         return out
 
     def s_at(self, piece: Ints, share: Floats) -> Floats:
-        """Arc lengths, Shape (n,) [m]."""
+        """Return arc lengths, Shape (n,) [m]."""
         return self.s[piece] + share * self.h[piece]
 
     @property
@@ -129,7 +129,7 @@ class Motion:
         return self.poses_at(np.array([self.h.size - 1]), np.array([1.0]))[0]
 
     def ends_of(self, segment: Segment) -> tuple[Floats, Floats]:
-        """First and last pose of a gear."""
+        """Return first and last pose of a gear."""
         places = np.array([segment.first, segment.stop - 1])
         both = self.poses_at(places, np.array([0.0, 1.0]))
         return both[0], both[1]
@@ -137,7 +137,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Columns of pieces, as in `Motion`, before they are joined."""
+    """Columns of pieces, as in `Motion`, before they are concatenated."""
 
     pose: Floats
     step: Floats
@@ -147,7 +147,7 @@ class _Rows:
 
 
 def step_arc(step: Floats) -> Floats:
-    """Arc length of steps (dx, dy, turn), Shape (n, 3): of the arc with their chord and their turn. Shape (n,) [m]."""
+    """Return arc lengths of steps (dx, dy, turn), Shape (n, 3): of arcs with this chord and turn. Shape (n,) [m]."""
     chord, half = np.hypot(step[:, 0], step[:, 1]), np.minimum(0.5 * np.abs(step[:, 2]), 0.5 * math.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         arc = np.where(half > 1e-8, chord * half / np.sin(half), chord)
@@ -155,7 +155,7 @@ def step_arc(step: Floats) -> Floats:
 
 
 def motion_of(path: list[Case]) -> Motion:
-    """The motion of a case's path: a list of gears."""
+    """Return the motion of a case's path, a list of gears."""
     rows, segments, s, first = [], [], 0.0, 0
     for gear in path:
         made, knots, curvature, poses = _KINDS[gear["type"]](gear)
@@ -194,7 +194,7 @@ def _clothoid(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
     yaw = gear["start"][2] + np.concatenate(([0.0], np.cumsum(turn)))
     pose = np.column_stack((np.zeros((owner.size, 2)), yaw[:-1]))
     blank = np.zeros((owner.size, 3))
-    # Each piece's displacement from its own start, then their sum.
+    # Each piece's displacement from its start, then their sum.
     theta = yaw[:-1, None] + short[:, None] * (low[:, None] * _NODES + 0.5 * (high - low)[:, None] * _NODES**2)
     reach = gear["gear"] * short
     move = np.column_stack((reach * (np.cos(theta) @ _WEIGHTS), reach * (np.sin(theta) @ _WEIGHTS)))
@@ -230,7 +230,7 @@ _KINDS = {"clothoid": _clothoid, "polyline": _polyline, "turn": _turn}
 
 
 def cut(path: list[Case], begin: float, end: float = math.inf) -> list[Case]:
-    """The gears of the part of a path between two places [m]; of a path without length there, of a nanometre."""
+    """Return the gears of the part of a path between two places [m]; an empty part becomes one of a nanometre."""
     motion = motion_of(path)
     begin = min(max(begin, 0.0), motion.length - 2.0 * _SAME_POSITION)
     end = min(max(end, begin + 2.0 * _SAME_POSITION), motion.length)
@@ -243,7 +243,7 @@ def cut(path: list[Case], begin: float, end: float = math.inf) -> list[Case]:
 
 
 def _pose_at(motion: Motion, segment: Segment, local: float) -> Floats:
-    """Pose so far into a gear [m]."""
+    """Return the pose at an arc length of a gear [m]."""
     s = motion.s[segment.first : segment.stop] - segment.start_s
     piece = int(np.clip(np.searchsorted(s, local, side="right") - 1, 0, s.size - 1))
     share = np.clip((local - s[piece]) / max(float(motion.h[segment.first + piece]), 1e-300), 0.0, 1.0)

@@ -1,7 +1,7 @@
-"""The rules of a path other than clearance, each with three answers: clearly kept, clearly broken, too close to say.
+"""Rules of a path other than clearance, each with three answers: clearly satisfied, clearly violated, undecided.
 
-Tolerances are those that the library states; a rule counts as broken beyond twice its tolerance, and as kept within
-half of it.
+Tolerances are those documented by the library; a rule counts as violated beyond twice its tolerance, and as satisfied
+within half of it.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "findings", "gap"]
 
 _POSE = 1e-6  # [m], [rad]: start, goal, joints
-_ADDED_UP = 10.0  # times the tolerance of one joint: what all of them may jump in sum
+_ADDED_UP = 10.0  # ratio to the tolerance of one joint: largest sum of all jumps
 _EXACT, _SAMPLED = 1e-6, 1e-3  # relative: curvature of clothoids, of polylines
 _ROUNDED = 1e-9  # [1/m]
 _SLIP, _BULGE, _STRAIGHT = 0.01, 0.005, 1e-4  # [rad], [m], [m] and [rad]
-_DRIFT, _DRIFT_PER_METRE, _LONGEST = 1e-3, 1e-4, 0.2  # [m], [m/m], [m]: sideways motion of a polyline, summed up
-_ROUNDING = 1e-6  # [m] of a polyline's positions
+_DRIFT, _DRIFT_PER_METRE, _LONGEST = 1e-3, 1e-4, 0.2  # [m], [m/m], [m]: accumulated sideways motion of a polyline
+_ROUNDING = 1e-6  # [m], rounding of a polyline's positions
 _MOVING = 1e-6  # [m]: shorter gears have no direction
 
 
 class Finding(NamedTuple):
-    """How one rule stands: the kind of violation it belongs to, the value over what is allowed, and where [m]."""
+    """Result of one rule: its kind of violation, the value relative to the limit, and its place [m]."""
 
     kind: str
     ratio: float
@@ -39,23 +39,23 @@ class Finding(NamedTuple):
 
     @property
     def is_broken(self) -> bool:
-        """Beyond twice what is tolerated."""
+        """Whether it is beyond twice the tolerance."""
         return not self.ratio <= 2.0
 
     @property
     def is_kept(self) -> bool:
-        """Within half of what is tolerated."""
+        """Whether it is within half of the tolerance."""
         return self.ratio <= 0.5
 
 
 def gap(first: Floats, second: Floats) -> float:
-    """The larger of distance [m] and turn [rad] between two poses."""
+    """Return the larger of distance [m] and turn [rad] between two poses."""
     turn = math.remainder(float(first[2] - second[2]), 2.0 * math.pi)
     return max(math.hypot(*(first[:2] - second[:2])), abs(turn))
 
 
 def findings(case: Case, motion: Motion) -> list[Finding]:
-    """Every rule but clearance. Where the ratio is a limit's, 1 is the limit with its tolerance."""
+    """Yield every rule except clearance. The ratio of a limit is 1 at the limit plus its tolerance."""
     rules = (_ends, _joints, _gears, _turns, _slip, _sums, _winding, _curvature, _start_curvature, _straight)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         return [finding for rule in rules for finding in rule(case, motion)]
@@ -78,14 +78,14 @@ def _gears(case: Case, motion: Motion) -> Iterator[Finding]:
     gears = [one for one in motion.segments if not one.in_place]
     moving = [one for one in gears if one.length > _MOVING] or gears
     if not moving:
-        return  # a path of turns alone enters nothing
+        return  # a path of turns alone has no driving direction
     wanted = {"forward": 1, "backward": -1}.get(case["dock"]["direction"], moving[-1].gear)
     yield Finding("direction", 0.0 if wanted == moving[-1].gear else math.inf, motion.length)
     yield Finding("direction", math.inf if case["start_speed"] * moving[0].gear < 0.0 else 0.0, 0.0)
 
 
 def _turns(case: Case, motion: Motion) -> Iterator[Finding]:
-    """Turns in place are for robots that do so, and for none that moves."""
+    """Check turns in place: only for robots that support them, and without translation."""
     for segment in motion.segments:
         if segment.in_place and not case.get("turns_in_place", False):
             yield Finding("turn", math.inf, segment.start_s)
@@ -95,7 +95,7 @@ def _turns(case: Case, motion: Motion) -> Iterator[Finding]:
 
 
 class _Steps(NamedTuple):
-    """Steps of a polyline that move, Shape (n,): chord, arc [m]; turn, slip against the heading, direction [rad]."""
+    """Moving steps of a polyline, Shape (n,): chord, arc [m]; turn, slip against the heading, direction [rad]."""
 
     chord: Floats
     arc: Floats
@@ -119,7 +119,7 @@ def _wrapped(angle: Floats) -> Floats:
 
 
 def _slip(_: Case, motion: Motion) -> Iterator[Finding]:
-    """Every step along its heading, and short enough to tell its arc."""
+    """Check that every step is along its heading, and short enough to determine its arc."""
     for segment in motion.segments:
         if not segment.sampled:
             continue
@@ -130,7 +130,7 @@ def _slip(_: Case, motion: Motion) -> Iterator[Finding]:
 
 
 def _sums(_: Case, motion: Motion) -> Iterator[Finding]:
-    """What single steps may do must not add up: slipping sideways, and steps too short to have a direction."""
+    """Check that tolerated errors of single steps do not accumulate: slip, and steps too short to have a direction."""
     polylines = [segment for segment in motion.segments if segment.sampled]
     if not polylines:
         return
@@ -145,14 +145,14 @@ def _sums(_: Case, motion: Motion) -> Iterator[Finding]:
         still += float(np.sum(chords[np.diff(segment.knots) <= 0.0]))
     drift = float(np.ptp(np.cumsum(np.concatenate(sideways))))
     allowed = _DRIFT + _DRIFT_PER_METRE * motion.length + _SLIP * min(longest, _LONGEST)
-    # Sampling a smooth curve makes steps drift by themselves: whether that counts is not for us to judge.
+    # Sampling a smooth curve causes drift by itself, which is undecided here.
     least, most = (drift - sampling) / allowed, (drift + sampling) / allowed
     yield Finding("slip", least if least > 2.0 else min(most, 2.0), 0.0)
     yield Finding("slip", still / _POSE, 0.0)
 
 
 def _winding(case: Case, motion: Motion) -> Iterator[Finding]:
-    """The direction of motion of a polyline turns no faster than the heading may, but for rounding."""
+    """Check that the direction of a polyline turns no faster than the heading may, except for rounding."""
     limit = case["limits"].get("max_curvature", math.inf)
     for segment in motion.segments if math.isfinite(limit) else ():
         if not segment.sampled or segment.knots.size < 3:
@@ -186,12 +186,12 @@ def _rates(segment: Segment) -> Floats:
 
 
 def _limit(kind: str, values: Floats, limit: float, slack: float, segment: Segment) -> Finding:
-    """A bound with a relative tolerance: ratio 1 is at the end of the tolerance, 0 at the bound itself or below."""
+    """Return a bound with a relative tolerance: ratio 1 at the end of the tolerance, 0 at or below the bound."""
     if math.isinf(limit):
         return Finding(kind, 0.0, segment.start_s)
     most = float(np.max(np.abs(values)))
     if most <= _ROUNDED and not segment.exact:
-        # A difference of yaws is rounded to some 1e-16: so small a curvature of short steps is rounding, and doubtful.
+        # A difference of yaws has a rounding error of about 1e-16: such a small curvature of short steps is undecided.
         return Finding(kind, 1.0 if most > limit * (1.0 - slack) else 0.0, segment.start_s)
     excess = (most / limit - 1.0) / slack
     return Finding(kind, max(excess, 0.0) if excess > -0.5 else 0.0, segment.start_s)
@@ -203,7 +203,7 @@ def _start_curvature(case: Case, motion: Motion) -> Iterator[Finding]:
     if wanted is not None and first.exact:
         yield Finding("start_curvature", abs(float(first.curvature[0]) - wanted) / 1e-6, 0.0)
     elif wanted is not None and first.sampled:
-        yield Finding("start_curvature", 1.0, 0.0)  # what a step's mean says about its start is not ours to judge
+        yield Finding("start_curvature", 1.0, 0.0)  # the mean of a step does not determine its start
 
 
 def _straight(case: Case, motion: Motion) -> Iterator[Finding]:
@@ -224,10 +224,10 @@ def _straight(case: Case, motion: Motion) -> Iterator[Finding]:
     dx, dy = poses[:, 0] - goal[0], poses[:, 1] - goal[1]
     cross = np.abs(dy * math.cos(goal[2]) - dx * math.sin(goal[2]))
     turn = np.abs(np.remainder(poses[:, 2] - goal[2] + math.pi, 2.0 * math.pi) - math.pi)
-    # A curvature of 1e-6 over the straight and the goal's own tolerance move a clothoid by this much at most.
+    # A curvature of 1e-6 over the straight and the goal's tolerance move a clothoid by at most this.
     allowed = _POSE * (1.0 + wanted) ** 2 if last.exact else _STRAIGHT
     worst = float(np.max(np.maximum(cross, turn), initial=0.0)) / allowed
-    # What the knots say is sharper than the poses: a refusal may rest on it.
+    # The knots are more accurate than the poses: a refusal may be based on them.
     entered = np.append(np.interp(last.length - wanted, last.knots, last.curvature) if last.exact else 0.0,
                         last.curvature[last.knots > last.length - wanted] if last.exact else [])  # fmt: skip
     curved = bool(np.any(np.abs(entered) > 0.5e-6))

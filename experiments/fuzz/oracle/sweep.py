@@ -1,4 +1,4 @@
-"""The clearance along a whole path: sampled, then refined where it could be smaller than what was seen."""
+"""Clearance along a whole path: sampled, then refined where it could be smaller than at the samples."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ __all__ = [
     "tube",
 ]
 
-_STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
-_MOST = 1500  # first samples
-_SURELY = 1e-9  # [m]: distances of others may differ by less
-_PARTS = 6  # of a refined interval
+_STEP, _TURN = 0.04, 0.08  # [m], [rad] between initial samples
+_MOST = 1500  # initial samples
+_SURELY = 1e-9  # [m]: distances of other programs may differ by less
+_PARTS = 6  # parts of a refined interval
 _ROUNDS = 7
 _KEPT = 14  # intervals refined per round
-AROUND = 1.0 / np.cos(np.pi / 32.0) - 1.0  # of the radius: how far the polygon around a disc sticks out
-_ENOUGH = 1e-7  # [m]: what an interval may still hide
+AROUND = 1.0 / np.cos(np.pi / 32.0) - 1.0  # relative: excess of the circumscribed polygon over the radius of a disc
+_ENOUGH = 1e-7  # [m]: largest undetected decrease within an interval
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Samples of a path; all Shape (n,) but `poses`, Shape (n, 3). `clearance` and `margin` [m]."""
+    """Samples of a path; all Shape (n,) except `poses`, Shape (n, 3). `clearance` and `margin` [m]."""
 
     s: Floats
     poses: Floats
@@ -51,7 +51,7 @@ class Sweep:
 
 
 def start_run(case: Case) -> float:
-    """How far the weaker rule asks a robot along a wall for no more than at its start [m]."""
+    """Return the distance over which the weaker rule requires no more than at the start of a robot along a wall [m]."""
     footprint = case["footprint"]
     if "radius" in footprint:
         return 4.0 * float(footprint["radius"])
@@ -60,7 +60,7 @@ def start_run(case: Case) -> float:
 
 
 def tube(case: Case) -> float:
-    """How far any point of the outline may be from where the path has it [m]: the way of the outermost one."""
+    """Return the largest displacement of an outline point from the path: that of the outermost point [m]."""
     off, turn = case.get("tracking", [0.0, 0.0])
     shape = case["footprint"]
     outline = np.array(shape["polygon"] if "polygon" in shape else [[shape["radius"] * (1.0 + AROUND), 0.0]], float)
@@ -70,24 +70,24 @@ def tube(case: Case) -> float:
 
 
 def clearance_rule(case: Case) -> tuple[float, float, float, float, float | None]:
-    """Required, at the dock, taper, run at the dock [m], and at a start that is too close, if that is said."""
+    """Return required, at the dock, taper, run at the dock [m], and at a start that is too close, if given."""
     required, at_dock, taper, *more = case["clearance"]
     dock_run, at_start = (*more, *(0.0, None)[len(more) :])
     return required, at_dock, taper, dock_run, at_start
 
 
 def taper_share(case: Case, distance: Floats) -> Floats:
-    """0 at the dock to 1 where the whole clearance is required, Shape as `distance`, from the dock [m]."""
+    """Return 0 at the dock to 1 at the full requirement, Shape as `distance`, from the dock [m]."""
     _, _, taper, run, _ = clearance_rule(case)
     return np.clip((distance - run) / taper, 0.0, 1.0) if taper > 0.0 else (distance > run).astype(float)
 
 
 def required_at(case: Case, poses: Floats, start_clearance: float, relief: float = 0.0) -> Floats:
-    """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m].
+    """Return the required clearance: a taper to the goal; growth from a start that is too close. Shape (n,) [m].
 
-    The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one, by which a little
-    less than the start has is enough there, and where `at_start` is given it grows as from the dock. A start that has
-    what is required has no relief.
+    The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one, by which slightly
+    less than the clearance of the start is sufficient, and with `at_start` it grows as from the dock. A start with the
+    required clearance has no relief.
     """
     required, at_dock, _, _, at_start = clearance_rule(case)
     required += tube(case)
@@ -97,24 +97,24 @@ def required_at(case: Case, poses: Floats, start_clearance: float, relief: float
     has = max(start_clearance, 0.0)
     is_relieved = relief > 0.0 and has <= required + _SURELY
     enough = max(0.5 * has, has - 0.005) if is_relieved else has
-    asked = [at_dock + (required - at_dock) * taper_share(case, from_goal)]
-    asked.append(enough + 0.5 * np.clip(from_start - (relief if is_relieved else 0.0), 0.0, None))
+    terms = [at_dock + (required - at_dock) * taper_share(case, from_goal)]
+    terms.append(enough + 0.5 * np.clip(from_start - (relief if is_relieved else 0.0), 0.0, None))
     if is_relieved and at_start is not None:
-        asked.append(at_start + (required - at_start) * taper_share(case, from_start))
-    required_there: Floats = np.min(asked, axis=0)
+        terms.append(at_start + (required - at_start) * taper_share(case, from_start))
+    required_there: Floats = np.min(terms, axis=0)
     return required_there
 
 
 def jumps_at_goal(case: Case) -> bool:
-    """Whether the rule asks for less at the goal itself than ever so near to it, which no sample shows."""
+    """Whether the requirement at the goal itself is lower than arbitrarily close to it, which samples cannot show."""
     required, at_dock, taper, run, _ = clearance_rule(case)
     return bool(taper == 0.0 and run == 0.0 and required + tube(case) > at_dock)
 
 
 def start_clearance(case: Case, world: World) -> float:
-    """Clearance of the start, by which the relief goes [m].
+    """Return the clearance of the start, which determines the relief [m].
 
-    For a round robot that of the polygon around it, which is what the library measures: at most so much smaller.
+    For a round robot that of the circumscribed polygon, which the library uses: at most slightly smaller.
     """
     return float(world.clearances(np.array([case["start"]], dtype=float))[0]) - AROUND * world.radius
 
@@ -128,21 +128,21 @@ def sweep(
     relief: float = 0.0,
     begun_with: float | None = None,
 ) -> Sweep:
-    """Clearance and margin along the path.
+    """Return clearance and margin along the path.
 
     Args:
-        case: Holds the clearance rule.
+        case: Contains the clearance rule.
         motion: The path.
         world: The obstacles and the outline.
-        relief: Of the clearance rule, see `required_at` [m].
-        refine: Whether to look for the minimum between the first samples; without, minima may be missed.
+        relief: Relief of the clearance rule, see `required_at` [m].
+        refine: Whether to search for minima between the initial samples; otherwise minima may be missed.
         begun_with: Clearance of the start [m]; None: in this world.
     """
     return _Search(case, motion, world, relief, begun_with).run(rounds=_ROUNDS if refine else 0)
 
 
 class _Search:
-    """Samples by (piece, share), kept in order of the path; intervals between neighbours of one piece."""
+    """Samples by (piece, share), in order of the path; intervals between neighbours of one piece."""
 
     def __init__(
         self, case: Case, motion: Motion, world: World, relief: float, begun_with: float | None = None
@@ -163,7 +163,7 @@ class _Search:
         first = self._measured(at, share)
         clearance, margin = first.clearance, first.margin
         found = [first]
-        # The end of an interval is the start of the next: pieces are joined, but gears may jump, so measure those.
+        # The end of an interval is the start of the next: pieces are contiguous, but gears may jump, so measure those.
         last = np.append(clearance[1:-1], clearance[-1]), np.append(margin[1:-1], margin[-1])
         table: tuple[Floats, ...] = (piece.astype(float), low, high, clearance[:-1], last[0], margin[:-1], last[1])
         best = float(margin.min())
@@ -196,14 +196,14 @@ class _Search:
         return Sweep(self.motion.s_at(piece, share), poses, clearance, margin)
 
     def _promising(self, table: tuple[Floats, ...], best: float) -> Ints:
-        """Intervals that could hold less than `best`, those that could hold least first."""
+        """Return intervals that could contain less than `best`, the most promising first."""
         piece, low, high, c0, c1, m0, m1 = table
         width = high - low
         piece = piece.astype(np.int64)
         travel = self.travel[piece] * width
         near = np.maximum(np.minimum(c0, c1), 1e-12)
-        # Between two samples a distance falls by at most half the travel, and, once the direction of the nearest point
-        # is known, by a parabola with the acceleration along it and the turning of that direction.
+        # Between two samples a distance decreases by at most half the travel, and, once the direction of the nearest
+        # point is known, by a parabola with the acceleration along it and the rotation of that direction.
         with np.errstate(over="ignore"):
             dip = 0.125 * (self.accel[piece] * width**2 + travel**2 / near)
         dip = np.minimum(dip, 0.5 * travel)
@@ -217,7 +217,7 @@ class _Search:
         return (required - at_dock) / taper if taper > 0.0 else 0.0
 
     def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], Sweep]:
-        """Every interval cut into parts: the new table of intervals, and the samples."""
+        """Split every interval into parts: return the new table of intervals, and the samples."""
         piece, low, high, c0, c1, m0, m1 = rows
         inner = low[:, None] + (high - low)[:, None] * (np.arange(1, _PARTS) / _PARTS)
         owner = np.repeat(piece.astype(np.int64), _PARTS - 1)

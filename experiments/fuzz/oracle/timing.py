@@ -1,8 +1,8 @@
-"""Motions of a case: what speed, acceleration and turning really are, phase by phase and place by place.
+"""Motions of a case: true speed, acceleration and turning, phase by phase and place by place.
 
-Times count from the start of each phase, so that a phase after a wait of 1e17 s is as sharp as any other. Every piece
-of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature. Motion under
-constant jerk is written out here once more, so that no error of `optdock.model.trajectory` hides from its own judge.
+Times count from the start of each phase, so that a phase after a wait of 1e17 s is as accurate as any other. Every
+piece of the path is evaluated at its entry, middle and exit, with its curvature. Motion under constant jerk is
+implemented here again, so that errors of `optdock.model.trajectory` are detected.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["LIMITED", "Judgement", "State", "judged", "state_at", "turn_limits"]
+__all__ = ["LIMITED", "Judgement", "State", "judge_timing", "state_at", "turn_limits"]
 
 LIMITED = (
     *("speed", "acceleration", "deceleration", "jerk", "yaw_rate", "lateral_acceleration", "yaw_acceleration"),
     *("lateral_jerk", "wheel_speed", "steering_rate"),
 )
-"""The quantities whose ratios are judged."""
+"""Quantities with checked ratios."""
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
 _REST = 1e-6  # [m], [m/s], [m/s^2]
-_ZOOMS = 3  # rounds around the largest values
+_ZOOMS = 3  # refinement rounds around the largest values
 _SPREAD = np.linspace(-1.0, 1.0, 21)
-_EXCESS = 1e-6  # relative: what the certificate accepts beyond a limit
-_SAMPLED = 0.05  # likewise of turning limits on the steps of a polyline
+_EXCESS = 1e-6  # relative: tolerance of the certificate
+_SAMPLED = 0.05  # relative, for turning limits on the steps of a polyline
 _NOWHERE = 1e-9  # [m] of the path coordinate: a phase that moves less belongs to either side of a cusp
-_ROUNDED = 4.0  # units in the last place, of sums of some ten terms
+_ROUNDED = 4.0  # units in the last place, of sums of about ten terms
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Largest ratio of each quantity to its limit that an instant shows, and rules of structure by their ratio."""
+    """Largest ratio of each quantity to its limit at an instant, and ratios of rules of structure."""
 
     ratios: dict[str, float]
     structure: dict[str, float]
 
     @property
     def broken(self) -> list[str]:
-        """Rules that an instant refutes beyond twice their tolerance."""
+        """Rules violated at an instant beyond twice their tolerance."""
         limits = [name for name, ratio in self.ratios.items() if not ratio <= 1.0 + 2.0 * _EXCESS]
         return limits + [name for name, ratio in self.structure.items() if not ratio <= 2.0]
 
@@ -68,7 +68,7 @@ class _Law(NamedTuple):
     width: Floats
 
     def at(self, phase: Ints, dt: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distance, speed, acceleration `dt` into `phase`."""
+        """Return distance, speed, acceleration `dt` into `phase`."""
         s, v, a, j = self.s[phase], self.v[phase], self.a[phase], self.jerk[phase]
         return s + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
 
@@ -82,7 +82,7 @@ class State(NamedTuple):
 
 
 def state_at(spec: Case, t: float) -> State:
-    """Of a time law at a time [s], clipped."""
+    """Return the state of a time law at a time [s], clipped."""
     law = _law(spec)
     borders = np.concatenate(([0.0], np.cumsum(law.width)))
     t = min(max(t, 0.0), float(borders[-1]))
@@ -92,7 +92,7 @@ def state_at(spec: Case, t: float) -> State:
 
 
 class _Instants(NamedTuple):
-    """Phase, time into it [s], piece of the path and share of it, Shape (n,) each."""
+    """Phase, time within it [s], piece of the path and share of it, Shape (n,) each."""
 
     phase: Ints
     dt: Floats
@@ -100,12 +100,12 @@ class _Instants(NamedTuple):
     share: Floats
 
 
-def judged(case: Case, motion: Motion) -> Judgement:
-    """What a motion really does, against the limits, the zone and the rules of `case`.
+def judge_timing(case: Case, motion: Motion) -> Judgement:
+    """Check the motion against the limits, the zone and the rules of `case`.
 
     Args:
-        case: Holds `law`, `limits`, `zone`, `start_speed` or None, `start_acceleration` where it is known, and
-            `wheels` "unknown" where steered wheels may stand at any angle at the start.
+        case: Contains `law`, `limits`, `zone`, `start_speed` or None, `start_acceleration` if known, and `wheels`
+            "unknown" if steered wheels may have any angle at the start.
         motion: The path.
     """
     law = _law(case["law"])
@@ -133,7 +133,7 @@ def _law(spec: Case) -> _Law:
 
 
 def _grid(law: _Law, motion: Motion) -> _Instants:
-    """Evenly in every phase, and where the speed is stationary."""
+    """Return evenly spaced instants in every phase, and those of stationary speed."""
     n = law.width.size
     phase = np.repeat(np.arange(n), _PER_PHASE)
     dt = law.width[phase] * np.tile(np.linspace(0.0, 1.0, _PER_PHASE), n)
@@ -149,10 +149,10 @@ def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
 
 
 def _places(law: _Law, motion: Motion) -> _Instants:
-    """Entry, middle and exit of every piece of the path, and where it goes straight on: there wheels turn fastest.
+    """Return entry, middle and exit of every piece, and places of zero curvature, where wheels turn fastest.
 
-    Distance counts from the start of each phase: beside a spike of curvature one unit in the last place of a metre is
-    much of the way that the speed has for a change.
+    Distance counts from the start of each phase: near a spike of curvature one unit in the last place of a metre is a
+    large part of the distance over which the speed can change.
     """
     n, half = motion.h.size, np.full(motion.h.size, 0.5)
     crosses = motion.k0 * motion.k1 < 0.0
@@ -174,7 +174,7 @@ def _joined(first: _Instants, second: _Instants) -> _Instants:
 
 
 def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Floats], spread: Floats) -> _Instants:
-    """More instants around the largest three values of every quantity."""
+    """Return more instants around the largest three values of every quantity."""
     at = np.unique(np.concatenate([np.argsort(np.nan_to_num(v, nan=-1.0))[-3:] for v in ratios.values()]))
     phase = np.repeat(instants.phase[at], _SPREAD.size)
     dt = np.repeat(instants.dt[at], _SPREAD.size) + spread[phase] * np.tile(_SPREAD, at.size)
@@ -182,9 +182,9 @@ def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Fl
 
 
 def turn_limits(limits: Case) -> tuple[float, float, float]:
-    """Rate, acceleration and jerk that a turn in place may have.
+    """Return the largest rate, acceleration and jerk of a turn in place.
 
-    The rims keep the wheel speed, gain speed no faster than straight on, and take as long for it.
+    The rims comply with the wheel speed limit, and with acceleration and jerk limits of straight motion.
     """
     lever = 0.5 * float(limits.get("track_width", 0.0))
     gains = (float(limits.get("max_acceleration", 0.5)), float(limits.get("max_deceleration", 0.6)))
@@ -197,7 +197,7 @@ def turn_limits(limits: Case) -> tuple[float, float, float]:
 
 
 def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[str, Floats]:
-    """Every limited quantity over its limit, Shape (n,) each; what drives is judged apart from what turns in place."""
+    """Return every limited quantity over its limit, Shape (n,) each; driving and turns in place are separate."""
     driving = _driving_ratios(case, motion, law, instants)
     if not np.any(motion.gear == 0.0):
         return driving
@@ -206,7 +206,7 @@ def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[
     v, a = _without_rounding(law, phase, s, v, a)
     values = np.abs(v), np.abs(a), np.abs(law.jerk[phase])
     turning = dict(zip(("turn_rate", "turn_acceleration", "turn_jerk"), values, strict=True))
-    # A phase turns where its middle does; one that leads nowhere counts as whichever forgives more.
+    # A phase turns if its middle does; a phase without motion counts as the more tolerant of both.
     middle = law.at(np.arange(law.width.size), 0.5 * law.width)[0]
     piece = np.clip(np.searchsorted(motion.s, middle, side="right") - 1, 0, motion.s.size - 1)
     turns, tiny = motion.gear[piece] == 0.0, _tiny_turns(motion)
@@ -219,14 +219,14 @@ def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[
 
 
 def _tiny_turns(motion: Motion) -> npt.NDArray[np.bool_]:
-    """Pieces of turns so small that both their ends may be one rest, Shape (n,)."""
+    """Return pieces of turns so small that both their ends may be one rest, Shape (n,)."""
     sizes = [one.length if one.in_place else math.inf for one in motion.segments]
     tiny: npt.NDArray[np.bool_] = np.repeat(sizes, [one.stop - one.first for one in motion.segments]) <= 2.0 * _REST
     return tiny
 
 
 def _driving_ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[str, Floats]:
-    """As `_ratios`, of what drives."""
+    """Return the ratios of driving, as `_ratios`."""
     limits, (phase, dt, piece, share) = case["limits"], instants
     s, v, a = law.at(phase, dt)
     v, a = _without_rounding(law, phase, s, v, a)
@@ -254,10 +254,10 @@ def _driving_ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) 
 
 
 def _without_rounding(law: _Law, phase: Ints, s: Floats, v: Floats, a: Floats) -> tuple[Floats, Floats]:
-    """Speed and acceleration less what `_ROUNDED` units in the last place of distance and speed may change of them.
+    """Return speed and acceleration reduced by the effect of `_ROUNDED` units in the last place of distance and speed.
 
-    Nobody can say more of an instant. It matters beside spikes of curvature that are picometres wide, which a robot
-    passes at some 1e-10 m/s: there one unit of 1e-16 m takes microseconds.
+    This is the accuracy of any instant. It matters near spikes of curvature that are picometres wide, which a robot
+    passes at about 1e-10 m/s: there one unit of 1e-16 m takes microseconds.
     """
     jerk, place = np.abs(law.jerk[phase]), _ROUNDED * np.spacing(np.abs(s))
     with np.errstate(divide="ignore"):
@@ -269,10 +269,10 @@ def _without_rounding(law: _Law, phase: Ints, s: Floats, v: Floats, a: Floats) -
 
 
 def _top_speed(case: Case, motion: Motion, piece: Ints, share: Floats) -> Floats:
-    """Speed limit of the gear, and of the zone at the end where it is lower. Shape (n,) [m/s]."""
+    """Return the speed limit of the gear, and of the zone at the end if it is lower. Shape (n,) [m/s]."""
     limits, (zone_speed, zone_length) = case["limits"], case["zone"]
     top: Floats = np.where(motion.gear[piece] > 0, limits.get("max_speed", 0.5), limits.get("max_reverse_speed", 0.3))
-    # A nanometre inside, where nobody disputes on which side of the border an instant is.
+    # A nanometre inside, where the side of the border is unambiguous.
     driven = motion.driven_before(piece, share)
     whole = float(np.sum(motion.h[motion.gear != 0.0]))
     inside = (driven > whole - zone_length + 1e-9) & (zone_length > 0.0)
@@ -280,7 +280,7 @@ def _top_speed(case: Case, motion: Motion, piece: Ints, share: Floats) -> Floats
 
 
 def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
-    """Rules of structure, as the error over its tolerance."""
+    """Return rules of structure, as the error over its tolerance."""
     ends = max(abs(law.s[0]), abs(law.s[-1] - motion.length)) / _REST
     instants = _grid(law, motion)
     slowest = float(np.min(law.at(instants.phase, instants.dt)[1]))
@@ -298,13 +298,13 @@ def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
 
 
 def _unrest(law: _Law, s: float, first: int = 0) -> float:
-    """How far from rest the phase border is, from `first` on, that is nearest to resting at `s`."""
+    """Return the error of rest of the phase border, from `first` on, that is nearest to resting at `s`."""
     state: npt.NDArray[np.float64] = np.column_stack((law.s - s, law.v, law.a))[first:]
     return float(np.min(np.max(np.abs(state), axis=1)))
 
 
 def _steered(case: Case, motion: Motion, law: _Law) -> list[float]:
-    """At the start and every cusp, what the wheels need beyond the rest there, over twice what rounding forgives."""
+    """Return the missing rest for the wheels at the start and every cusp, over twice the rounding tolerance."""
     rate, wheelbase = case["limits"].get("max_steering_rate", math.inf), case["limits"].get("wheelbase", 0.0)
     if math.isinf(rate):
         return []

@@ -1,4 +1,4 @@
-"""The view of the dock along a path, by bearings and distances: sampled densely, then refined around the least."""
+"""The view of the dock along a path, by bearings and distances: sampled densely, then refined around minima."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Views", "looked_at", "views"]
 
-_STEP = 0.01  # [m], [rad] between first samples
-_MOST = 3000  # first samples, about
+_STEP = 0.01  # [m], [rad] between initial samples
+_MOST = 3000  # initial samples, approximately
 _KEPT, _PARTS, _ROUNDS = 10, 8, 7  # refined: neighbourhoods, samples in each, rounds; 0.01 m becomes a micrometre
-_EDGE = 1e-9  # [m], of every metre driven: rounding of where the stretch begins and ends
+_EDGE = 1e-9  # [m] per metre driven: rounding of the ends of the stretch
 
 
 @dataclass(frozen=True)
 class Views:
-    """Samples of the part of a path that must see the marker, Shape (n,) each, perhaps none.
+    """Samples of the part of a path with required view, Shape (n,) each, may be empty.
 
-    `bearing` [rad] from the camera's axis, unsigned; `distance` [m] from it; `inside` [m]: how far the marker would
-    have to move, seen from the camera, to leave the view; `spare`: that less what the tracking tube asks for.
+    `bearing` [rad] from the camera's axis, unsigned; `distance` [m] from it; `inside` [m]: displacement of the marker,
+    in the camera frame, that leaves the view; `spare`: `inside` minus the requirement of the tracking tube.
     """
 
     s: Floats
@@ -38,7 +38,7 @@ class Views:
 
 
 def views(case: Case, motion: Motion) -> Views:
-    """What the camera of a case sees where it must see."""
+    """Return the view of a case's camera along the stretch with required view."""
     piece, share = _first_places(case, motion)
     found = looked_at(case, motion, piece, share)
     for _ in range(_ROUNDS):
@@ -53,7 +53,7 @@ def views(case: Case, motion: Motion) -> Views:
 
 
 def looked_at(case: Case, motion: Motion, piece: Ints, share: Floats) -> Views:
-    """What the camera sees from places of a motion."""
+    """Return the view of the camera from places of a motion."""
     poses, camera = motion.poses_at(piece, share), case["camera"]
     x, y, turned = camera["mount"]
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
@@ -80,7 +80,7 @@ def _marker(case: Case) -> tuple[float, float]:
 
 
 def _required(case: Case, motion: Motion, poses: Floats, marker: tuple[float, float], inside: Floats) -> Floats:
-    """What a pose off by the tube may lose: tapered at the dock, and never more than the start has and half the way."""
+    """Return the loss of view by a pose error within the tube, tapered at the dock and limited by the start."""
     off, turn = case["tracking"]
     goal, start = case["dock"]["pose"], case["start"]
     to_goal, to_start, to_marker = (np.hypot(poses[:, 0] - at[0], poses[:, 1] - at[1]) for at in (goal, start, marker))
@@ -93,9 +93,9 @@ def _required(case: Case, motion: Motion, poses: Floats, marker: tuple[float, fl
 
 
 def _first_places(case: Case, motion: Motion) -> tuple[Ints, Floats]:
-    """Places, evenly over every piece of the stretch, its ends included."""
+    """Return places, evenly over every piece of the stretch, including its ends."""
     driven = np.where(motion.gear == 0.0, 0.0, motion.h)
-    left = np.sum(driven) - (np.cumsum(driven) - driven)  # when a piece begins
+    left = np.sum(driven) - (np.cumsum(driven) - driven)  # distance to the end at the start of each piece
     far, near = case["visible_distance"], case["blind_distance"]
     edge = _EDGE * (1.0 + float(np.sum(driven)))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -115,7 +115,7 @@ def _first_places(case: Case, motion: Motion) -> tuple[Ints, Floats]:
 
 
 def _around_the_least(piece: Ints, share: Floats, value: Floats) -> tuple[Ints, Floats]:
-    """Places between the neighbours of the samples that are least among theirs."""
+    """Return places between the neighbours of local minima of the samples."""
     before, after = np.append(np.inf, value[:-1]), np.append(value[1:], np.inf)
     least = np.flatnonzero((value <= before) & (value <= after))
     least = least[np.argsort(value[least])][:_KEPT]

@@ -1,7 +1,7 @@
-"""What the robot must not touch, and how far its true outline is from it, by shapely.
+"""Obstacles, and the distance of the true outline from them, by shapely.
 
-Obstacles are solid and closed, and those that touch are one: a tip between two touching squares is inside. Occupied and
-unknown cells are squares; everything off the grid is an obstacle.
+Obstacles are solid and closed, and touching obstacles are one: a tip between two touching squares is inside. Occupied
+and unknown cells are squares; everything off the grid is an obstacle.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 __all__ = ["World", "placed"]
 
 _LETHAL = 254
-_UNION_CORNERS = 160  # one geometry up to here, a tree of parts beyond
-_MAX_DEPTHS = 24  # overlapping poses whose depth is measured in one call; the others count as touching
+_UNION_CORNERS = 160  # one geometry up to this size, a tree of parts beyond
+_MAX_DEPTHS = 24  # overlapping poses with measured depth per call; the others count as touching
 
 
 def placed(points: Floats, pose: Floats) -> Floats:
-    """Points of a body, Shape (k, 2), at poses, Shape (n, 3). Shape (n, k, 2)."""
+    """Return points of a body, Shape (k, 2), at poses, Shape (n, 3). Shape (n, k, 2)."""
     c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
     x = pose[:, 0, None] + c * points[:, 0] - s * points[:, 1]
     y = pose[:, 1, None] + s * points[:, 0] + c * points[:, 1]
@@ -37,14 +37,14 @@ class World:
 
     outline: Floats | None
     radius: float
-    solid: Any  # the union of all obstacles but the outside of the grid
+    solid: Any  # the union of all obstacles except the outside of the grid
     box: tuple[float, float, float, float] | None  # the grid: x0, y0, x1, y1
     _tree: Any = field(default=None, repr=False)
     _parts: Any = field(default=None, repr=False)
 
     @classmethod
     def of(cls, case: Case) -> World:
-        """The world of a problem case."""
+        """Return the world of a problem case."""
         shape = case["footprint"]
         outline = np.array(shape["polygon"], dtype=float) if "polygon" in shape else None
         solids = [shapely.Polygon(one) for one in case["obstacles"]]
@@ -66,20 +66,20 @@ class World:
 
     @property
     def is_empty(self) -> bool:
-        """Nothing to touch."""
+        """Whether there are no obstacles."""
         return self.solid is None and self.box is None
 
     def bodies(self, poses: Floats) -> Any:  # noqa: ANN401 - shapely has no types
-        """The robot at poses: polygons, or the centres of discs."""
+        """Return the robot at poses: polygons, or the centres of discs."""
         if self.outline is None:
             return shapely.points(poses[:, :2])
         return shapely.polygons(placed(self.outline, poses))
 
     def clearances(self, poses: Floats) -> Floats:
-        """Distance to the nearest obstacle, Shape (n,) [m].
+        """Return the distance to the nearest obstacle, Shape (n,) [m].
 
-        Negative where they overlap by more than rounding: then minus a *lower* bound of the distance by which the robot
-        would have to move to get out, so that no shortfall is claimed that is not there.
+        Negative for an overlap beyond rounding: minus a *lower* bound of the displacement that frees the robot, so that
+        no shortfall is overstated.
         """
         found = np.full(len(poses), np.inf)
         if self.solid is not None:
@@ -104,10 +104,10 @@ class World:
         return found
 
     def _depths(self, bodies: Any) -> Floats:  # noqa: ANN401
-        """Lower bounds of how far bodies must move to be free of the solid, Shape (n,) [m].
+        """Return lower bounds of the displacements that free bodies from the solid, Shape (n,) [m].
 
         A point of both at distance d from the edge of either has to move by d; a region of area A and perimeter P
-        holds a disc of radius A / P, which has to leave by its diameter.
+        contains a disc of radius A / P, which has to leave by its diameter.
         """
         common = shapely.intersection(bodies, self.solid)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,7 +120,7 @@ class World:
         return result
 
     def _inside_box(self, poses: Floats) -> Floats:
-        """How far the robot stays within the grid; negative where it leaves it. Shape (n,) [m]."""
+        """Return the distance of the robot from the outside of the grid; negative outside. Shape (n,) [m]."""
         if self.box is None:
             return np.full(len(poses), np.inf)
         if self.outline is None:
@@ -134,7 +134,7 @@ class World:
 
 
 def _grid(grid: Case | None) -> tuple[list[Any], tuple[float, float, float, float] | None]:
-    """Boxes of the cells that are occupied or unknown, and the box of the whole grid."""
+    """Return boxes of the cells that are occupied or unknown, and the box of the whole grid."""
     if grid is None:
         return [], None
     cells, side, (x, y) = np.array(grid["cells"]), grid["resolution"], grid["origin"]
