@@ -50,6 +50,22 @@ def test_nav2s_names_reach_the_executor() -> None:
     assert blind.executor_settings(blind.plugins["bay"]).costmap_patience is None
 
 
+@pytest.mark.parametrize(("backwards", "direction"), [(True, DockDirection.BACKWARD), (False, DockDirection.FORWARD)])
+def test_dock_backwards_sets_the_direction_of_all_docks(*, backwards: bool, direction: DockDirection) -> None:
+    """The only way to state it on Jazzy, whose docks have no `dock_direction`."""
+    assert settings(dock_backwards=backwards).plugins["bay"].direction is direction
+    same = settings(dock_backwards=backwards, bay={**CHARGER, "dock_direction": direction.value})
+    assert same.plugins["bay"].direction is direction
+    other = "forward" if backwards else "backward"
+    with pytest.raises(InvalidValue, match=f"bay.dock_direction: '{other}' contradicts dock_backwards"):
+        settings(dock_backwards=backwards, bay={**CHARGER, "dock_direction": other})
+
+
+def test_without_dock_backwards_the_type_decides() -> None:
+    assert settings().plugins["bay"].direction is DockDirection.FORWARD
+    assert settings(bay={**CHARGER, "dock_direction": "backward"}).plugins["bay"].direction is DockDirection.BACKWARD
+
+
 def dock_type(found: DockingSettings) -> DockType:
     """Return the dock type `bay` of the executor."""
     return found.dock_type(found.plugins["bay"])

@@ -64,6 +64,9 @@ class DockingParameters(ServerParameters):
     odom_duration: float = Field(0.3, gt=0, description="largest age of the velocity [s]")
     navigator_bt_xml: str = Field("", description="behaviour tree for the drive to the staging pose")
     dock_plugins: list[str] = Field([], description="names of the dock types; each has a block")
+    dock_backwards: bool | None = Field(
+        default=None, description="gear into all docks, as on Jazzy; not set: `dock_direction` of the dock's type"
+    )
     dock_database: str = Field("", description="file with the docks; empty: docks in the parameters")
     docks: list[str] = Field([], description="names of the docks; each has a block")
     enable_stamped_cmd_vel: bool = Field(
@@ -141,7 +144,7 @@ class DockParameters(PluginParameters):
 NOT_READ = frozenset(
     {
         *("rotate_to_dock_timeout", "undock_linear_tolerance", "undock_angular_tolerance"),
-        *("rotation_angular_tolerance", "dock_backwards", "initial_rotation", "backward_blind"),
+        *("rotation_angular_tolerance", "initial_rotation", "backward_blind"),
         *("introspection_mode", "action_server_result_timeout"),
     }
 )
@@ -153,6 +156,7 @@ _LAW = frozenset(
     }
 )
 # Settings of the executor that are set by a parameter of Nav2, by the dock type or by the goal.
+_DIRECTIONS: Mapping[bool | None, str] = {True: "backward", False: "forward"}  # by `dock_backwards`
 _SET_ELSEWHERE: Mapping[str, str] = {
     "max_retries": "max_retries",
     "initial_perception_timeout": "initial_perception_timeout",
@@ -322,7 +326,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     plugins: dict[str, DockPlugin] = {}
     of_docks: dict[str, DockParameters] = {}
     for name in own.dock_plugins:
-        _read_type(read, name, plugins, of_docks)
+        _read_type(read, name, _DIRECTIONS.get(own.dock_backwards), plugins, of_docks)
     docks = read.attempt(lambda: docks_of_parameters(block), dict[str, DockEntry]())
     read.ignored.extend(f"{dock.name}.{key}" for dock in docks.values() for key in dock.unknown)
     settings = DockingSettings(
@@ -375,10 +379,17 @@ def _choice(read: BlockReader, interface: type[Plugin], owner: str, default: str
 
 
 def _read_type(
-    read: BlockReader, name: str, plugins: dict[str, DockPlugin], of_docks: dict[str, DockParameters]
+    read: BlockReader,
+    name: str,
+    direction: str | None,
+    plugins: dict[str, DockPlugin],
+    of_docks: dict[str, DockParameters],
 ) -> None:
-    """Add a dock type and its block `dock`."""
-    given, dock = read.inner(name), read.inner("dock")
+    """Add a dock type and its block `dock`; `direction` is that of `dock_backwards`, None if it is not set."""
+    given, dock = dict(read.inner(name)), read.inner("dock")
+    stated = given.setdefault("dock_direction", direction) if direction else direction
+    if stated != direction:
+        read.faults.append(f"{name}.dock_direction: {stated!r} contradicts dock_backwards, which means {direction!r}")
     special = read.inner("dock", given)
     tolerances = {**read.inner("tolerances", dock), **read.inner("tolerances", special)}
     values = {**dock, **special, **({"tolerances": tolerances} if tolerances else {})}
