@@ -430,13 +430,39 @@ def test_path_subclasses_of_plugins_are_replaced_by_plain_paths():
 
 
 def test_warming_up_warms_the_smoother_itself(monkeypatch):
+    warm_up()  # in earnest, for the tests that follow
     warmed = []
     monkeypatch.setattr("smoothers.casadi_smoother.CasadiSmoother.warm_up", lambda self: warmed.append(self.parameters))
     _warm_once.cache_clear()
     warm_up()
     warm_up()
     assert len(warmed) == 1
-    _warm_once.cache_clear()
+
+
+def test_plugins_of_others_are_warmed_up_whatever_they_do():
+    """They plan a small problem and their own warm-up is called; what they raise shows in the first real call."""
+    called = []
+
+    class Noting(DockPlanner):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            called.append("planner")
+            return super().create_plan(start, goal, cancel_checker)
+
+    class Demanding(DockPlanner):
+        def __init__(self, reason):
+            raise ZeroDivisionError(reason)
+
+    class Failing(Liar):
+        def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+            called.append("smoother")
+            raise ZeroDivisionError
+
+        def warm_up(self):
+            called.append("warm-up")
+            raise ZeroDivisionError
+
+    _warm_once.__wrapped__((Demanding, Noting), Failing, Broken)
+    assert called == ["planner", "smoother", "warm-up"]
 
 
 class Patience:

@@ -309,11 +309,11 @@ class Helpless(GlobalPlanner):
 
 
 BAY = [
-    [[-3.0, -0.4], [-0.47, -0.4], [-0.47, 1.2], [-3.0, 1.2]],
-    [[0.47, -0.4], [3.0, -0.4], [3.0, 1.2], [0.47, 1.2]],
+    [[-3.0, -0.4], [-0.46, -0.4], [-0.46, 1.2], [-3.0, 1.2]],
+    [[0.46, -0.4], [3.0, -0.4], [3.0, 1.2], [0.46, 1.2]],
     [[-3.0, -0.5], [3.0, -0.5], [3.0, -0.4], [-3.0, -0.4]],
 ]
-# 4 cm longer than the robot, which lies along its bottom and would have to leave it sideways: its largest disc leaves
+# 2 cm longer than the robot, which lies along its bottom and would have to leave it sideways: its largest disc leaves
 # it easily, so that nothing is proven before a planner has had its time.
 BAYED = DockingProblem(Pose2(0.0, 2.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, BAY)
 

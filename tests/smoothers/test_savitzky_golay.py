@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, SmootherTimedOut
@@ -38,6 +38,7 @@ def test_the_default_weights_are_nav2s():
     assert 21.0 * savitzky_golay_weights(7, 3) == pytest.approx([-2, 3, 6, 7, 6, 3, -2], abs=1e-12)
 
 
+@settings(max_examples=25)
 @given(st.integers(1, 10), st.integers(0, 5))
 def test_weights_agree_with_scipys(half, degree):
     from scipy.signal import savgol_coeffs

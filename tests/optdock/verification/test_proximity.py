@@ -58,7 +58,7 @@ def convex(rng):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_clearances_of_many_poses_are_those_of_each(seed):
     rng = np.random.default_rng(seed)

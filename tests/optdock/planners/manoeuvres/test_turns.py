@@ -1,6 +1,7 @@
 """Turn and drive: robots that turn in place get where others do not, and every turn is swept, timed and proven."""
 
 import dataclasses
+import functools
 import itertools
 import math
 
@@ -40,6 +41,7 @@ def without(problem):
     return dataclasses.replace(problem, robot=dataclasses.replace(problem.robot, turns_in_place=False))
 
 
+@functools.cache
 def turning_guesses(problem):
     """What is offered among the first, beside words."""
     found = Stages(problem, 1.25, lambda: None, lambda: math.inf).guesses()
@@ -138,7 +140,7 @@ def test_robot_that_turns_gets_into_an_alcove_where_others_do_not():
     assert plan.stage == "turn and drive"
     assert plan.path.turns
     with pytest.raises(OptdockError):
-        plan_dock(without(problem), time_budget=0.2)
+        plan_dock(without(problem), time_budget=0.1)
     # The very same path is refused without the permission, for its turns alone, and holds with it.
     refused = certify_path(plan.path, without(problem))
     assert {violation.kind for violation in refused.violations} == {"turn"}
@@ -215,7 +217,7 @@ def test_where_the_turn_to_one_side_is_blocked_the_other_side_is_taken():
 # Prices.
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.floats(0.0, 7.0), st.floats(0.1, 3.0), st.floats(0.1, 5.0))
 def test_turn_takes_the_time_of_a_trapezoid(turn, rate, acceleration):
     took = float(turning_times(np.array([turn]), TurnLimits(rate, acceleration, 1.0))[0])
