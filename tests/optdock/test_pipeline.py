@@ -640,7 +640,7 @@ def test_invalid_value_of_a_plugin_is_the_plugins_error():
         assert str(error).startswith("Mistaken ")
 
 
-def test_plugins_are_names_or_objects_and_give_the_same_plan():
+def test_plugins_are_names_or_objects_and_give_the_same_plan(plain):
     named = plan_dock(
         problem(), time_budget=BUDGET, timing="Windowed", smoother=PluginChoice("CasadiSmoother", {"spans": 16})
     )
@@ -649,7 +649,7 @@ def test_plugins_are_names_or_objects_and_give_the_same_plan():
         made = plan_dock(problem(), time_budget=BUDGET, planner=DockPlanner(), smoother=smoother, timing=timing)
         assert made.path.digest == named.path.digest
         assert made.trajectory.duration == named.trajectory.duration
-    assert plan_dock(problem(), time_budget=BUDGET).path.digest != named.path.digest
+    assert plain.path.digest != named.path.digest
 
 
 @pytest.mark.parametrize("role", ["planner", "smoother", "timing"])
@@ -661,10 +661,10 @@ def test_configured_plugin_is_refused(role):
     assert plugin.context.problem is not None
 
 
-def test_warm_start_reduces_iterations():
-    first = plan_dock(problem(), time_budget=BUDGET)
-    nearby = problem().starting_at(first.path.pose_at(0.4))
-    for earlier in (first, first.path):
+def test_warm_start_reduces_iterations(plain):
+    nearby = problem().starting_at(plain.path.pose_at(0.4))
+    cold = plan_dock(nearby, time_budget=BUDGET)
+    for earlier in (plain, plain.path):
         again = plan_dock(nearby, time_budget=BUDGET, warm_start=earlier)
         assert again.certificate.certified
-        assert again.smoothing_report.iterations <= plan_dock(nearby, time_budget=BUDGET).smoothing_report.iterations
+        assert again.smoothing_report.iterations <= cold.smoothing_report.iterations
