@@ -21,6 +21,7 @@ from optdock.model.problem import ClearanceRule, DockingProblem
 from optdock.model.robot import Robot
 from optdock.planners.manoeuvres.manoeuvre_planner import Stages
 from optdock.planners.manoeuvres.price import CUSP_PRICE, least_price, stops, turning_times
+from optdock.planners.manoeuvres.turns import turns_and_drives
 from optdock.planning.pipeline import plan_dock
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.registry import create_plugin
@@ -46,6 +47,13 @@ def turning_guesses(problem):
     """What is offered among the first, beside words."""
     found = Stages(problem, 1.25, lambda: None, lambda: math.inf).guesses()
     return [one for one in itertools.islice(found, 6) if one is not None and one.stage == "turn and drive"]
+
+
+@functools.cache
+def ways_of_turns(problem):
+    """The first six turns and drives that are searched for, without the words that compete with them."""
+    found = Stages(problem, 1.25, lambda: None, lambda: math.inf)._turn_and_drive(turns_and_drives)
+    return list(itertools.islice(found, 6))
 
 
 LORRY = dataclasses.replace(ROBOT, limits=dataclasses.replace(LIMITS, max_curvature=0.4))
@@ -165,7 +173,7 @@ def test_robots_that_do_not_turn_in_place_get_no_turns():
 def test_on_open_floor_turns_go_the_shorter_way(yaw, bearing, away):
     start = Pose2(away * math.cos(bearing), away * math.sin(bearing), yaw)
     problem = DockingProblem(start, Dock(Pose2(0.0, 0.0, 0.0), final_straight=0.3), ROBOT)
-    for guess in turning_guesses(problem):
+    for guess in ways_of_turns(problem):
         for segment in guess.path.segments:
             if isinstance(segment, TurnSegment):
                 assert abs(segment.turn) <= math.pi + 1e-9
@@ -184,7 +192,7 @@ def beside_a_post(gap, side):
 
 def first_turns(problem):
     """Turns where the robot starts, of the ways that are offered."""
-    found = [guess.path.segments[0] for guess in turning_guesses(problem)]
+    found = [guess.path.segments[0] for guess in ways_of_turns(problem)]
     return [one.turn for one in found if isinstance(one, TurnSegment)]
 
 
