@@ -1,6 +1,7 @@
 """Hypothesis profiles, the clock of budgets, the warm-up of plugins, and where the real inputs live."""
 
 import functools
+import gc
 import os
 from pathlib import Path
 
@@ -61,6 +62,12 @@ def is_installed(kind):
 
 
 warm_up_installed_plugins_once()
+
+
+def pytest_collection_finish():
+    """Exclude what was imported from garbage collections, which look at all of it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
