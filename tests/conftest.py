@@ -1,5 +1,7 @@
-"""Hypothesis profiles, the clock of budgets, and where the real inputs live."""
+"""Hypothesis profiles, the clock of budgets, the warm-up of plugins, and where the real inputs live."""
 
+import functools
+import gc
 import os
 from pathlib import Path
 
@@ -10,6 +12,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from experiments.cpu_budgets import count_cpu
+from optdock.planning import pipeline
+from optdock.timing.near_optimal import NearOptimal
+from smoothers import CasadiSmoother
 
 # Lazily imported libraries make a first example slow; a deadline would blame the code for it.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -22,6 +27,47 @@ REAL_DATA = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data")
 
 # What a budget allows must not depend on what else the machine does while the tests run.
 count_cpu()
+
+
+def warm_up_installed_plugins_once():
+    """Let `plan_dock` warm up every installed plugin once per process, and none that a test makes.
+
+    A warm-up plans a problem for every new combination of classes; `test_pipeline` tests it with plugins of others.
+    """
+    warm, warmed = pipeline._warm_once, set()
+
+    @functools.wraps(warm)
+    def warm_once(planners, smoother, timing):
+        fresh = {kind for kind in (*planners, smoother, timing) if is_installed(kind)} - warmed
+        if fresh:
+            warmed.update(fresh)
+            planners = tuple(filter(is_installed, planners))
+            smoother, timing = (
+                kind if is_installed(kind) else usual
+                for kind, usual in ((smoother, CasadiSmoother), (timing, NearOptimal))
+            )
+            warm(planners, smoother, timing)
+
+    def clear():
+        warmed.clear()
+        warm.cache_clear()
+
+    warm_once.cache_info, warm_once.cache_clear = warm.cache_info, clear
+    pipeline._warm_once = warm_once
+
+
+def is_installed(kind):
+    """Whether a class of plugins belongs to the product."""
+    return kind.__module__.partition(".")[0] in ("optdock", "smoothers")
+
+
+warm_up_installed_plugins_once()
+
+
+def pytest_collection_finish():
+    """Exclude what was imported from garbage collections, which look at all of it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

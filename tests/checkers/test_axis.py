@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from checkers.axis import AxisGoalChecker
@@ -34,6 +34,7 @@ def document_form(robot, path, along_tolerance, cross_tolerance, *, overshoot):
     return near < along_tolerance and abs(cross) < cross_tolerance, along, cross
 
 
+@settings(max_examples=25)
 @given(poses, poses, poses, st.floats(0.01, 0.6), st.floats(0.01, 0.6), st.booleans())
 def test_two_dot_products_equal_the_documents_trigonometry(robot, before, goal, along, cross, overshoot):
     assume(before.distance_to(goal) > 1e-3)
@@ -45,6 +46,7 @@ def test_two_dot_products_equal_the_documents_trigonometry(robot, before, goal, 
     assert reached(checker, robot, [before, goal]) is wanted
 
 
+@settings(max_examples=25)
 @given(poses, st.floats(-4.0, 4.0), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_yaw_and_velocity_are_not_looked_at(robot, yaw, linear, angular):
     checker = AxisGoalChecker()
@@ -100,6 +102,7 @@ def test_coincident_poses_only_are_judged_by_distance():
     assert not reached(checker, Pose2(0.0, 0.2, 0.0), [ORIGIN, ORIGIN])
 
 
+@settings(max_examples=25)
 @given(st.floats(-4.0, 4.0))
 def test_as_documented_nothing_lies_within_a_zero_tolerance(yaw):
     checker = AxisGoalChecker(along_path_tolerance=0.0, cross_track_tolerance=0.0)
@@ -233,6 +236,7 @@ def test_a_baseline_is_judged_by_the_path_length_in_force_not_by_one_in_the_same
     assert checker.parameters.path_length_tolerance == 0.2
 
 
+@settings(max_examples=25)
 @given(poses, st.floats(-0.03, 0.03), st.floats(-0.05, 0.05))
 def test_if_stopped_it_waits_for_rest_and_for_nothing_else(robot, linear, angular):
     twist = Twist2(linear, angular)
@@ -244,6 +248,7 @@ def test_if_stopped_it_waits_for_rest_and_for_nothing_else(robot, linear, angula
     assert (stopped.tolerances.linear_speed, stopped.tolerances.angular_speed) == (0.01, 0.02)
 
 
+@settings(max_examples=25)
 @given(poses, st.booleans())
 def test_its_verdict_is_the_position_alone(robot, overshoot):
     checker = AxisGoalChecker(is_overshoot_valid=overshoot)

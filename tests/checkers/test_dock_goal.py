@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from checkers.dock_goal import DockGoalChecker
@@ -26,6 +26,7 @@ def reached(checker, pose, goal, velocity=REST):
     return checker.is_goal_reached(pose, goal, velocity, [])
 
 
+@settings(max_examples=25)
 @given(goals, offsets)
 def test_each_error_binds_in_the_frame_of_the_goal(goal, offset):
     along, cross, yaw = map(abs, offset)

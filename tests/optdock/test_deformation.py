@@ -66,6 +66,7 @@ def test_it_leads_from_the_start_to_the_goal_within_the_bounds_and_straight_at_t
     assert_within(found)
 
 
+@settings(max_examples=25)
 @given(PATHS)
 def test_path_that_fits_is_not_changed(path):
     found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT)

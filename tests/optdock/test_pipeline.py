@@ -432,13 +432,39 @@ def test_path_subclasses_of_plugins_are_replaced_by_plain_paths():
 
 
 def test_warming_up_warms_the_smoother_itself(monkeypatch):
+    warm_up()  # in earnest, for the tests that follow
     warmed = []
     monkeypatch.setattr("smoothers.casadi_smoother.CasadiSmoother.warm_up", lambda self: warmed.append(self.parameters))
     _warm_once.cache_clear()
     warm_up()
     warm_up()
     assert len(warmed) == 1
-    _warm_once.cache_clear()
+
+
+def test_plugins_of_others_are_warmed_up_whatever_they_do():
+    """They plan a small problem and their own warm-up is called; what they raise shows in the first real call."""
+    called = []
+
+    class Noting(DockPlanner):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            called.append("planner")
+            return super().create_plan(start, goal, cancel_checker)
+
+    class Demanding(DockPlanner):
+        def __init__(self, reason):
+            raise ZeroDivisionError(reason)
+
+    class Failing(Liar):
+        def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+            called.append("smoother")
+            raise ZeroDivisionError
+
+        def warm_up(self):
+            called.append("warm-up")
+            raise ZeroDivisionError
+
+    _warm_once.__wrapped__((Demanding, Noting), Failing, Broken)
+    assert called == ["planner", "smoother", "warm-up"]
 
 
 class Patience:
@@ -616,7 +642,7 @@ def test_invalid_value_of_a_plugin_is_the_plugins_error():
         assert str(error).startswith("Mistaken ")
 
 
-def test_plugins_are_names_or_objects_and_give_the_same_plan():
+def test_plugins_are_names_or_objects_and_give_the_same_plan(plain):
     named = plan_dock(
         problem(), time_budget=BUDGET, timing="Windowed", smoother=PluginChoice("CasadiSmoother", {"spans": 16})
     )
@@ -625,7 +651,7 @@ def test_plugins_are_names_or_objects_and_give_the_same_plan():
         made = plan_dock(problem(), time_budget=BUDGET, planner=DockPlanner(), smoother=smoother, timing=timing)
         assert made.path.digest == named.path.digest
         assert made.trajectory.duration == named.trajectory.duration
-    assert plan_dock(problem(), time_budget=BUDGET).path.digest != named.path.digest
+    assert plain.path.digest != named.path.digest
 
 
 @pytest.mark.parametrize("role", ["planner", "smoother", "timing"])
@@ -637,10 +663,10 @@ def test_configured_plugin_is_refused(role):
     assert plugin.context.problem is not None
 
 
-def test_warm_start_reduces_iterations():
-    first = plan_dock(problem(), time_budget=BUDGET)
-    nearby = problem().starting_at(first.path.pose_at(0.4))
-    for earlier in (first, first.path):
+def test_warm_start_reduces_iterations(plain):
+    nearby = problem().starting_at(plain.path.pose_at(0.4))
+    cold = plan_dock(nearby, time_budget=BUDGET)
+    for earlier in (plain, plain.path):
         again = plan_dock(nearby, time_budget=BUDGET, warm_start=earlier)
         assert again.certificate.certified
-        assert again.smoothing_report.iterations <= plan_dock(nearby, time_budget=BUDGET).smoothing_report.iterations
+        assert again.smoothing_report.iterations <= cold.smoothing_report.iterations

@@ -41,7 +41,7 @@ def test_what_plan_writes_is_certified_or_impossible(problems, name):
 
 
 def test_one_damage_anywhere_is_seen_or_means_the_same():
-    """One place of every part with three damages, drawn at random; the fuzzer's kind `damaged_files` has them all."""
+    """One place of every part with one damage, drawn at random; the fuzzer's kind `damaged_files` has them all."""
     rng, parts = np.random.default_rng(3), {}
     for place in places_of(document_of("bend")):
         parts.setdefault(tuple("#" if isinstance(key, int) else key for key in place), []).append(place)
@@ -53,7 +53,7 @@ def test_one_damage_anywhere_is_seen_or_means_the_same():
         for key in place:
             before = before[key]
         known = DAMAGES if type(before) in (int, float) else DAMAGES[12:]
-        for damage in rng.choice(known, 3, replace=False):
+        for damage in rng.choice(known, 1):
             verdict = judge({**case, "place": list(place), "damage": str(damage)})
             assert not verdict.is_fault or verdict.outcome == "late", verdict
             outcomes.add(verdict.outcome)

@@ -148,7 +148,7 @@ def test_digests_without_turns_in_place_are_unchanged():
     assert Robot(BOX, LIMITS).fingerprint.limits != Robot(BOX, LIMITS, turns_in_place=True).fingerprint.limits
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     st.floats(0.1, 2.0),
     st.floats(0.1, 2.0),

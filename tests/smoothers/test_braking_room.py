@@ -34,6 +34,7 @@ def asked(speed, *gears, acceleration=0.0):
     return path, DockingProblem(path.start, Dock(path.end), ROBOT, **start)
 
 
+@settings(max_examples=25)
 @given(st.floats(0.01, 0.5), st.floats(-0.5, 0.3))
 def test_the_braking_distance_is_that_of_full_braking(speed, acceleration):
     if acceleration < 0.0 and speed < 0.5 * acceleration**2 / LIMITS.max_jerk:

@@ -1,6 +1,7 @@
 """`CasadiSmoother`: what it promises about every result."""
 
 import dataclasses
+import functools
 import itertools
 import math
 import time
@@ -41,10 +42,22 @@ def smoother():
     return CasadiSmoother()
 
 
+@functools.cache
+def solved(family, seed=0):
+    """A problem of a family with the result of the smoother with default parameters."""
+    case = instance(family, seed)
+    return case, CasadiSmoother().smooth(case.raw_path, LONG, problem=case.problem)
+
+
+@pytest.fixture(scope="module")
+def s_curve(smoother, cases):
+    """The S in the open, smoothed."""
+    return smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=cases.open_problem(GOAL))
+
+
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
-def test_a_feasible_problem_is_solved_and_an_independent_checker_agrees(smoother, family):
-    case = instance(family, 0)
-    result = smoother.smooth(case.raw_path, LONG, problem=case.problem)
+def test_a_feasible_problem_is_solved_and_an_independent_checker_agrees(family):
+    case, result = solved(family)
     assert result.completed
     assert certify_path(result.path, case.problem).certified
     assert dense_check(result.path, case.problem).faults == ()
@@ -64,9 +77,8 @@ def test_an_infeasible_problem_is_refused_for_its_reason(smoother, family):
         assert 0.0 <= caught.value.where["s"] <= case.raw_path.length + 1.0
 
 
-def test_the_goal_is_met_and_the_last_stretch_is_straight(smoother, cases):
-    problem = cases.open_problem(GOAL)
-    path = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem).path
+def test_the_goal_is_met_and_the_last_stretch_is_straight(s_curve):
+    path = s_curve.path
     assert path.end.distance_to(GOAL) < 5e-8
     assert path.end.yaw == pytest.approx(0.0, abs=5e-8)
     assert path.curvature_at(np.linspace(path.length - 0.3 + 1e-9, path.length, 7)) == pytest.approx(0.0, abs=1e-12)
@@ -192,9 +204,8 @@ def test_a_requested_early_stop_counts_as_completed():
 
 
 def test_an_earlier_result_in_another_frame_is_none(smoother):
-    case = instance("open_s", 0)
-    earlier = smoother.smooth(case.raw_path, LONG, problem=case.problem).path
-    elsewhere = Path(earlier.segments, "odom")
+    case, earlier = solved("open_s")
+    elsewhere = Path(earlier.path.segments, "odom")
     result = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=elsewhere)
     assert result.path.frame == case.problem.frame
     assert certify_path(result.path, case.problem).certified
@@ -260,13 +271,11 @@ def test_a_dock_may_be_touched_at_the_goal(smoother, cases, straight):
     assert result.report.iterations < 10
 
 
-def test_duplicate_poses_change_nothing(smoother, cases):
-    raw = cases.kinked(*S_CURVE)
-    poses = raw.segments[0].poses
+def test_duplicate_poses_change_nothing(smoother, cases, s_curve):
+    poses = cases.kinked(*S_CURVE).segments[0].poses
     twice = Path.from_poses(np.repeat(poses, 3, axis=0))
-    problem = cases.open_problem(GOAL)
-    first, second = (smoother.smooth(path, LONG, problem=problem) for path in (raw, twice))
-    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
+    again = smoother.smooth(twice, LONG, problem=cases.open_problem(GOAL))
+    assert again.report.cost == pytest.approx(s_curve.report.cost, rel=1e-9)
 
 
 def test_a_rotation_in_place_becomes_a_drivable_turn(smoother, cases):
@@ -298,17 +307,15 @@ def test_every_part_of_a_concave_robot_keeps_clear(smoother, cases):
 
 
 def test_stop_at_first_returns_the_first_certified_path():
-    case = instance("parallel", 0)
+    case, best = solved("parallel")
     first = CasadiSmoother(stop_at_first=True).smooth(case.raw_path, LONG, problem=case.problem)
-    best = CasadiSmoother().smooth(case.raw_path, LONG, problem=case.problem)
     assert first.report.iterations < best.report.iterations
     assert first.report.cost > best.report.cost
 
 
 @pytest.mark.parametrize("family", ["u_dock", "reverse_cusp", "parallel"])
 def test_a_warm_start_needs_fewer_iterations(smoother, family):
-    case = instance(family, 0)
-    before = smoother.smooth(case.raw_path, LONG, problem=case.problem)
+    case, before = solved(family)
     goal = case.problem.goal @ Pose2(0.005, 0.01, 0.01)
     moved = dataclasses.replace(case.problem, dock=dataclasses.replace(case.problem.dock, pose=goal))
     cold = smoother.smooth(case.raw_path, LONG, problem=moved)
@@ -319,8 +326,8 @@ def test_a_warm_start_needs_fewer_iterations(smoother, family):
 
 
 def test_a_warm_start_further_along_the_path(smoother):
-    case = instance("reverse_cusp", 0)
-    before = smoother.smooth(case.raw_path, LONG, problem=case.problem).path
+    case, found = solved("reverse_cusp")
+    before = found.path
     s = 0.4 * before.cusps[0]
     later = dataclasses.replace(case.problem, start=before.pose_at(s), start_curvature=float(before.curvature_at(s)[0]))
     raw = Path.from_poses(np.concatenate([segment.poses for segment in case.raw_path.segments])[8:])
@@ -425,7 +432,7 @@ def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
     assert pushed
 
 
-def test_a_reverse_drive_mirrors_a_forward_drive(smoother, cases):
+def test_a_reverse_drive_mirrors_a_forward_drive(smoother, cases, s_curve):
     """A robot symmetric about its origin drives the same curve tail first."""
     forward, goal = cases.kinked(*S_CURVE), GOAL
     poses = forward.segments[0].poses + np.array([0.0, 0.0, math.pi])
@@ -435,9 +442,8 @@ def test_a_reverse_drive_mirrors_a_forward_drive(smoother, cases):
     other = cases.open_problem(
         Pose2(goal.x, goal.y, math.pi), start=Pose2(0.0, 0.0, math.pi), footprint=one.robot.footprint
     )
-    first = smoother.smooth(forward, LONG, problem=one)
     second = smoother.smooth(backward, LONG, problem=other)
-    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
+    assert second.report.cost == pytest.approx(s_curve.report.cost, rel=1e-9)
 
 
 def test_warming_up_survives_parameters_that_find_no_path(monkeypatch):
@@ -485,9 +491,8 @@ def test_a_side_that_rolls_around_a_corner_needs_fewer_steps_when_they_overshoot
 
 
 def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkeypatch):
-    case = instance("alcove", 0)
-    earlier = smoother.smooth(case.raw_path, LONG, problem=case.problem).path
-    gap = instance("gap_blocked", 0)
+    case, found = solved("alcove")
+    earlier, gap = found.path, instance("gap_blocked", 0)
     monkeypatch.setattr(Solver, "_try", lambda self, _search: setattr(self.outcome, "converged", True))
     again = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
     assert again.report.status is SmoothingStatus.WARM_START_KEPT

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.geometry.footprint import Footprint
@@ -40,6 +40,7 @@ def bounds_of(basis, limit, rate):
 curvatures = st.lists(st.floats(-3.0, 3.0), min_size=BASIS.num_knots, max_size=BASIS.num_knots).map(np.array)
 
 
+@settings(max_examples=25)
 @given(curvatures, st.floats(0.1, 50.0))
 def test_limiting_the_rate_keeps_it(curvature, rate):
     bounds = bounds_of(BASIS, 3.0, rate)
@@ -48,6 +49,7 @@ def test_limiting_the_rate_keeps_it(curvature, rate):
     assert np.abs(limited.curvature).max() <= 3.0 + 1e-12
 
 
+@settings(max_examples=25)
 @given(curvatures, st.floats(0.1, 50.0))
 def test_limiting_the_rate_twice_changes_nothing(curvature, rate):
     bounds = bounds_of(BASIS, 3.0, rate)
@@ -55,6 +57,7 @@ def test_limiting_the_rate_twice_changes_nothing(curvature, rate):
     assert limit_rate(BASIS, once, bounds).curvature == pytest.approx(once.curvature, abs=1e-9)
 
 
+@settings(max_examples=25)
 @given(curvatures)
 def test_limiting_the_rate_leaves_fixed_ends_alone(curvature):
     bounds = bounds_of(BASIS, 3.0, 4.0)

@@ -1,6 +1,7 @@
 """What a refusal says can be measured again: its pose, its amount, its obstacle, on the path that it carries."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from smoothers.scp.refusals import _too_close
 EXACT = 1e-9
 
 
+@functools.cache
 def refusal_of(family, seed):
     case = instance(family, seed)
     with pytest.raises(FailedToSmoothPath) as caught:

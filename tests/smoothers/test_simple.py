@@ -78,6 +78,7 @@ def looped_sweep(original, points, w_data, w_smooth):
     return moved
 
 
+@settings(max_examples=25)
 @given(
     st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=3, max_size=30),
     st.floats(0.0, 1.0),

@@ -39,6 +39,7 @@ ROBOT = Robot(
     MotionLimits(max_speed=0.5, max_yaw_rate=1.0, max_curvature=2.5, max_curvature_rate=10.0),
 )
 _DOCK = Footprint.rectangle(front=0.8, rear=-0.45, width=0.8)
+_FREE = Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-4.0, -3.0))
 
 
 def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: ObstacleSet | None = None) -> DockingProblem:
@@ -54,7 +55,7 @@ def scene_context(problem: DockingProblem | None = None) -> PluginContext:
 
 def free_costmap() -> Costmap:
     """Return a free map of 10 m x 6 m around the scene."""
-    return Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-4.0, -3.0))
+    return _FREE
 
 
 def room_costmap() -> Costmap:

@@ -59,7 +59,7 @@ def test_a_straight_line_is_exact():
     assert np.allclose(spline.poses_at(3.0)[0], [1.0 - 3.0 / np.sqrt(2), 2.0 - 3.0 / np.sqrt(2), np.pi / 4])
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.sampled_from([1, -1]))
 def test_the_frame_does_not_matter(seed, sign):
     frame = Pose2(3.0, -2.0, 1.1)
@@ -69,7 +69,7 @@ def test_the_frame_does_not_matter(seed, sign):
     assert np.allclose(moved.poses_at(s), expected, atol=1e-11)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 1000))
 def test_negated_curvature_mirrors_the_curve(seed):
     spline = random_spline(seed)
@@ -78,7 +78,7 @@ def test_negated_curvature_mirrors_the_curve(seed):
     assert np.allclose(mirrored.poses_at(s) * [1.0, -1.0, -1.0], spline.poses_at(s), atol=1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 1000))
 def test_driving_it_backwards_returns_to_the_start(seed):
     spline = random_spline(seed)
@@ -87,7 +87,7 @@ def test_driving_it_backwards_returns_to_the_start(seed):
     assert np.allclose(back.poses_at(spline.length - s), spline.poses_at(s), atol=1e-11)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.floats(0.01, 0.99))
 def test_a_knot_more_changes_nothing(seed, where):
     spline = random_spline(seed)

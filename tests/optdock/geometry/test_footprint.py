@@ -34,7 +34,7 @@ def test_anything_else_is_refused(text):
         Footprint.from_string(text)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.floats(1e-3, 50.0), st.floats(0.0, 1.0))
 def test_a_round_robot_is_the_polygon_around_its_circle(radius, padding):
     footprint = Footprint.from_radius(radius)

@@ -18,7 +18,7 @@ def star(seed, n=9):
     return rng.uniform(0.3, 1.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 3000))
 def test_pieces_are_convex_and_cover_exactly_the_polygon(seed):
     points = star(seed)
@@ -116,7 +116,7 @@ def test_flat_dents_do_not_add_up(length, dents):
     assert sum(signed_area(piece) for piece in pieces) == pytest.approx(signed_area(wall), rel=1e-9)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 1000), st.floats(0.0, 3e-9))
 def test_pieces_cover_the_polygon_and_exceed_it_by_at_most_a_nanometre(seed, depth):
     rng = np.random.default_rng(seed)
@@ -150,7 +150,7 @@ def test_the_normal_of_a_denormal_edge_is_a_unit_vector():
     assert np.all(normals @ np.array([0.3, 0.9]) <= offsets)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 3000))
 def test_no_vertex_lies_beyond_a_plane(seed):
     rng = np.random.default_rng(seed)

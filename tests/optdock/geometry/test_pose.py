@@ -18,13 +18,13 @@ def close(a, b):
     return np.allclose([a.x, a.y], [b.x, b.y], atol=1e-9) and abs(normalize_angle(a.yaw - b.yaw)) < 1e-9
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(poses, poses, poses)
 def test_composition_is_associative(a, b, c):
     assert close((a @ b) @ c, a @ (b @ c))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(poses)
 def test_the_inverse_undoes_from_both_sides(a):
     identity = Pose2(0.0, 0.0, 0.0)
@@ -32,13 +32,13 @@ def test_the_inverse_undoes_from_both_sides(a):
     assert close(a.inverse() @ a, identity)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(poses, poses)
 def test_in_frame_of_undoes_composition(a, b):
     assert close((a @ b).in_frame_of(a), Pose2(b.x, b.y, normalize_angle(b.yaw)))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.floats(-1e4, 1e4))
 def test_a_normalized_angle_is_the_same_direction_in_the_half_open_interval(angle):
     wrapped = normalize_angle(angle)
@@ -46,7 +46,7 @@ def test_a_normalized_angle_is_the_same_direction_in_the_half_open_interval(angl
     assert math.cos(wrapped - angle) == pytest.approx(1.0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(poses, coordinate, coordinate)
 def test_transforming_a_point_agrees_with_composition(a, x, y):
     moved = transform_points(a.as_array()[None], np.array([[x, y]]))[0, 0]

@@ -25,7 +25,7 @@ def case(seed):
     return footprint, obstacles, poses
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 100_000))
 def test_disjoint_distance_agrees_with_shapely(seed):
     footprint, obstacles, poses = case(seed)
@@ -36,7 +36,7 @@ def test_disjoint_distance_agrees_with_shapely(seed):
     assert np.array_equal(found > 1e-12, truth > 1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 100_000))
 def test_the_axis_proves_the_distance(seed):
     footprint, obstacles, poses = case(seed)
@@ -48,7 +48,7 @@ def test_the_axis_proves_the_distance(seed):
     assert np.allclose(low - high, found.distance, atol=1e-12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 100_000))
 def test_penetration_is_the_least_translation_that_separates(seed):
     footprint, obstacles, poses = case(seed)

@@ -141,6 +141,11 @@ def as_yaml(folder, document):
     return folder / "d.yaml"
 
 
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory):
+    return as_yaml(tmp_path_factory.mktemp("good"), SCENARIO)
+
+
 def changed(document, place, value):
     """The document with one part replaced."""
     spoilt = copy.deepcopy(document)
@@ -151,7 +156,7 @@ def changed(document, place, value):
     return spoilt
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(document=damaged(SCENARIO))
 @example(document=changed(SCENARIO, ("dock", "pose", 0), 10**400))
 @example(document=changed(SCENARIO, ("obstacles", 0, 0, 0), 10**400))
@@ -160,7 +165,7 @@ def test_any_scenario(folder, document):
     assert isinstance(outcome(load_scenario, as_yaml(folder, document)), Scenario | None)
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(document=damaged(PLAN))
 @example(document=changed(PLAN, ("path", "segments", 0, "curvature", 1), 4.6e18))
 def test_any_plan(folder, document):
@@ -176,23 +181,23 @@ def test_any_plan(folder, document):
 @example(document=changed(PLAN, ("trajectory", "phases"), None))
 @example(document=changed(PLAN, ("path",), None))
 @example(document=changed(PLAN, ("certificate",), {"min_clearance": 10**400, "length": "long"}))
-def test_any_plan_is_judged(folder, document):
+def test_any_plan_is_judged(folder, scenario, document):
     """The program ends with 0, 2, 3 or 4, and says why it does not end with 0."""
     (folder / "d.json").write_text(json.dumps(document), encoding="utf-8")
-    result = CliRunner().invoke(app, ["certify", str(folder / "d.json"), str(as_yaml(folder, SCENARIO))])
+    result = CliRunner().invoke(app, ["certify", str(folder / "d.json"), str(scenario)])
     assert result.exit_code in (0, 2, 3, 4), result.exception
     assert result.exception is None or isinstance(result.exception, SystemExit)
     assert (result.exit_code == 0) or result.stderr.strip()
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(document=damaged(DOCKS))
 @example(document={"\x1e0": None})
 def test_any_dock_database(folder, document):
     assert isinstance(outcome(load_dock_database, as_yaml(folder, document)), dict | None)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(document=damaged(PARAMS))
 @example(document=changed(PARAMS, ("docking_server", "ros__parameters", "dock_plugins", 0), "\r"))
 @example(document=changed(PARAMS, ("docking_server", "ros__parameters", "c", "staging_x_offset"), 10**400))
@@ -200,7 +205,7 @@ def test_any_nav2_parameter_file(folder, document):
     assert isinstance(outcome(load_nav2_params, as_yaml(folder, document)), Nav2Params | None)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(data=st.binary(max_size=60))
 @pytest.mark.parametrize("load", [load_scenario, load_plan, load_dock_database, load_nav2_params])
 def test_any_bytes(folder, load, data):

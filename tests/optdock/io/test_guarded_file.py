@@ -208,18 +208,25 @@ BOMBS = {
     ),
     "keys": (load_scenario, b"robot: 1\n" + b"".join(b"abcdefgh%d: 1\n" % i for i in range(20_000)), "more faults"),
     "brackets of JSON": (load_plan, b"[" * 1_000_000, "nested too deeply"),
-    "values of JSON": (load_plan, b"[" + b"0," * 15_000_000 + b"0]", "holds more than"),
+    "values of JSON": (load_plan, b"[" + b"0," * 3_000_000 + b"0]", "holds more than"),
     "decompression bomb": (load_image, png(60_000, 60_000, zlib.compress(bytes(1000))), "25000000"),
     "header of a PGM": (load_image, b"P5 4000000000 4000000000 255\n" + bytes(100), "25000000"),
-    "digits of a PGM": (load_image, b"P2 5000 5000 255\n" + b"0 " * 25_000_000, "2000000 pixels"),
+    "digits of a PGM": (load_image, b"P2 5000 5000 255\n" + b"0 " * 3_000_000, "2000000 pixels"),
     "a program": (load_image, b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\nshowpage\n", "is not an image"),
 }
 
 
+LARGEST = {"L": "png", "P": "gif", "I;16": "png", "RGBA": "png"}  # of 25 million pixels, by mode
+
+
 @pytest.fixture(scope="module")
 def exploded(tmp_path_factory):
-    """What became of every bomb."""
+    """What became of every bomb, and of the largest maps."""
     folder, jobs = tmp_path_factory.mktemp("bombs"), []
+    for mode, suffix in LARGEST.items():
+        file = folder / f"{mode[0]}.{suffix}"
+        Image.new(mode, (5000, 5000)).save(file, **({"compress_level": 1} if suffix == "png" else {}))
+        jobs.append((mode, "load_image", str(file)))
     for name, (load, content, _) in BOMBS.items():
         (folder / name).write_bytes(content)
         jobs.append((name, load.__name__, str(folder / name)))
@@ -235,14 +242,11 @@ def test_no_file_takes_more_than_a_second_or_half_a_gigabyte(exploded, name):
     assert megabytes < 500
 
 
-def test_the_largest_map_takes_half_a_gigabyte_at_most(tmp_path):
-    jobs = []
-    for mode, suffix in (("L", "png"), ("P", "gif"), ("I;16", "png"), ("RGBA", "png")):
-        Image.new(mode, (5000, 5000)).save(tmp_path / f"{mode[0]}.{suffix}")
-        jobs.append((mode, "load_image", str(tmp_path / f"{mode[0]}.{suffix}")))
-    for _, megabytes, message in measured(jobs).values():
-        assert message == ""
-        assert megabytes < 500
+@pytest.mark.parametrize("mode", LARGEST)
+def test_the_largest_map_takes_half_a_gigabyte_at_most(exploded, mode):
+    _, megabytes, message = exploded[mode]
+    assert message == ""
+    assert megabytes < 500
 
 
 def test_a_map_that_names_another_file_does_not_print_it(tmp_path):

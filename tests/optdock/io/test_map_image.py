@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -56,6 +56,7 @@ def test_sixteen_bit_pgm_is_big_endian_and_scaled_to_eight(image):
     assert loaded.maxval == 65535
 
 
+@settings(max_examples=25)
 @given(st.integers(1, 65535), st.data())
 def test_other_largest_values_scale_to_the_nearest_grey(tmp_path_factory, maxval, data):
     values = data.draw(st.lists(st.integers(0, maxval), min_size=1, max_size=5))
@@ -173,6 +174,7 @@ def test_missing_images_and_folders_are_named(tmp_path):
         load_grey_image(tmp_path)
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(0, 255), st.booleans())
 def test_no_damaged_png_escapes_as_another_error(tmp_path_factory, place, value, cut):
     content = bytearray(png(np.arange(256, dtype=np.uint8).reshape(16, 16)))

@@ -2,7 +2,7 @@ import logging
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -66,6 +66,7 @@ def slow_occupancy(v, negate, occupied, free, mode):
     return -1 if mode is MapMode.TRINARY else round(100 * (p - free) / (occupied - free))
 
 
+@settings(max_examples=25)
 @given(st.booleans(), st.floats(0, 1), st.floats(0, 1), st.sampled_from(MapMode))
 def test_every_grey_value_follows_map_server(negate, a, b, mode):
     free, occupied = sorted((a, b))

@@ -2,7 +2,7 @@ import contextlib
 from datetime import date
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidFile
@@ -72,6 +72,7 @@ def test_what_only_looks_like_an_exponent_stays_text(document, text):
     assert document(f"a: {text}").value["a"] == text
 
 
+@settings(max_examples=25)
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_every_float_survives(tmp_path_factory, value):
     path = tmp_path_factory.mktemp("yaml") / "a.yaml"
@@ -164,6 +165,7 @@ def test_missing_files_and_folders_are_named(tmp_path):
         load_yaml("a\0b.yaml")
 
 
+@settings(max_examples=25)
 @given(st.binary(max_size=60))
 def test_no_bytes_escape_as_another_error(tmp_path_factory, content):
     path = tmp_path_factory.mktemp("yaml") / "a.yaml"
@@ -194,6 +196,7 @@ WORDS = [
 ]
 
 
+@settings(max_examples=25)
 @given(st.lists(st.sampled_from(WORDS), max_size=12))
 def test_no_yaml_like_text_escapes_as_another_error(tmp_path_factory, words):
     path = tmp_path_factory.mktemp("yaml") / "a.yaml"

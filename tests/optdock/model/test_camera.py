@@ -79,7 +79,7 @@ def test_a_required_view_needs_a_camera():
     assert problem(dataclasses.replace(SEEN, visible_distance=0.0, blind_distance=0.0)).required_view is None
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(place=PLACES, angle=ANGLES)
 def test_a_point_is_inside_exactly_where_bearing_and_distance_are(place, angle):
     camera = Camera(AHEAD, angle, 0.4, 2.5)
@@ -90,7 +90,7 @@ def test_a_point_is_inside_exactly_where_bearing_and_distance_are(place, angle):
         assert (found.smallest[0] > 0.0) == (excess > 0.0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(place=PLACES, angle=ANGLES, move=PLACES)
 def test_margins_change_no_faster_than_the_point_moves(place, angle, move):
     camera = Camera(AHEAD, angle, 0.4, 2.5)
@@ -98,7 +98,7 @@ def test_margins_change_no_faster_than_the_point_moves(place, angle, move):
     assert there >= here - math.hypot(*move) - 1e-12 or here < 0.0
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(place=PLACES, angle=ANGLES)
 def test_the_margin_of_a_point_inside_is_its_distance_from_the_boundary(place, angle):
     camera = Camera(AHEAD, angle)
@@ -112,7 +112,7 @@ def test_the_margin_of_a_point_inside_is_its_distance_from_the_boundary(place, a
         assert inside == pytest.approx(nearest, abs=4e-3)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(x=st.floats(-5, 5), y=st.floats(-5, 5), yaw=st.floats(-4, 4), place=PLACES, turn=st.floats(-3, 3))
 def test_a_point_seen_is_the_point_in_the_frame_of_the_mount(x, y, yaw, place, turn):
     camera = Camera(Pose2(0.3, -0.1, turn), 1.0)

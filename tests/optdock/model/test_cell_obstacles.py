@@ -26,19 +26,19 @@ def painted(rectangles, shape):
     return counts
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(masks)
 def test_rectangles_cover_every_occupied_cell_once_and_nothing_else(mask):
     np.testing.assert_array_equal(painted(cell_rectangles(mask), mask.shape), mask.astype(int))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(masks)
 def test_transposing_the_grid_transposes_the_number_of_rectangles_only(mask):
     assert len(cell_rectangles(mask)) == len(cell_rectangles(mask.T))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(masks)
 def test_merging_never_makes_more_rectangles_than_runs(mask):
     runs = np.count_nonzero(np.diff(mask.astype(int), axis=1, prepend=0) == 1)
@@ -53,7 +53,7 @@ def test_a_wall_is_one_rectangle_and_a_checkerboard_one_per_cell():
     assert len(cell_rectangles(board)) == 18
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(cost_grids, st.booleans())
 def test_the_area_of_the_union_is_the_area_of_the_cells(data, unknown):
     costmap = Costmap(data, 0.05, (-3.7, 1.1))
@@ -87,7 +87,7 @@ def test_the_border_surrounds_the_map_without_covering_it():
     assert len(obstacles_from_costmap(costmap, border=False)) == 0
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(0.0, 6.5), st.integers(-4, 7))
 def test_everything_off_the_map_is_an_obstacle_however_far(x, y, yaw, power):
     """Inside the map the clearance is the distance to its edge; outside it is the exact penetration depth."""
@@ -100,7 +100,7 @@ def test_everything_off_the_map_is_an_obstacle_however_far(x, y, yaw, power):
     assert clearance == pytest.approx(spare, abs=1e-12 + 1e-15 * abs(spare))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(cost_grids, hnp.arrays(int, (2, 2), elements=st.integers(-500, 1500)))
 def test_a_region_gives_the_same_obstacles_inside_it(data, millimetres):
     lower, upper = np.sort(millimetres, axis=0) / 1000.0

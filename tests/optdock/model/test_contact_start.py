@@ -26,7 +26,7 @@ def flush(gap=0.0, ends=1.0, **start):
     """A robot with its right side along a wall that ends ahead of it, in a turned frame."""
     wall = np.array([[-3.0, -0.3 - gap], [ends, -0.3 - gap], [ends, -1.0], [-3.0, -1.0]])
     c, s = math.cos(FRAME.yaw), math.sin(FRAME.yaw)
-    dock = Dock(FRAME @ Pose2(4.0, -2.5, -0.5 * math.pi), direction="forward", final_straight=0.3)
+    dock = Dock(FRAME @ Pose2(3.0, -2.5, -0.5 * math.pi), direction="forward", final_straight=0.3)
     rule = ClearanceRule(0.05, 0.0, 0.5, dock_run=3.0, at_start=0.0)
     return DockingProblem(FRAME, dock, CAR, [wall @ [[c, s], [-s, c]] + [FRAME.x, FRAME.y]], rule, **start)
 

@@ -23,7 +23,7 @@ def test_a_cell_owns_its_lower_and_left_sides():
     assert costmap.cell_of([[0.0, 0.0], [0.5, 0.499], [0.499, 0.5]]).tolist() == [[0, 0], [1, 0], [0, 1]]
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.integers(-50, 50),
     st.integers(-50, 50),

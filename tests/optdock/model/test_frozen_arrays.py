@@ -113,9 +113,11 @@ def frozen_values():
 VALUES = range(25)
 
 
-@functools.cache
+all_frozen_values = functools.cache(frozen_values)
+
+
 def made(which):
-    return frozen_values()[which]
+    return all_frozen_values()[which]
 
 
 def arrays_of(value, seen=None):
@@ -188,6 +190,7 @@ def test_copies_of_a_frozen_value_are_frozen(which, again):
         assert thawed(array) == []
 
 
+@functools.cache
 def modules():
     roots = (optdock, smoothers, checkers)
     return [

@@ -115,7 +115,7 @@ def test_sample_spacing_is_never_exceeded(spacing):
     assert np.max(np.diff(samples.s)) <= spacing * (1.0 + 1e-9)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(-1.0, 3.0))
 def test_poses_are_clipped_to_the_path(s):
     path = two_gears()
@@ -123,7 +123,7 @@ def test_poses_are_clipped_to_the_path(s):
     assert np.allclose(path.poses_at(s), inside)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.integers(0, 500))
 def test_a_fine_polyline_converges_to_its_clothoid(seed):
     rng = np.random.default_rng(seed)

@@ -207,7 +207,7 @@ def test_booleans_are_occupied_or_free():
 
 
 def test_cells_above_the_threshold_are_obstacles():
-    for occupancy in (0, *range(2, 101)):
+    for occupancy in (0, 2, 19, 20, 21, 50, 64, 65, 66, 99, 100):
         grid = np.zeros((4, 4), dtype=np.int8)
         grid[1, 2] = occupancy
         assert (len(boxes(from_grid(grid))) == 1) is (occupancy >= 65)

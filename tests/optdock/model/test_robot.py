@@ -22,7 +22,7 @@ LIMITS = MotionLimits(
 commands = st.builds(Twist2, st.floats(-2.0, 2.0), st.floats(-4.0, 4.0))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_keeps_every_limit(command, drive):
     found = admissible(command, LIMITS, drive)
@@ -35,7 +35,7 @@ def test_an_admissible_command_keeps_every_limit(command, drive):
         assert abs(w) <= 2.0 * abs(v) + 1e-12
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(commands, st.sampled_from(Drive))
 def test_an_admissible_command_stays_as_it_is(command, drive):
     once = admissible(command, LIMITS, drive)
@@ -43,7 +43,7 @@ def test_an_admissible_command_stays_as_it_is(command, drive):
     assert (twice.linear, twice.angular) == pytest.approx((once.linear, once.angular), rel=1e-12, abs=1e-15)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(commands)
 def test_a_differential_drive_keeps_the_curvature(command):
     found = admissible(command, LIMITS)

@@ -43,7 +43,7 @@ def least(gap):
     return max(gap - 0.005, 0.5 * gap)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.floats(0.2, 4.0), st.floats(0.0, 0.1))
 def test_the_start_clearance_suffices_over_twice_the_length_only(length, gap):
     path, problem = along_the_wall(length, gap)
@@ -147,7 +147,7 @@ RULES = st.builds(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(RULES, st.floats(0.0, 0.2), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.1, 2.0))
 def test_the_weaker_rule_is_monotonic_and_never_above_the_strict_one(rule, kept, at, beyond, relief):
     strict, weak = (float(rule.near_start(np.array([at]), kept, run)[0]) for run in (0.0, relief))
@@ -205,7 +205,7 @@ def test_the_slack_is_five_millimetres_or_half_of_the_start_clearance(gap, enoug
     assert dense_check(path, problem, 0.002).ok is (beyond > 0.0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(RULES, st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 def test_a_raised_rule_requires_the_increase_everywhere(rule, kept, more, from_goal, from_start):
     at = np.array([from_goal]), np.array([from_start])

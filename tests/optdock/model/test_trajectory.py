@@ -18,7 +18,7 @@ from optdock.model.trajectory import Trajectory
 phases = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-2.0, 2.0)), min_size=1, max_size=8)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(phases, st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
 def test_speed_and_acceleration_are_the_derivatives_of_distance(pieces, speed, acceleration):
     durations, jerks = map(list, zip(*pieces, strict=True))
@@ -36,7 +36,7 @@ def test_speed_and_acceleration_are_the_derivatives_of_distance(pieces, speed, a
     assert np.allclose(slope[:, 2], middle[:, 3], atol=1e-5 * scale)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(phases, st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))))
 def test_border_states_are_the_motion_under_constant_jerk_phase_by_phase(pieces, start):
     durations, jerks = np.array(pieces).T

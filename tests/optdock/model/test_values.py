@@ -115,7 +115,7 @@ def test_the_clearance_rule_of_the_format():
     assert ClearanceRule(0.05, 0.0, 0.0).required_at(np.array([0.0, 1e-9]), np.ones(2), 1.0) == pytest.approx([0, 0.05])
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0))
 def test_the_requirement_never_falls_with_either_distance(a, b, c, d):
     rule = ClearanceRule(0.05, 0.0, 0.5)
@@ -148,7 +148,7 @@ def test_obstacle_sets_join_keep_names_and_crop():
         ObstacleSet.from_rectangles(np.array([[5.0, 5.0]]), np.array([[5.0, 7.0]]), "map")
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.integers(0, 1000))
 def test_box_distance_agrees_with_shapely(seed):
     rng = np.random.default_rng(seed)

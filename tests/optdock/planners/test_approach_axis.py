@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import NoValidPathCouldBeFound
@@ -45,6 +45,7 @@ def test_start_in_front_of_the_docked_robot_docks_backward():
     np.testing.assert_allclose(axis.point_f, [8.5, 1.0])  # 1.5 m aside: more than the safety distance
 
 
+@settings(max_examples=25)
 @given(st.floats(-math.pi, math.pi), st.floats(0.6, 30.0), st.floats(-20.0, 20.0))
 def test_gear_follows_the_side_of_the_start_in_every_frame(yaw, along, across):
     goal = Pose2(-3.0, 2.0, yaw)

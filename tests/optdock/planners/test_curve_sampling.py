@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled
@@ -26,6 +26,7 @@ def spacing(poses):
 coordinates = st.floats(-5.0, 5.0, allow_subnormal=False)
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=3, unique=True), st.floats(0.01, 2.0))
 def test_neighbours_are_never_farther_apart_than_the_resolution(points, resolution):
     poses = sampler(resolution=resolution).poses(np.array(points), Direction.FORWARD, "a curve")

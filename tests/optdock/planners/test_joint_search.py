@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.planners.two_segment import JointKind, find_joint, interior_angles
@@ -59,6 +59,7 @@ def test_start_on_the_axis_runs_straight_toward_c(x):
     assert along[-1] >= 0.0
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 5.0), st.floats(1e-3, 5.0), st.floats(math.pi / 2, 2.2))
 def test_joints_satisfy_the_rules_of_their_kind(x, y, threshold):
     joint = joint_from(x, y, threshold)
@@ -78,6 +79,7 @@ def test_joints_satisfy_the_rules_of_their_kind(x, y, threshold):
         assert middle[0] >= x - SPACING
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 5.0), st.floats(1e-3, 5.0))
 def test_starts_left_and_right_of_the_axis_join_at_the_same_place(x, y):
     left, right = joint_from(x, y), joint_from(x, -y)
@@ -85,6 +87,7 @@ def test_starts_left_and_right_of_the_axis_join_at_the_same_place(x, y):
     np.testing.assert_array_equal(left.control_points * [1.0, -1.0], right.control_points)
 
 
+@settings(max_examples=25)
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 5.0), st.floats(0.01, 5.0), st.floats(0.0, math.pi))
 def test_interior_angle_is_the_angle_between_the_rays(base, a, b, angle):
     at = np.array([[1.0, 2.0]])

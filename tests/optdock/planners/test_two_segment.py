@@ -83,7 +83,7 @@ def test_every_way_of_joining_has_a_stated_start_in_both_gears(kind, turned):
     assert len(found.path.cusps) == len(gears) - 1
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts())
 def test_path_runs_from_the_start_pose_to_the_goal_pose(start):
     path = plan(start).path
@@ -92,7 +92,7 @@ def test_path_runs_from_the_start_pose_to_the_goal_pose(start):
     assert math.cos(path.end.yaw) == pytest.approx(1.0, abs=1e-12)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts(), st.sampled_from([0.02, 0.05, 0.3]))
 def test_spacing_never_exceeds_the_resolution_and_no_pose_repeats(start, resolution):
     for part in plan(start, resolution=resolution).path.segments:
@@ -107,7 +107,7 @@ def test_resolution_of_a_costmap_replaces_the_parameter():
     assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() <= 0.01
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts())
 def test_headings_follow_the_gear(start):
     # Every step goes ahead (forward) or astern (reverse) of the pose it leaves. Not held: the start, whose yaw the
@@ -134,7 +134,7 @@ def test_straight_start_gives_a_straight_path_of_exact_length(along, goal, sign)
     np.testing.assert_allclose(local[:, 1:], 0.0, atol=1e-6)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts())
 def test_mirrored_problems_have_mirrored_paths(start):
     mirror = np.array([1.0, -1.0, -1.0])
@@ -142,7 +142,7 @@ def test_mirrored_problems_have_mirrored_paths(start):
     assert_same_motion(plan(start).path, other.path, lambda poses: poses * mirror)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts(), frames)
 def test_moving_the_whole_problem_moves_the_path(start, frame):
     found, other = plan(start), plan(frame @ start, frame @ ORIGIN)
@@ -150,7 +150,7 @@ def test_moving_the_whole_problem_moves_the_path(start, frame):
     assert_same_motion(found.path, other.path, moved(frame))
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts())
 def test_robot_turned_around_takes_the_same_way_in_the_other_gear(start):
     found, other = plan(start), plan(Pose2(start.x, start.y, start.yaw + math.pi), TURNED)
@@ -161,7 +161,7 @@ def test_robot_turned_around_takes_the_same_way_in_the_other_gear(start):
     np.testing.assert_allclose(np.cos(other_poses[:, 2] - poses[:, 2]), -1.0, atol=1e-7)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts(), st.floats(-math.pi, math.pi))
 def test_yaw_of_the_start_changes_only_the_first_pose(start, yaw):
     poses, _ = all_poses(plan(start).path)
@@ -170,7 +170,7 @@ def test_yaw_of_the_start_changes_only_the_first_pose(start, yaw):
     np.testing.assert_allclose(np.cos(poses[1:, 2] - others[1:, 2]), 1.0, atol=1e-12)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(starts())
 def test_control_points_and_knots_are_as_specified(start):
     found = plan(start)

@@ -42,7 +42,7 @@ def assert_honest(result, path, limits, zone, start, dense):
         assert result.trajectory is None
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(
     gears=st.lists(st.tuples(st.floats(-2.5, 2.5), CELLS), min_size=1, max_size=3),
     asked=st.tuples(

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.model.constant_jerk import TimeLaw
@@ -36,6 +36,7 @@ def test_crossing_times_invert_the_distance():
     np.testing.assert_allclose(motion.at(motion.crossing_times(s))[0], s, atol=1e-9)
 
 
+@settings(max_examples=25)
 @given(factor=st.floats(1.0, 3.0))
 def test_stretched_motion_scales_speed_and_acceleration(factor):
     motion, slow = Motion.of(MotionState(), PHASES), Motion.of(MotionState(), stretched(PHASES, factor))

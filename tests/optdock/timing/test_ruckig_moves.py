@@ -92,7 +92,7 @@ def test_full_stop_from_above_the_speed_bound():
     assert_reaches(MotionState(), MotionState(1.0), move(MotionState(), MotionState(1.0), BOX))
 
 
-@settings(max_examples=100)
+@settings(max_examples=20)
 @given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
 def test_full_braking_agrees_with_ruckig(speed, deceleration, acceleration, jerk, start):
     box = DriveBounds(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
@@ -151,6 +151,7 @@ def test_missing_ruckig_is_a_plugin_error(monkeypatch):
 STATES = st.tuples(st.floats(0.0, 0.5), st.floats(-0.6, 0.4))
 
 
+@settings(max_examples=25)
 @given(first=STATES, last=STATES, length=st.floats(0.01, 3.0))
 def test_moves_reach_their_target_within_the_bounds(first, last, length):
     start, target = MotionState(0.0, *first), MotionState(length, *last)

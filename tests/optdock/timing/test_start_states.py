@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.model.limits import MotionLimits, SpeedZone
@@ -26,6 +26,7 @@ def along(make):
     return segment_limits(make.spline([3.0], [0.0, 0.0]), SpeedCaps(STRAIGHT_LIMITS, Direction.FORWARD), 9.0, 9.0)
 
 
+@settings(max_examples=25)
 @given(
     v=st.floats(0.2, 0.8),
     a=st.floats(-0.3, 0.4),

@@ -19,7 +19,7 @@ def ratio(limit, v, a, k, r):
 
 
 @orders
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(sizes, sizes, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 def test_ratio_is_a_derivative_and_scales_with_time(order, bound, v, a, k, r):
     limit, h = TurningLimit("", order, bound), 1e-6
@@ -34,7 +34,7 @@ def test_ratio_is_a_derivative_and_scales_with_time(order, bound, v, a, k, r):
 
 
 @orders
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(sizes, sizes, st.floats(0.1, 1.0))
 def test_methods_agree_at_constant_speed(order, bound, rate, share):
     limit, rates = TurningLimit("", order, bound), np.array([rate])
@@ -51,7 +51,7 @@ def test_methods_agree_at_constant_speed(order, bound, rate, share):
 
 
 @orders
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(sizes, sizes, sizes, st.floats(0.01, 0.99))
 def test_the_acceleration_beside_the_curvature_rate_uses_up_the_rest(order, bound, bend, rate, used):
     limit = TurningLimit("", order, bound)
@@ -63,7 +63,7 @@ def test_the_acceleration_beside_the_curvature_rate_uses_up_the_rest(order, boun
 
 
 @orders
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(sizes, st.floats(0.0, 2.0), sizes, sizes, st.floats(0.1, 1.0))
 def test_an_arc_of_constant_jerk_stays_within_its_share(order, bound, v, jerk, bend, share):
     limit = TurningLimit("", order, bound)
@@ -75,7 +75,7 @@ def test_an_arc_of_constant_jerk_stays_within_its_share(order, bound, v, jerk, b
 
 
 @orders
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(sizes, st.floats(-3.0, 3.0), st.floats(0.1, 20.0), sizes, st.floats(0.05, 3.0))
 def test_inevitable_ratio_bounds_every_acceleration(order, bound, k, r, relief, v):
     limit = TurningLimit("", order, bound)

@@ -56,7 +56,7 @@ def least_margin(problem, gear):
     return float(np.min(shapely.distance(bodies, world) - problem.clearance.near_goal(before)))
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(
     st.floats(-1.5, 1.0),
     st.floats(-0.6, 0.6),

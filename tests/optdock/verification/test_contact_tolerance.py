@@ -137,7 +137,7 @@ def test_accepted_poses_have_no_deep_overlap(seed):
     footprint, obstacles = Footprint(star), ObstacleSet.from_polygons(rocks)
     heading, yaw = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.0, 2.0 * np.pi)
     low, high = 0.0, 3.0  # distance from the middle of the rocks along the heading, until just free
-    for _ in range(28):
+    for _ in range(24):
         middle = 0.5 * (low + high)
         pose = Pose2(*(centre + middle * np.array([np.cos(heading), np.sin(heading)])), yaw)
         low, high = (low, middle) if pose_clearance(pose, footprint, obstacles)[0] >= -1e-6 else (middle, high)

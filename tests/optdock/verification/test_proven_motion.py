@@ -165,7 +165,7 @@ def test_pickles_and_copies_have_the_same_content():
 # Ways from where the robot is.
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2), st.floats(0.0, 0.2), st.floats(0.0, 0.03))
 def test_a_robot_next_to_its_path_keeps_the_clearance_on_its_return(across, turned, gap, required):
     """Sampled displaced poses keep the requirement, and the verdict is that of the closed form for a straight wall."""

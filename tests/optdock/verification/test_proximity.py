@@ -1,6 +1,7 @@
 """The clearance of poses: broad phase, exact narrow phase, and cached end clearances."""
 
 import dataclasses
+import functools
 import gc
 import weakref
 
@@ -58,7 +59,7 @@ def convex(rng):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_clearances_of_many_poses_are_those_of_each(seed):
     rng = np.random.default_rng(seed)
@@ -84,22 +85,26 @@ def test_without_obstacles_the_clearance_of_a_pose_is_infinite():
     assert row.tolist() == [-1, -1]
 
 
-@pytest.mark.parametrize("within", [np.inf, 0.3, 2.0])
-def test_clearances_among_many_obstacles_are_those_of_each_alone(within):
-    """Distant obstacles are skipped only if a near one exists."""
+@functools.cache
+def among_many_boxes():
+    """A footprint, 120 boxes, and groups of poses with the distance of each pose from each box alone."""
     rng = np.random.default_rng(5)
     lower = rng.uniform(-20.0, 20.0, (120, 2))
     obstacles = ObstacleSet.from_rectangles(lower, lower + rng.uniform(0.05, 0.6, (120, 2)), "map")
     footprint = Footprint.rectangle(0.4, 0.3, 0.5)
     far = np.array([[60.0, 0.0, 0.3]])
-    for poses in (rng.uniform(-3.0, 3.0, (3, 3)), rng.uniform(-20.0, 20.0, (2, 3)), far):
+    groups = rng.uniform(-3.0, 3.0, (3, 3)), rng.uniform(-20.0, 20.0, (2, 3)), far
+    alone = [obstacles.subset(np.array([k])) for k in range(120)]
+    each = [np.stack([pose_clearances(poses, footprint, one)[0] for one in alone], axis=1) for poses in groups]
+    return footprint, obstacles, list(zip(groups, each, strict=True))
+
+
+@pytest.mark.parametrize("within", [np.inf, 0.3, 2.0])
+def test_clearances_among_many_obstacles_are_those_of_each_alone(within):
+    """Distant obstacles are skipped only if a near one exists."""
+    footprint, obstacles, groups = among_many_boxes()
+    for poses, each in groups:
         found, rows = pose_clearances(poses, footprint, obstacles, within)
-        each = np.array(
-            [
-                [pose_clearances(pose[None], footprint, obstacles.subset(np.array([k])))[0][0] for k in range(120)]
-                for pose in poses
-            ]
-        )
         np.testing.assert_allclose(found, np.minimum(each.min(axis=1), within), atol=1e-12)
         seen = each.min(axis=1) < within
         assert np.array_equal(rows[seen], each.argmin(axis=1)[seen])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.verification import pose_clearance
+from optdock.verification import pose_clearance, pose_clearances
 from optdock.verification.time_of_impact import free_motion
 
 BOX = Footprint.rectangle(0.4, 0.3, 0.5)
@@ -85,7 +85,7 @@ def test_it_agrees_with_dense_sampling(seed, v, w, clearance):
         return
     found = free_motion(BOX, obstacles, ORIGIN, Twist2(v, w), 3.0, clearance)
     times = np.linspace(0.0, 3.0, 121)
-    dense = np.array([pose_clearance(ORIGIN.moved(Twist2(v, w), t), BOX, obstacles)[0] for t in times])
+    dense, _ = pose_clearances(np.stack([ORIGIN.moved(Twist2(v, w), t).as_array() for t in times]), BOX, obstacles)
     assert np.all(dense[times <= found.free] >= clearance - 2e-6)
     if found.row >= 0:
         at_stop = pose_clearance(ORIGIN.moved(Twist2(v, w), found.free), BOX, obstacles)[0]

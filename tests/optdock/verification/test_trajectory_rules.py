@@ -83,7 +83,7 @@ def test_each_limit_is_broken_just_below_the_motion_and_kept_just_above(name):
     assert kinds(motion, dataclasses.replace(OPEN, **{name: 1.002 * peak})) == []
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
     rng = np.random.default_rng(seed)

@@ -193,7 +193,7 @@ def test_motions_that_keep_the_view_are_proven():
     assert proven >= 5
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     x=st.floats(-50, 50),

@@ -38,7 +38,7 @@ def costs_with(dock, occupancy=0, **parameters):
     return layered_costmap(grid, {"static": static, "dock": layer}, Pose2(0.0, 0.0, 0.0), ROBOT)
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(st.floats(1.0, 2.0), st.floats(1.0, 2.0), st.floats(-math.pi, math.pi))
 def test_the_docked_robot_is_free_and_one_beyond_it_is_not(x, y, yaw):
     dock = Dock(Pose2(x, y, yaw), STATION)

@@ -26,6 +26,7 @@ def bresenham(start, end):
     return out
 
 
+@settings(max_examples=25)
 @given(cells)
 def test_lines_are_bresenhams(segments):
     found = cells_of_lines(segments[:, 0], segments[:, 1])
@@ -34,7 +35,7 @@ def test_lines_are_bresenhams(segments):
     assert np.all(np.diff(found.owner) >= 0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(hnp.arrays(float, (3, 2), elements=st.floats(-6, 6, width=32)))
 def test_polygons_meet_the_cells_that_shapely_finds(corners):
     hull = shapely.convex_hull(shapely.MultiPoint(corners))

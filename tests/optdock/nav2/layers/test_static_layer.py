@@ -45,7 +45,7 @@ def test_another_map_replaces_the_first_and_leaves_cells_outside_of_it():
     assert costs_of(GRID, layer).data.tolist() == [[254, 255, 255], [255, 255, 255]]
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.1, 0.13]))
 def test_every_master_cell_takes_the_map_at_its_centre(seed, resolution):
     rng = np.random.default_rng(seed)

@@ -46,7 +46,7 @@ def asked(path, **start):
 GEARS = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-1.0, 1.0)), min_size=1, max_size=5)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(GEARS, st.sampled_from([1.0, -1.0]))
 def test_ends_stay_and_gears_alternate(gears, first):
     path = driven(*((first * (-1.0) ** k * length, bend) for k, (length, bend) in enumerate(gears)))

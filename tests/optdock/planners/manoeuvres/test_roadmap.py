@@ -47,7 +47,7 @@ def offered(problem, most=2):
 
 def test_every_way_is_free_and_leads_from_the_start_into_the_dock_also_mirrored():
     problems = bent(1.0, yaw=1.0), bent(-1.0, yaw=1.0)
-    first, second = ways = [offered(problem) for problem in problems]
+    first, second = ways = [offered(problem, most) for problem, most in zip(problems, (2, 1), strict=True)]
     assert first
     assert first[0].length == pytest.approx(second[0].length, rel=0.02)
     assert len(first[0].cusps) == len(second[0].cusps)
