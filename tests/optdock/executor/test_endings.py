@@ -318,7 +318,7 @@ def with_tube(problem):
 def staged(planning, before, **chosen):
     """A straight drive to the staging pose with a tube of 2 cm."""
     settings, world = ExecutorSettings(**QUICK, **chosen), perfect(Pose2(-2.0, 0.0, 0.0))
-    return run(world, with_tube(problem_with()), settings, rate=25.0, timeout=8.0, before=before, planning=planning)
+    return run(world, with_tube(problem_with()), settings, rate=16.0, timeout=6.0, before=before, planning=planning)
 
 
 def push(executor, world, measurements):
@@ -349,7 +349,7 @@ def test_late_plan_is_not_driven(begins, is_late):
 
 def test_plan_is_checked_against_a_costmap_newer_than_its_job():
     """Both the running and the new motion must be checked against it."""
-    planning, newest = Answering(polls=6), Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-2.0, -2.0))
+    planning, newest = Answering(polls=4), Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-2.0, -2.0))
     pushed = once(driving(0.25), push)
 
     def before(executor, world, measurements):
