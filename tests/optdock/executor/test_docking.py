@@ -76,7 +76,9 @@ def test_noisy_robot_docks_at_a_wrongly_stored_dock(lawful, tmp_path):
 
 @pytest.mark.parametrize("rate", [10.0, 100.0])
 def test_any_rate_docks(rate, lawful):
-    docking = run(simulated(Pose2(-0.2, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), rate=rate)
+    docking = run(
+        simulated(Pose2(-0.3, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), NO_STAGING, rate=rate
+    )
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert abs(docking.world.error.y) <= 0.002
 
@@ -127,7 +129,7 @@ def put_away(executor, world, measurements):
 
 
 def test_obstacle_on_the_path_is_driven_around(lawful):
-    docking = run(simulated(Pose2(-2.5, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
+    docking = run(simulated(Pose2(-2.5, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.said("motion no longer valid")
 
@@ -140,7 +142,7 @@ def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
         build(executor, world, measurements)
         remove(executor, world, measurements)
 
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before)
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before, rate=10.0)
     touch = math.inf if goes else 0.004  # it may drive through the place of the wall
     assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("shorter way")) == goes
@@ -274,7 +276,7 @@ def test_stuck_wheel_ends_the_task(lawful):
     wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.0),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
     settings = ExecutorSettings(
-        max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False, navigate_to_staging_pose=False
+        max_retries=0, dock_approach_timeout=1.0, time_budget=0.1, replanning=False, navigate_to_staging_pose=False
     )
     docking = run(simulated(CLOSE, plant=plant), problem_with(), settings)
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
@@ -364,9 +366,9 @@ def test_undocking_out_of_contact(lawful):
 
 
 def test_staging_from_afar(lawful):
-    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=20.0)
+    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
-    assert docking.steps[25].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
+    assert docking.steps[12].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
 
 
 def test_turn_at_the_end_corrects_the_heading():
@@ -411,7 +413,7 @@ def test_robot_turns_to_detect_a_dock_in_reverse_with_a_front_camera(turns, know
         **sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0
     )
     world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
-    docking = run(world, problem, chosen, before=seen_ahead)
+    docking = run(world, problem, chosen, before=seen_ahead, rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
     assert bool(docking.said("dock not seen from here")) is not knows_camera
     assert max(abs(world.error.x), abs(world.error.y)) < 0.01
