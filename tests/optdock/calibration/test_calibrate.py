@@ -156,7 +156,7 @@ def test_the_stored_dock_is_found(found):
 
 
 def test_a_jump_of_the_localization_is_found():
-    motion = smoothed([drive(seed=seed, jump=(5.0, 0.08)) for seed in (1, 2)])
+    motion = smoothed([drive(seed=seed, duration=5.0, jump=(3.0, 0.08)) for seed in (1, 2)])
     rows = named(localization_errors(motion).quantities)
     assert rows["size of localization jumps"].value == pytest.approx(0.08, abs=0.01)
     contains(rows["localization jumps"], 2 / 17.0)

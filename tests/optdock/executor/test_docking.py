@@ -16,6 +16,7 @@ from optdock.model.camera import Camera
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.problem import DockingProblem
+from optdock.plugins.registry import PluginChoice
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
 from .conftest import LIMITS, PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within
@@ -276,9 +277,10 @@ def test_stuck_wheel_ends_the_task(lawful):
     wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.0),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
     settings = ExecutorSettings(
-        max_retries=0, dock_approach_timeout=1.0, time_budget=0.1, replanning=False, navigate_to_staging_pose=False
+        max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False, navigate_to_staging_pose=False
     )
-    docking = run(simulated(CLOSE, plant=plant), problem_with(), settings)
+    strict = PluginChoice("TrackingController", {"max_yaw_error": 0.4})
+    docking = run(simulated(CLOSE, plant=plant), problem_with(), settings, controller=strict)
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
 
 
