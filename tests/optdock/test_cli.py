@@ -133,6 +133,7 @@ def test_verbose_is_accepted_before_and_after_the_command(caplog):
     command = [sys.executable, "-c", "from optdock.cli import main; main()", "-v", "plan", "bay.yaml"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0
+    assert result.stdout.splitlines()[0].split() == ["status", "certified"]
     logging.getLogger("optdock").setLevel(logging.NOTSET)
     assert run("plan", "bay.yaml", "-v").exit_code == 0
     for said in (result.stderr, "\n".join(caplog.messages)):
@@ -614,17 +615,6 @@ def test_names_with_blanks_and_letters_of_any_language_are_names(tmp_path):
     assert (folder / "図.png").stat().st_size > 1000
 
 
-def test_the_program_itself_exits_like_the_tests_say(tmp_path):
-    """Through a real process: status and streams as a shell sees them."""
-    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
-    command = [sys.executable, "-c", "from optdock.cli import main; main()", "plan", "bay.yaml"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 3
-    assert result.stdout == ""
-    assert result.stderr == FAILURES["start in collision"][2]
-    assert json.loads((tmp_path / "plan.json").read_text())["status"] == "StartOccupied"
-
-
 def test_simulate_says_how_exactly_the_robot_ends():
     write(NEAR, "time_budget: 5.0", "time_budget: 5.0\nsmoother: {stop_at_first: true}")
     first = run("simulate", "bay.yaml", "--out", "run.json", "--seed", "3")
@@ -800,11 +790,14 @@ def test_a_path_driven_against_its_gear_is_refused(planned):
 
 
 def test_a_warning_is_said_once_and_without_the_name_of_a_module():
-    """In a process of its own, whose console nobody has set up."""
+    """In a process of its own, whose console nobody has set up, with status and streams as a shell sees them."""
     occupied = SCENARIO.replace("pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
     write(occupied, "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]", "[[0.4, 0.3], [0.1, 0.3], [0.1, -0.3]]")
     command = [sys.executable, "-c", "from optdock.cli import main; main()", "compare", "bay.yaml", "bay.yaml"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 3
+    assert "StartOccupied" not in result.stderr.splitlines()[0]
+    assert result.stderr.count("StartOccupied: the footprint at the start overlaps obstacles[0] by ") == 2
     warnings = [line for line in result.stderr.splitlines() if "does not contain [0, 0]" in line]
     assert len(warnings) == 1
     assert warnings[0].startswith("warning: bay.yaml: robot.footprint ")

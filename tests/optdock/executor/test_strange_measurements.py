@@ -103,7 +103,9 @@ def test_any_object_is_accepted_as_measurements(given_):
     ids=["no twist", "no pose", "no stamp", "a clock that stands"],
 )
 def test_missing_measurements_end_the_task_with_a_reason(broken, kind, reason):
-    executor = DockingExecutor(problem_with(), ExecutorSettings(navigate_to_staging_pose=False))
+    executor = DockingExecutor(
+        problem_with(), ExecutorSettings(navigate_to_staging_pose=False, localization_timeout=3.0)
+    )
     names, seen = set(), SEEN._replace(pose=Pose2(0.0, 0.0, 0.0).in_frame_of(STAGING))
     for k in range(400):
         well = Measurements(0.05 * k, STAGING, detections=(seen._replace(stamp=0.05 * k),))
