@@ -250,7 +250,7 @@ def test_stall_is_contact_near_the_dock_only(distance, kind):
 @pytest.mark.parametrize("overrun", [0.02, 0.05])
 def test_pressing_without_contact_ends_at_the_overrun(overrun, lawful):
     chosen = ExecutorSettings(**QUICK, contact="touch", contact_overrun=overrun, max_retries=0)
-    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=deaf, planning=StraightPlanning())
+    docking = run(perfect(), problem_with(), chosen, rate=16.0, before=deaf, planning=StraightPlanning())
     assert lawful(docking, touch=overrun + 0.01).kind is EndingKind.FAILED_TO_CONTROL
     assert docking.ending.reason.startswith("no contact: ")
     deepest = docking.world.record().poses[:, 0].max()
@@ -372,7 +372,7 @@ def test_uncertain_dock_is_detected_again(sigma, stops):
         lost.extend([True] if executor.state is State.APPROACHING else [])
         return lose(executor, world, measurements) if lost else None
 
-    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=before, planning=StraightPlanning(), timeout=8.0)
+    docking = run(perfect(), problem_with(), chosen, rate=12.5, before=before, planning=StraightPlanning(), timeout=8.0)
     assert bool(docking.said("detection missing")) is stops
 
 
