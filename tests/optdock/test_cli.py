@@ -1,6 +1,7 @@
 import csv
 import dataclasses
 import json
+import logging
 import pathlib
 import re
 import subprocess
@@ -42,11 +43,20 @@ start: {pose: [1.0, 0.2, 0.4]}
 clearance: {required: 0.05, at_dock: 0.0, taper: 0.5}
 time_budget: 5.0
 """
+NEAR = SCENARIO.replace("pose: [1.0, 0.2, 0.4]", "pose: [2.8, 1.0, 0.0]")
 
 
 @pytest.fixture(autouse=True)
 def in_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def coarse_pictures(monkeypatch):
+    """Few pixels and few frames: what the pictures show is tested in `test_plotting.py`."""
+    for module in ("canvas", "animation"):
+        monkeypatch.setattr(f"optdock.plotting.{module}.DPI", 40)
+    monkeypatch.setattr("optdock.plotting.animation._MOST_FRAMES", 8)
 
 
 def write(text=SCENARIO, old="", new="", name="bay.yaml"):
@@ -100,9 +110,10 @@ def test_every_number_in_the_help_has_its_unit():
             if kind in (float, float | None):
                 numbers[command.callback.__name__, f"--{name.replace('_', '-')}"] = described.metavar
     assert {option for _, option in numbers} >= {"--time-budget", "--spacing", "--period", "--lag", "--yaw-noise"}
+    helps = {command: run(command, "--help").stdout for command, _ in numbers}
     for (command, option), unit in numbers.items():
         assert unit in {"SECONDS", "METRES", "RADIANS"}, (command, option)
-        assert re.search(rf"{option} +{unit}\b", run(command, "--help").stdout), (command, option)
+        assert re.search(rf"{option} +{unit}\b", helps[command]), (command, option)
 
 
 def test_no_help_text_holds_what_markup_would_swallow():
@@ -117,15 +128,17 @@ def test_the_example_in_the_help_of_plan_is_whole():
     assert "optdock plan demo/scenario.yaml --out plan.json --plot plan.png" in words
 
 
-@pytest.mark.parametrize("arguments", [["-v", "plan", "bay.yaml"], ["plan", "bay.yaml", "-v"]])
-def test_verbose_is_accepted_before_and_after_the_command(arguments):
-    """In a process of its own, whose warm-up must not look like a plan."""
+def test_verbose_is_accepted_before_and_after_the_command(caplog):
+    """Once in a process of its own, whose warm-up must not look like a plan."""
     write()
-    command = [sys.executable, "-c", "from optdock.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", "from optdock.cli import main; main()", "-v", "plan", "bay.yaml"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0
-    lengths = re.findall(r"certified: (\S+) m in ", result.stderr)
-    assert lengths == [f"{load_plan('plan.json').path.length:.2f}"]
+    assert result.stdout.splitlines()[0].split() == ["status", "certified"]
+    logging.getLogger("optdock").setLevel(logging.NOTSET)
+    assert run("plan", "bay.yaml", "-v").exit_code == 0
+    for said in (result.stderr, "\n".join(caplog.messages)):
+        assert re.findall(r"certified: (\S+) m in ", said) == [f"{load_plan('plan.json').path.length:.2f}"]
 
 
 def test_plan_says_which_limits_hold_and_which_do_not(planned):
@@ -454,7 +467,7 @@ def test_a_profile_and_an_animation_are_drawn_when_asked_for(tmp_path):
     assert result.exit_code == 0
     assert "yaw rate" in (tmp_path / "profile.svg").read_text()
     assert re.search(r"^written +plan.json, profile.svg$", result.stdout, re.MULTILINE)
-    assert run("simulate", "bay.yaml", "--gif", "run.gif").exit_code == 0
+    assert run("simulate", write(NEAR), "--gif", "run.gif").exit_code == 0
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF89a")
     wrong = run("simulate", "bay.yaml", "--gif", "run.png")
     assert (wrong.exit_code, wrong.stderr) == (2, "--gif: must end in .gif, got run.png\n")
@@ -603,19 +616,8 @@ def test_names_with_blanks_and_letters_of_any_language_are_names(tmp_path):
     assert (folder / "図.png").stat().st_size > 1000
 
 
-def test_the_program_itself_exits_like_the_tests_say(tmp_path):
-    """Through a real process: status and streams as a shell sees them."""
-    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
-    command = [sys.executable, "-c", "from optdock.cli import main; main()", "plan", "bay.yaml"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 3
-    assert result.stdout == ""
-    assert result.stderr == FAILURES["start in collision"][2]
-    assert json.loads((tmp_path / "plan.json").read_text())["status"] == "StartOccupied"
-
-
 def test_simulate_says_how_exactly_the_robot_ends():
-    write(SCENARIO, "time_budget: 5.0", "time_budget: 5.0\nsmoother: {stop_at_first: true}")
+    write(NEAR, "time_budget: 5.0", "time_budget: 5.0\nsmoother: {stop_at_first: true}")
     first = run("simulate", "bay.yaml", "--out", "run.json", "--seed", "3")
     assert first.exit_code == 0, first.output
     document = json.loads(pathlib.Path("run.json").read_text())
@@ -640,7 +642,7 @@ def test_simulate_says_how_exactly_the_robot_ends():
 
 
 def test_a_run_that_does_not_dock_ends_with_status_3():
-    text = SCENARIO + "goal_checker: {plugin: DockGoalChecker, along_tolerance: 0.0}\n"
+    text = NEAR + "goal_checker: {plugin: DockGoalChecker, along_tolerance: 0.0}\n"
     result = run("simulate", write(text), "--out", "run.json")
     assert result.exit_code == 3
     assert result.stderr.startswith("not docked: timeout: ")
@@ -653,7 +655,7 @@ obstacles:
   - [[1.0, 0.0], [5.0, 0.0], [5.0, 0.696], [1.0, 0.696]]
 robot: {footprint: [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]}
 dock: {pose: [4.0, 1.0, 0.0], approach_speed: 0.1, approach_distance: 0.3}
-start: {pose: [1.0, 1.0, 0.0]}
+start: {pose: [2.4, 1.0, 0.0]}
 clearance: 0.0
 time_budget: 5.0
 """
@@ -679,7 +681,7 @@ def test_a_run_that_leaves_what_is_proven_says_so_first_and_ends_with_status_3()
 format: optdock-scenario/1
 robot: {footprint: [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]], tracking: {cross: 0.002, yaw: 0.002}}
 dock: {pose: [4.0, 0.6, 0.0], approach_speed: 0.1, approach_distance: 0.3}
-start: {pose: [1.0, 1.0, 0.0]}
+start: {pose: [1.9, 1.0, 0.0]}
 time_budget: 5.0
 """
     kept = run("simulate", write(text))
@@ -789,11 +791,14 @@ def test_a_path_driven_against_its_gear_is_refused(planned):
 
 
 def test_a_warning_is_said_once_and_without_the_name_of_a_module():
-    """In a process of its own, whose console nobody has set up."""
+    """In a process of its own, whose console nobody has set up, with status and streams as a shell sees them."""
     occupied = SCENARIO.replace("pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
     write(occupied, "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]", "[[0.4, 0.3], [0.1, 0.3], [0.1, -0.3]]")
     command = [sys.executable, "-c", "from optdock.cli import main; main()", "compare", "bay.yaml", "bay.yaml"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 3
+    assert "StartOccupied" not in result.stderr.splitlines()[0]
+    assert result.stderr.count("StartOccupied: the footprint at the start overlaps obstacles[0] by ") == 2
     warnings = [line for line in result.stderr.splitlines() if "does not contain [0, 0]" in line]
     assert len(warnings) == 1
     assert warnings[0].startswith("warning: bay.yaml: robot.footprint ")

@@ -87,7 +87,8 @@ def test_a_plan_picture_shows_everything_there_is(tmp_path, problem, path):
 
 
 def test_a_plan_picture_shows_what_a_failure_left(tmp_path, problem):
-    save_plan_picture(tmp_path / "p.png", problem)
+    """A dollar in its title is no formula."""
+    save_plan_picture(tmp_path / "p.png", problem, title=r"a$b_$x^{ $\frac$")
     colours = colours_in(tmp_path / "p.png")
     assert colours.get(COLOURS["start"], 0) > 20
     assert COLOURS["path"] not in colours
@@ -239,7 +240,7 @@ def test_a_run_picture_is_drawn(tmp_path, problem, run):
 
 def test_an_animation_moves_the_robot_from_start_to_end(tmp_path, problem, run):
     done = []
-    save_animation(tmp_path / "a.gif", problem, 0.2 * run.times, run.poses, lambda i, n: done.append((i, n)))
+    save_animation(tmp_path / "a.gif", problem, 0.1 * run.times, run.poses, lambda i, n: done.append((i, n)))
     with Image.open(tmp_path / "a.gif") as animation:
         frames = animation.n_frames
         pictures = []
@@ -308,11 +309,6 @@ def test_titles_and_legends_stay_inside_every_figure(width, title):
     legend_below(figure, axes)
     entitle(figure, title)
     assert texts_beyond(figure) == []
-
-
-def test_a_dollar_in_a_name_is_no_formula(tmp_path, problem):
-    save_plan_picture(tmp_path / "p.png", problem, title=r"a$b_$x^{ $\frac$")
-    assert (tmp_path / "p.png").stat().st_size > 1000
 
 
 def test_the_view_holds_what_stands_close_by_but_no_more_of_a_long_wall(problem, path):
@@ -384,17 +380,17 @@ def test_the_legend_names_the_greys_of_the_map_that_are_in_view():
     assert not any(label.startswith("map") for label in labels[1])
 
 
-@pytest.mark.parametrize("field", [0.6, 2.0 * np.pi])
-def test_the_picture_shows_the_marker_and_what_the_camera_sees(tmp_path, problem, path, field):
-    camera = Camera(Pose2(-0.3, 0.0, np.pi), field, 0.1, 2.0)
-    robot = dataclasses.replace(problem.robot, camera=camera)
-    dock = dataclasses.replace(problem.dock, marker=(-0.6, 0.0), visible_distance=0.8, blind_distance=0.1)
-    seen = dataclasses.replace(problem, robot=robot, dock=dock)
+def test_the_picture_shows_the_marker_and_what_the_camera_sees(tmp_path, problem, path):
     save_plan_picture(tmp_path / "plain.png", problem, path=path)
-    save_plan_picture(tmp_path / "seen.png", seen, path=path, certificate=certify_path(path, seen))
-    if field < 1.0:
-        refusal = FailedToSmoothPath("view: lost", where={"reason": "view", "s": 2.0, "pose": [0.5, 0.5, 0.0]})
-        save_plan_picture(tmp_path / "lost.png", seen, path=path, refusal=refusal)
+    for field in (0.6, 2.0 * np.pi):
+        camera = Camera(Pose2(-0.3, 0.0, np.pi), field, 0.1, 2.0)
+        robot = dataclasses.replace(problem.robot, camera=camera)
+        dock = dataclasses.replace(problem.dock, marker=(-0.6, 0.0), visible_distance=0.8, blind_distance=0.1)
+        seen = dataclasses.replace(problem, robot=robot, dock=dock)
+        save_plan_picture(tmp_path / f"seen{field:.1f}.png", seen, path=path, certificate=certify_path(path, seen))
+        if field < 1.0:
+            refusal = FailedToSmoothPath("view: lost", where={"reason": "view", "s": 2.0, "pose": [0.5, 0.5, 0.0]})
+            save_plan_picture(tmp_path / "lost.png", seen, path=path, refusal=refusal)
     files = list(tmp_path.iterdir())
     assert len({file.read_bytes() for file in files}) == len(files)
 

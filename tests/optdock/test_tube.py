@@ -49,6 +49,7 @@ def straight_between_walls(gap, tube):
     return Path.from_poses(np.column_stack((x, 0.0 * x, 0.0 * x))), problem
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 0.1), st.floats(0.0, 0.3))
 def test_the_width_is_the_farthest_way_of_a_corner(cross, yaw):
     tube = TrackingTube(cross, yaw)
@@ -145,6 +146,7 @@ def test_the_start_relief_leaves_no_tube_where_nothing_is_to_spare():
     assert tube.width_at(np.array([0.0]))[0] == 0.0
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 1.0), st.floats(-0.05, 0.05), st.floats(-0.1, 0.1))
 def test_a_pose_beside_the_path_is_seen_where_it_is(share, cross, yaw):
     problem, plan = planned()

@@ -24,7 +24,7 @@ DOCK = Pose2(2.0, 0.3, 0.2)
 def drive(  # what is hidden, and what the recording leaves out
     *,
     seed=0,
-    duration=9.0,
+    duration=7.5,
     speed=0.2,
     turning=0.4,
     latency=0.08,

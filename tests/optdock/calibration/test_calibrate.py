@@ -92,7 +92,7 @@ def test_latency_and_lag_are_found(found, drives):
 
 
 def test_dead_bands_are_found_wheel_by_wheel():
-    rows = {one.name: one for one in drive_response([drive(bands=(0.03, 0.05))]).quantities}
+    rows = {one.name: one for one in drive_response([drive(duration=6.0, bands=(0.03, 0.05))]).quantities}
     contains(rows["dead band, left wheel"], 0.03)
     contains(rows["dead band, right wheel"], 0.05)
     assert rows["dead band, right wheel"].half_width < 0.01
@@ -156,7 +156,7 @@ def test_the_stored_dock_is_found(found):
 
 
 def test_a_jump_of_the_localization_is_found():
-    motion = smoothed([drive(seed=seed, jump=(5.0, 0.08)) for seed in (1, 2)])
+    motion = smoothed([drive(seed=seed, duration=5.0, jump=(3.0, 0.08)) for seed in (1, 2)])
     rows = named(localization_errors(motion).quantities)
     assert rows["size of localization jumps"].value == pytest.approx(0.08, abs=0.01)
     contains(rows["localization jumps"], 2 / 17.0)
@@ -174,7 +174,7 @@ def reasons(quantities):
 
 
 def test_a_robot_that_never_turned():
-    one = drive(turning=0.0, seed=3)
+    one = drive(duration=5.0, turning=0.0, seed=3)
     answer, wheels = reasons(drive_response([one]).quantities), reasons(odometry_quantities(smoothed([one]), 0.4))
     assert "no turning commands" in answer["command latency, angular"]
     assert "command latency, linear" not in answer
@@ -183,7 +183,7 @@ def test_a_robot_that_never_turned():
 
 
 def test_a_robot_that_never_moved():
-    found = reasons(calibrate([drive(speed=0.0, turning=0.0)]).quantities)
+    found = reasons(calibrate([drive(duration=5.0, speed=0.0, turning=0.0)]).quantities)
     for name in (
         "command latency, linear",
         "drive lag, angular",
@@ -311,7 +311,8 @@ def test_the_report_has_a_line_for_every_quantity(found):
     assert [one.name for one in found.quantities if one.name not in text] == []
 
 
-def test_the_picture_is_drawn(found, tmp_path):
+def test_the_picture_is_drawn(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("optdock.plotting.canvas.DPI", 50)
     save_calibration_picture(tmp_path / "found.png", found)
     assert (tmp_path / "found.png").stat().st_size > 10_000
     nothing = found._replace(motion=None, localization=None, response=DriveResponse([], []), recordings=())
@@ -370,7 +371,7 @@ def bag_of(path, recording, base="base_link", without=()):
 
 
 def test_a_recording_of_ros_contains_the_same_drive(tmp_path):
-    one = drive(seed=6, duration=3.0, late=0.1)
+    one = drive(seed=6, duration=1.5, late=0.1)
     read = read_recording(bag_of(tmp_path / "drive.mcap", one)).recording
     assert read.commands == pytest.approx(one.commands)
     assert read.times == pytest.approx(one.times, abs=1e-6)

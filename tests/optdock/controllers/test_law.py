@@ -25,7 +25,7 @@ def error_rates(error, reference, command):
     )
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(errors, references)
 def test_the_lyapunov_function_never_grows_in_either_gear(error, reference):
     command = tracking_command(error, reference, GAINS)
@@ -36,7 +36,7 @@ def test_the_lyapunov_function_never_grows_in_either_gear(error, reference):
     assert rate == pytest.approx(-lateral * GAINS.along * error.x**2 - heading * error.yaw**2, abs=1e-9)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(errors, references)
 def test_mirroring_the_error_mirrors_the_command(error, reference):
     there = tracking_command(error, reference, GAINS)
@@ -45,7 +45,7 @@ def test_mirroring_the_error_mirrors_the_command(error, reference):
     assert (back.linear, back.angular) == pytest.approx((there.linear, -there.angular))
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(errors, references)
 def test_reverse_is_forward_seen_from_behind(error, reference):
     there = tracking_command(error, reference, GAINS)

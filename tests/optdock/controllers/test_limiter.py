@@ -18,6 +18,7 @@ LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=1.0, max_yaw_accele
 speeds = st.floats(-1.0, 1.0)
 
 
+@settings(max_examples=25)
 @given(speeds, speeds, st.floats(0.001, 0.5))
 def test_speeding_up_and_slowing_down_have_their_own_bounds(before, wanted, period):
     after = rate_limited(Twist2(before), Twist2(wanted), LIMITS, period).linear

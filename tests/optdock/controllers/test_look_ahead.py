@@ -44,7 +44,7 @@ twists = st.builds(Twist2, st.floats(-0.5, 0.5), st.floats(-1.5, 1.5))
 places = st.lists(st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)), min_size=1, max_size=4)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(twists, st.floats(0.0, 1.5), places)
 def test_it_finds_what_dense_poses_find(twist, duration, places):
     polygons = [box(x, y) for x, y in places]

@@ -242,7 +242,7 @@ class TestFastAndLate:
     """1 m/s, a lag of 0.15 s, a latency of 0.1 s: braking takes longer than the default horizon."""
 
     ROBOT = Robot(FOOTPRINT, MotionLimits(max_speed=1.0, max_reverse_speed=1.0))
-    LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 4.0], [0.0, 0.0])], speed=1.0, acceleration=0.5)
+    LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0])], speed=1.0, acceleration=0.5)
 
     def run(self, **parameters):
         controller = ready(self.LINE, self.ROBOT, **parameters)
@@ -252,9 +252,9 @@ class TestFastAndLate:
     def test_it_brakes_before_the_end(self, monkeypatch):
         run = self.run()
         assert run.docked, run.reason
-        assert run.poses[:, 0].max() < 4.02
+        assert run.poses[:, 0].max() < 3.02
         monkeypatch.setattr(mpc, "braking_time", lambda *_: 0.0)
-        assert self.run().poses[:, 0].max() > 4.05
+        assert self.run().poses[:, 0].max() > 3.05
 
 
 def test_omitting_a_tiny_turn_does_not_slow_down():

@@ -31,7 +31,7 @@ DRIVES = {
     "S": s_curve_drive(START),
     "reverse": s_curve_drive(START, Direction.REVERSE),
     "cusp": cusp_drive(START),
-    "short": rest_to_rest([clothoid(START, [0.0, 0.3, 0.6, 0.9], [0.0, 1.0, -1.0, 0.0])]),
+    "short": rest_to_rest([clothoid(START, [0.0, 0.15, 0.3, 0.45], [0.0, 1.0, -1.0, 0.0])], speed=0.3),
 }
 
 

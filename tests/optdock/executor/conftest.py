@@ -83,7 +83,7 @@ def simulated(start=BEFORE_DOCK, sensors=NOISY, actuation=SLUGGISH, **kwargs):
     return SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=sensors, obstacles=station, **kwargs)
 
 
-def run(world, problem=None, settings=None, *, rate=20.0, timeout=90.0, before=None, **kwargs):
+def run(world, problem=None, settings=None, *, rate=12.5, timeout=90.0, before=None, **kwargs):
     """Run executor and world until the task ends; `before` may change both, and the measurements."""
     executor = DockingExecutor(problem or problem_with(Pose2(0.03, -0.05, 0.03)), settings, **kwargs)
     times, steps, events, measurements = [], [], [], world.measurements

@@ -94,7 +94,7 @@ def test_occupied_staging_pose_is_replaced_by_the_next(lawful):
     for name, obstacles, kind in (("two", (BOX,), TWO), ("one", (BOX,), "SimpleDock")):
         world = simulated(ORIGIN, sensors=PERFECT, actuation=Actuation())
         chosen = ExecutorSettings(
-            staging_distance=0.9, obstacle_patience=0.1, use_detections=False, replanning=False, time_budget=0.2
+            staging_distance=0.9, obstacle_patience=0.1, use_detections=False, replanning=False, time_budget=0.1
         )
         docking = run(world, problem_with(TRUE_DOCK, obstacles), chosen, task="undock", dock_type=kind)
         lawful(docking)
@@ -217,7 +217,7 @@ cycles = st.lists(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(cycles, st.sampled_from(["distance", "touch"]), st.none() | st.floats(0.0, 1.0))
 def test_contact_of_the_simple_dock(told, contact, charging_current):
     """Signals by switch or current; stalls, compared with an independent count of their duration."""

@@ -16,11 +16,13 @@ from optdock.model.camera import Camera
 from optdock.model.costmap import Costmap
 from optdock.model.dock import Dock, DockTolerances
 from optdock.model.problem import DockingProblem
+from optdock.plugins.registry import PluginChoice
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
 from .conftest import LIMITS, PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within
 
 NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
+CLOSE = Pose2(-0.75, 0.02, 0.0)
 
 
 def pushed(aside):
@@ -53,7 +55,7 @@ def test_noisy_robot_docks_at_a_wrongly_stored_dock(lawful, tmp_path):
     push, planning = once(within(0.85), pushed(0.025)), Listening()
     with LogWriter(tmp_path / "docking.log") as log:
         world = simulated(Pose2(-1.5, 0.15, 0.1), seed=1)
-        docking = run(world, settings=NO_STAGING, log=log, before=push, planning=planning)
+        docking = run(world, settings=NO_STAGING, log=log, before=push, planning=planning, rate=20.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     error = docking.world.error
     assert abs(error.x) <= 0.01
@@ -75,7 +77,9 @@ def test_noisy_robot_docks_at_a_wrongly_stored_dock(lawful, tmp_path):
 
 @pytest.mark.parametrize("rate", [10.0, 100.0])
 def test_any_rate_docks(rate, lawful):
-    docking = run(simulated(Pose2(-0.4, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), rate=rate)
+    docking = run(
+        simulated(Pose2(-0.3, 0.0, 0.02), sensors=PERFECT, actuation=Actuation()), problem_with(), NO_STAGING, rate=rate
+    )
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert abs(docking.world.error.y) <= 0.002
 
@@ -126,7 +130,7 @@ def put_away(executor, world, measurements):
 
 
 def test_obstacle_on_the_path_is_driven_around(lawful):
-    docking = run(simulated(Pose2(-2.5, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
+    docking = run(simulated(Pose2(-2.5, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.said("motion no longer valid")
 
@@ -139,7 +143,7 @@ def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
         build(executor, world, measurements)
         remove(executor, world, measurements)
 
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before)
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before, rate=10.0)
     touch = math.inf if goes else 0.004  # it may drive through the place of the wall
     assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("shorter way")) == goes
@@ -149,7 +153,7 @@ def test_detour_around_a_wall_ends_when_the_wall_has_gone(goes, lawful):
 @pytest.mark.parametrize(("ahead", "staging"), [(1.7, 2.4), (1.0, 0.8)], ids=["before the wall", "beyond the wall"])
 def test_robot_stays_at_rest_while_the_dock_is_blocked(ahead, staging, lawful):
     settings = ExecutorSettings(
-        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=staging, max_retries=1
+        navigate_to_staging_pose=False, obstacle_patience=0.5, time_budget=0.1, staging_distance=staging, max_retries=1
     )
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, ahead))
     ending = lawful(docking)
@@ -238,12 +242,12 @@ def test_held_robot_stands_and_continues_when_released(distance, lawful):
             held.append(world.time)
         return measurements._replace(held=bool(held) and world.time < held[0] + 8.0)
 
-    docking = run(simulated(seed=4), before=before)
+    docking = run(simulated(CLOSE, seed=4), settings=NO_STAGING, before=before, rate=10.0)
     ending = lawful(docking)
     assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert ending.num_retries == 0
     waiting = [step.command for step in docking.steps if step.state is State.HELD]
-    assert len(waiting) > 6.0 * 20.0
+    assert len(waiting) > 6.0 * 10.0
     assert set(waiting) == {Twist2()}
     assert len(docking.said("held")) == 1
 
@@ -272,8 +276,11 @@ def test_undocking_from_beyond_the_docked_pose(lawful, deep):
 def test_stuck_wheel_ends_the_task(lawful):
     wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.0),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
-    settings = ExecutorSettings(max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False)
-    docking = run(simulated(plant=plant), settings=settings)
+    settings = ExecutorSettings(
+        max_retries=0, dock_approach_timeout=2.0, time_budget=0.1, replanning=False, navigate_to_staging_pose=False
+    )
+    strict = PluginChoice("TrackingController", {"max_yaw_error": 0.4})
+    docking = run(simulated(CLOSE, plant=plant), problem_with(), settings, controller=strict)
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
 
 
@@ -288,7 +295,7 @@ def test_late_cycles_and_a_clock_that_goes_back(lawful):
         detections = tuple(d._replace(stamp=d.stamp - ago) for d in measurements.detections)
         return measurements._replace(stamp=measurements.stamp - ago, detections=detections)
 
-    docking = run(simulated(sensors=PERFECT), before=before)
+    docking = run(simulated(CLOSE, sensors=PERFECT), problem_with(), NO_STAGING, before=before)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("clock went back")) == len(docking.said("late cycle")) == 1
 
@@ -300,7 +307,7 @@ def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
         lose(executor, world, measurements)
         return measurements._replace(pose=None, detections=()) if world.time < getattr(world, "until", 0.0) else None
 
-    docking = run(simulated(sensors=PERFECT), before=before)
+    docking = run(simulated(CLOSE, sensors=PERFECT), problem_with(), NO_STAGING, before=before)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert State.WAITING_FOR_POSE in docking.states
 
@@ -317,15 +324,15 @@ def test_old_costmap_stops_the_robot(lawful, silence, kind):
         silent(executor, world, measurements)
         return measurements if world.time < getattr(world, "until", 0.0) else measurements._replace(costmap=empty)
 
-    settings = ExecutorSettings(costmap_patience=0.4, costmap_timeout=3.0)
-    docking = run(simulated(sensors=PERFECT), settings=settings, before=before)
+    settings = ExecutorSettings(costmap_patience=0.4, costmap_timeout=3.0, navigate_to_staging_pose=False)
+    docking = run(simulated(CLOSE, sensors=PERFECT), problem_with(), settings, before=before)
     assert lawful(docking).kind is kind
     assert State.WAITING_FOR_COSTMAP in docking.states
     assert docking.said("no costmap")
     still = [step.command == Twist2() for step in docking.steps if step.state is State.WAITING_FOR_COSTMAP]
     assert all(still)
     if silence < 3.0:
-        unlimited = run(simulated(sensors=PERFECT), before=before, timeout=6.0)
+        unlimited = run(simulated(CLOSE, sensors=PERFECT), problem_with(), NO_STAGING, before=before, timeout=6.0)
         assert State.WAITING_FOR_COSTMAP not in unlimited.states
 
 
@@ -361,9 +368,9 @@ def test_undocking_out_of_contact(lawful):
 
 
 def test_staging_from_afar(lawful):
-    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=20.0)
+    docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
-    assert docking.steps[25].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
+    assert docking.steps[12].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
 
 
 def test_turn_at_the_end_corrects_the_heading():
@@ -408,7 +415,7 @@ def test_robot_turns_to_detect_a_dock_in_reverse_with_a_front_camera(turns, know
         **sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0
     )
     world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
-    docking = run(world, problem, chosen, before=seen_ahead)
+    docking = run(world, problem, chosen, before=seen_ahead, rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
     assert bool(docking.said("dock not seen from here")) is not knows_camera
     assert max(abs(world.error.x), abs(world.error.y)) < 0.01

@@ -20,6 +20,7 @@ def process():
     found.close()
     assert found.pid is None
     assert "closed" in found.planned(job(1)).reason
+    assert not found.wait_until_warm(0.0)
 
 
 def job(number, obstacles=(), **kwargs):
@@ -51,26 +52,19 @@ def test_error_has_reason_and_code(process):
 
 
 def test_a_process_that_is_killed_fails_its_job_and_is_replaced(process):
+    """The replacement is killed before it is warm, and is replaced as well."""
     before = process.pid
     os.kill(before, signal.SIGKILL)
     failed = process.planned(job(4))
     assert failed.outcome is Outcome.FAILED
     assert "exit code -9" in failed.reason
-    assert process.pid != before
+    second = process.pid
+    assert second != before
+    os.kill(second, signal.SIGKILL)
+    assert not process.wait_until_warm()
+    assert process.wait_until_warm()
+    assert process.pid != second
     planning = ThreadPlanning(process.planned)
     planning.submit(job(5))
     assert planning._result.result(timeout=60.0).outcome is Outcome.NEW
     planning.close()
-
-
-def test_a_process_that_dies_before_it_is_warm_is_replaced():
-    process = PlanningProcess()
-    try:
-        before = process.pid
-        os.kill(before, signal.SIGKILL)
-        assert not process.wait_until_warm()
-        assert process.wait_until_warm()
-        assert process.pid != before
-    finally:
-        process.close()
-    assert not process.wait_until_warm(0.0)

@@ -319,7 +319,15 @@ WHOLE = field_messages()
 
 
 def without(*topics):
-    return [message for message in WHOLE if message.topic not in topics]
+    return [message for message in WHOLE if message.topic not in topics] if topics else WHOLE
+
+
+@pytest.fixture(scope="module")
+def whole_bag(tmp_path_factory):
+    """The bytes of the recording of `WHOLE`."""
+    target = tmp_path_factory.mktemp("whole") / "field.mcap"
+    write_bag(target, WHOLE)
+    return target.read_bytes()
 
 
 def instead(topic, message):
@@ -375,8 +383,11 @@ WRONG_OPTIONS = [
         *((without(), options, message) for options, message in WRONG_OPTIONS),
     ],
 )
-def test_errors_of_a_recording_name_file_and_topic(messages, options, message):
-    write_bag("field.mcap", messages)
+def test_errors_of_a_recording_name_file_and_topic(whole_bag, messages, options, message):
+    if messages is WHOLE:
+        Path("field.mcap").write_bytes(whole_bag)
+    else:
+        write_bag("field.mcap", messages)
     result = run("import", "bag", "field.mcap", "-o", "out", *options.split())
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1
@@ -384,11 +395,9 @@ def test_errors_of_a_recording_name_file_and_topic(messages, options, message):
     assert not Path("out").exists()
 
 
-def test_a_damaged_recording_is_named():
+def test_a_damaged_recording_is_named(whole_bag):
     Path("text.mcap").write_text("no recording\n" * 10)
-    write_bag("cut.mcap", WHOLE)
-    whole = Path("cut.mcap").read_bytes()
-    Path("cut.mcap").write_bytes(whole[: len(whole) // 3])
+    Path("cut.mcap").write_bytes(whole_bag[: len(whole_bag) // 3])
     Path("notes.txt").write_text("hello\n")
     Path("folder").mkdir()
     for name in ("text.mcap", "cut.mcap", "notes.txt", "folder", "none.mcap"):

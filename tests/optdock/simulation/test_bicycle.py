@@ -37,6 +37,7 @@ def drive(plant, commands, state=None, duration=0.02):
     return state
 
 
+@settings(max_examples=25)
 @given(st.floats(-1.0, 1.0), st.floats(-0.59, 0.59), st.lists(st.floats(0.001, 0.2), min_size=1, max_size=10))
 def test_constant_steering_angle_drives_an_exact_circle(v, angle, durations):
     state = car().at_rest(ORIGIN)
@@ -121,6 +122,7 @@ def test_slip_of_a_car():
     assert (end.pose.x, end.pose.y) == pytest.approx((0.45, 0.025))
 
 
+@settings(max_examples=25)
 @given(st.floats(0.1, 1.0), st.floats(-0.5, 0.5))
 def test_initial_motion_continues_until_a_command_arrives(v, angle):
     plant = car(0.5, Actuation(latency=0.1), gain=1.1, offset=0.02)

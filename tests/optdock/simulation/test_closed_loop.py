@@ -36,6 +36,7 @@ SLUGGISH = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.05)
 
 
 def run(trajectory, settings=None, **parameters):
+    settings = settings or SimulationSettings(period=0.04)
     checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
     return run_closed_loop(trajectory, ROBOT, trajectory.path.end, TrackingController(**parameters), checker, settings)
 
@@ -43,13 +44,13 @@ def run(trajectory, settings=None, **parameters):
 @pytest.mark.parametrize("name", DRIVES)
 class TestEveryDrive:
     def test_perfect_robot_tracks_to_a_tenth_of_a_millimetre(self, name):
-        found = run(DRIVES[name])
+        found = run(DRIVES[name], SimulationSettings())
         assert found.docked, found.reason
         assert np.all(np.abs(found.errors) < 1e-4)
         assert np.hypot(found.final_error.x, found.final_error.y) < 0.003
 
     def test_recovers_from_an_offset_at_the_start(self, name):
-        found = run(DRIVES[name], SimulationSettings(start=START @ Pose2(-0.03, 0.04, 0.1)))
+        found = run(DRIVES[name], SimulationSettings(period=0.04, start=START @ Pose2(-0.03, 0.04, 0.1)))
         assert found.docked, found.reason
         assert abs(found.final_error.y) < 0.001
         assert abs(found.final_error.yaw) < math.radians(0.1)
@@ -57,7 +58,7 @@ class TestEveryDrive:
 
 @pytest.mark.parametrize("name", ["reverse s curve", "cusp"])
 def test_lag_and_noise_leave_millimetres_with_preview(name):
-    world = SimulationSettings(actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.003, seed=4)
+    world = SimulationSettings(period=0.04, actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.003, seed=4)
     found = run(DRIVES[name], world, preview=0.15)
     assert found.docked, found.reason
     along, cross, _ = np.abs(late(found, DRIVES[name], 0.15)).max(axis=0)
@@ -72,7 +73,7 @@ def test_lag_and_noise_leave_millimetres_with_preview(name):
     [("s curve", 0.93, 1.1), ("cusp", 1.07, 0.9), ("cusp", 0.95, 1.07)],
 )
 def test_feedback_compensates_gain_errors(name, linear, angular):
-    world = SimulationSettings(actuation=Actuation(linear_gain=linear, angular_gain=angular))
+    world = SimulationSettings(period=0.04, actuation=Actuation(linear_gain=linear, angular_gain=angular))
     found = run(DRIVES[name], world)
     assert found.docked, found.reason
     assert abs(found.final_error.y) < 0.002
@@ -89,7 +90,12 @@ def test_feedback_compensates_gain_errors(name, linear, angular):
 )
 def test_docks_from_any_small_offset_with_noise(name, along, cross, yaw, seed):
     world = SimulationSettings(
-        start=START @ Pose2(along, cross, yaw), actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.002, seed=seed
+        period=0.04,
+        start=START @ Pose2(along, cross, yaw),
+        actuation=SLUGGISH,
+        position_noise=0.002,
+        yaw_noise=0.002,
+        seed=seed,
     )
     found = run(DRIVES[name], world)
     assert found.docked, found.reason
@@ -98,7 +104,7 @@ def test_docks_from_any_small_offset_with_noise(name, along, cross, yaw, seed):
 
 
 def test_preview_compensates_the_delay():
-    world = SimulationSettings(actuation=SLUGGISH)
+    world = SimulationSettings(period=0.04, actuation=SLUGGISH)
     drive = DRIVES["s curve"]
     without, with_preview = (np.abs(late(run(drive, world, preview=p), drive, p)).max(axis=0) for p in (0.0, 0.15))
     assert np.all(with_preview < 0.2 * without)
@@ -116,7 +122,7 @@ def overshoot(found):
 
 
 def test_unknown_delay_is_estimated_before_the_dock():
-    world, drive = SimulationSettings(actuation=SLUGGISH), DRIVES["s curve"]
+    world, drive = SimulationSettings(period=0.04, actuation=SLUGGISH), DRIVES["s curve"]
     at_rest = DockGoalChecker(along_tolerance=0.005, cross_tolerance=0.01)
     found = {
         preview: run_closed_loop(drive, ROBOT, drive.path.end, TrackingController(preview=preview), at_rest, world)
@@ -148,7 +154,7 @@ def test_robot_at_its_largest_speed_brakes_in_time_with_lag(looks_at_its_room, m
 
 @pytest.mark.parametrize("offset", [Pose2(-0.05, 0.05, 0.1), Pose2(0.0, 0.12, 0.0)])
 def test_robot_off_its_start_drives_every_gear(offset):
-    found = run(DRIVES["cusp"], SimulationSettings(start=START @ offset))
+    found = run(DRIVES["cusp"], SimulationSettings(period=0.04, start=START @ offset))
     cusp = DRIVES["cusp"].path.pose_at(DRIVES["cusp"].path.cusps[0])
     assert min(cusp.distance_to(Pose2.from_sequence(pose)) for pose in found.poses) < 0.02
     assert found.docked, found.reason
@@ -172,7 +178,7 @@ def test_collision_is_a_fault_of_a_docked_run():
     for aside in (-0.001, -0.035):
         post = Footprint.rectangle(0.03, 0.03, 0.06)
         obstacles = ObstacleSet.from_footprint(post, side @ Pose2(0.0, aside, 0.0), "post")
-        found = run(drive, SimulationSettings(obstacles=obstacles))
+        found = run(drive, SimulationSettings(period=0.04, obstacles=obstacles))
         assert found.docked
         assert found.collided is bool(found.fault)
         faults.append(found.fault)
@@ -181,9 +187,10 @@ def test_collision_is_a_fault_of_a_docked_run():
 
 
 def test_reversed_runs_equal_forward_runs():
-    there = run(s_curve_drive(Pose2(0.0, 0.0, 0.0)), SimulationSettings(start=Pose2(0.0, 0.03, 0.1)))
+    there = run(s_curve_drive(Pose2(0.0, 0.0, 0.0)), SimulationSettings(period=0.04, start=Pose2(0.0, 0.03, 0.1)))
     back = run(
-        s_curve_drive(Pose2(0.0, 0.0, math.pi), Direction.REVERSE), SimulationSettings(start=Pose2(0.0, 0.03, 3.2416))
+        s_curve_drive(Pose2(0.0, 0.0, math.pi), Direction.REVERSE),
+        SimulationSettings(period=0.04, start=Pose2(0.0, 0.03, 3.2416)),
     )
     assert there.docked
     assert back.docked
@@ -193,7 +200,7 @@ def test_reversed_runs_equal_forward_runs():
 
 def test_equal_seeds_give_equal_runs_and_others_differ():
     def commands(seed):
-        world = SimulationSettings(position_noise=0.002, yaw_noise=0.002, seed=seed, timeout=1.5)
+        world = SimulationSettings(position_noise=0.002, yaw_noise=0.002, seed=seed, timeout=1.1)
         return run(DRIVES["straight"], world).commands
 
     assert np.array_equal(commands(7), commands(7))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -29,6 +29,7 @@ def drive_on(plant, state, commands):
     return state
 
 
+@settings(max_examples=25)
 @given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.lists(st.floats(0.001, 0.2), min_size=1, max_size=12))
 def test_a_constant_command_drives_the_exact_arc_at_any_periods(v, w, durations):
     plant, state = DifferentialDrive(ROBOT), DifferentialDrive(ROBOT).at_rest(ORIGIN)
@@ -42,12 +43,14 @@ def test_a_constant_command_drives_the_exact_arc_at_any_periods(v, w, durations)
         assert end.x == pytest.approx(0.8 * v, abs=1e-6)
 
 
+@settings(max_examples=25)
 @given(st.floats(-2.0, 2.0), st.floats(-1e-6, 1e-6))
 def test_an_arc_is_continuous_where_it_becomes_straight(v, w):
     bent, straight = ORIGIN.moved(Twist2(v, w), 1.0), ORIGIN.moved(Twist2(v, 0.0), 1.0)
     assert bent.distance_to(straight) < 2e-6
 
 
+@settings(max_examples=25)
 @given(st.floats(0.01, 1.0), st.floats(0.001, 0.1))
 def test_lag_follows_the_exponential_and_its_integral(lag, substep):
     plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=0.3, longest_substep=substep))
@@ -83,6 +86,7 @@ def test_latency_shifts_the_motion_in_time(latency):
     assert drive(late, commands).pose.as_array() == pytest.approx(expected.as_array(), abs=1e-12)
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 0.15), st.lists(st.floats(0.002, 0.12), min_size=1, max_size=10), st.floats(0.0, 0.3))
 def test_the_motion_is_independent_of_the_durations_of_the_steps(latency, durations, lag):
     plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, latency=latency, longest_substep=0.001))
@@ -119,11 +123,13 @@ def test_gains_scale_the_velocity():
 
 
 class TestWheels:
+    @settings(max_examples=25)
     @given(st.floats(-1.0, 1.0), st.floats(-2.0, 2.0))
     def test_perfect_wheels_follow_the_command(self, v, w):
         end = drive(DifferentialDrive(ROBOT, wheels=Wheels(0.4)), [Twist2(v, w)])
         assert (end.twist.linear, end.twist.angular) == pytest.approx((v, w), abs=1e-12)
 
+    @settings(max_examples=25)
     @given(st.floats(0.8, 1.2), st.floats(0.8, 1.2), st.floats(-1.0, 1.0), st.floats(-2.0, 2.0))
     def test_encoders_do_not_show_wrong_radii(self, left, right, v, w):
         end = drive(DifferentialDrive(ROBOT, wheels=Wheels(0.4, left, right)), [Twist2(v, w)])
@@ -175,7 +181,7 @@ class TestSlip:
     def test_the_noise_has_the_given_sigma_and_correlation_time(self, duration):
         slip = Slip(drift_sigma=0.05)
         plant, state, lateral = DifferentialDrive(ROBOT, slip=slip), None, []
-        for _ in range(round((200.0 if duration < 0.1 else 400.0) / duration)):
+        for _ in range(round((100.0 if duration < 0.1 else 400.0) / duration)):
             state = plant.step(state or plant.at_rest(ORIGIN), Twist2(1.0), duration)
             lateral.append(state.twist.lateral)
         found = np.array(lateral[50:])

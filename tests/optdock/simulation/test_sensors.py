@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
@@ -61,6 +61,7 @@ class TestOdometry:
         assert (np.mean(linear), np.mean(angular)) == pytest.approx((0.33, 0.45), abs=2e-3)
         assert (np.std(linear), np.std(angular)) == pytest.approx((0.01, 0.02), rel=0.05)
 
+    @settings(max_examples=25)
     @given(st.floats(-0.5, 0.5), st.floats(-1.0, 1.0), st.floats(0.01, 0.1))
     def test_ticks_sum_up_to_the_distance(self, v, w, period):
         sensor = Odometry(tick=0.001, track_width=0.4)

@@ -119,7 +119,7 @@ def test_closed_loop_equals_a_loop_over_the_simulated_robot():
         trajectory.path.end,
         TrackingController(),
         checker,
-        SimulationSettings(actuation=PLANT.actuation),
+        SimulationSettings(period=0.04, actuation=PLANT.actuation),
     )
     first, controller = trajectory.at(0.0), TrackingController()
     controller.set_path(trajectory)
@@ -128,7 +128,7 @@ def test_closed_loop_equals_a_loop_over_the_simulated_robot():
     for _ in range(len(run.times) - 1):
         now = robot.measurements
         command = controller.compute_velocity_commands(now.pose, now.twist, checker, stamp=now.stamp)
-        robot.advance(command, 0.02)
+        robot.advance(command, 0.04)
     assert robot.record().poses == pytest.approx(run.poses, abs=1e-9)
     assert robot.record().commands == pytest.approx(run.commands, abs=1e-9)
 
