@@ -44,12 +44,12 @@ class _Accepted(NamedTuple):
 
 
 class DockGoalChecker(GoalChecker):
-    """Reached when the robot is at rest in the dock, with its heading.
+    """Goal checker that accepts a robot at rest in the dock, with the dock's heading.
 
     The axis is the heading of the goal, so the shape of the remaining path has no influence. The errors along and
     across, the heading and (if `stopped`) rest must be accepted in the same call, inclusively. When stateful, an
-    arrival stays until `reset`, also with noise in the measured pose. A tolerance that is not given is that of the
-    dock of the configured problem, else the default of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
+    accepted arrival stays accepted until `reset`, even with noise in the measured pose. Missing tolerances are those of
+    the dock of the configured problem, or else the defaults of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = DockGoalChecker(along_tolerance=0.01)
@@ -87,7 +87,7 @@ class DockGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """Along in x, across in y, heading, and the speeds at rest."""
+        """The tolerances along (in x), across (in y) and of the heading, and the speeds at rest."""
         p, accepted = self.parameters, self._accepted
         return Tolerances(
             x=accepted.along,

@@ -1,4 +1,4 @@
-"""AdaptiveToleranceGoalChecker: a fine radius at once, a coarse one without progress."""
+"""AdaptiveToleranceGoalChecker: a fine radius, and a coarse one for a robot without progress."""
 
 from __future__ import annotations
 

@@ -24,10 +24,10 @@ _NOISE = (  # in the order of the fields of `Noise`, and whether it is a slope o
 )
 _SLIPPED = 0.012  # [s]: 3 mm at 0.25 m/s, of slip that begins or ends within a cell of the smoothed motion
 _LEAST_RANGES = 0.3  # [m]
-_MOST_MISSED = 3  # frames without a detection over the last centimetres that may be chance
+_MOST_MISSED = 3  # frames without a detection over the last centimetres that may be missing by chance
 _NEAR = 0.5  # [m] beyond the nearest detection, where the share of frames with a detection is counted
 _CHANCE = 0.05
-_AS_NEAR = 0.01  # [m]: a detection this near to where the robot stopped means that it was not blind
+_AS_NEAR = 0.01  # [m]: a detection within this distance of the final place means that the detector was not blind there
 
 
 def detection_quantities(motion: RecordedMotion) -> list[Quantity]:

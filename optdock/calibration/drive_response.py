@@ -5,7 +5,7 @@ The commanded speed is delayed by the latency and then followed with a time cons
     speed' = (gain * command(t - latency) - speed) / lag,
 
 and the distance travelled between two poses of the odometry is compared with the measured one. The latency of single
-commands is taken as uniformly distributed about its mean. As this smooths the response like the lag, the spread is
+commands is taken as uniformly distributed about its mean. The spread smooths the response like the lag does, so it is
 estimated too.
 """
 
@@ -44,7 +44,7 @@ _WHEELS = (("left", -1.0), ("right", 1.0))
 
 
 class DriveResponse(NamedTuple):
-    """Estimates of the drive, and its response for the picture.
+    """Estimates of the drive, and the data of its response for the picture.
 
     Attributes:
         quantities: Latency and lag, linear and angular; dead bands.
@@ -64,7 +64,7 @@ class _Axis(NamedTuple):
     stamps: FloatArray
     way: FloatArray
     first: IntArray  # rows of `stamps` at the beginning of each span
-    last: IntArray  # and at the end
+    last: IntArray  # rows at the end of each span
 
 
 def drive_response(recordings: Sequence[Recording]) -> DriveResponse:

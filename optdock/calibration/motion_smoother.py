@@ -41,8 +41,8 @@ __all__ = [
 
 _CELL = 0.2  # [s]: slip is rarely shorter
 _LEAST_WAY = 1e-3  # [m] in a cell, below which the robot is at rest without slip
-_LEAST_DETECTIONS = 8  # twice as many numbers as one recording has unknowns
-_LEVER = 0.2  # [m]: half of a usual track width, by which turns count as distance travelled by the wheels
+_LEAST_DETECTIONS = 8  # detections: twice as many values as one recording has unknowns
+_LEVER = 0.2  # [m]: half of a usual track width, converts turns to distance travelled by the wheels
 _CAUCHY = 2.5  # standard deviations beyond which the weight of a detection decreases
 _EVALUATIONS = 40  # limit for the problem of one recording, which is nearly linear
 _PRIOR = readonly(np.array([0.1, 0.5, 0.2, 0.5]))  # weak: scale [1], drift [rad/m], turn scale [1], delay [s]

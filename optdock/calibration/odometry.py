@@ -84,7 +84,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
     ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
     if not ages:
         return unknown(name, unit, "no control cycle is recorded with the pose of the odometry that it used")
-    # Means over 50 cycles are independent, as messages delay each other for a few cycles only.
+    # Means over 50 cycles are independent, because messages delay each other for a few cycles only.
     blocks = [np.mean(part) for one in ages for part in np.array_split(one, max(1, len(one) // 50))]
     if len(blocks) < 2:
         return unknown(name, unit, "the recordings are shorter than 100 cycles")
@@ -121,7 +121,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 class _Increments:
     """Distance and yaw of one recording by its poses, and the integrals of its twists.
 
-    Integrals over a span are compared, as increments over a short window are mostly jitter of the stamps.
+    Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
     """
 
     def __init__(self, recording: Recording) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ControlClock", "DelayEstimate"]
 
-_FIRST = 0.005  # [s]: assumed before the first call, so that its command is admissible at 200 Hz too
+_FIRST = 0.005  # [s]: assumed before the first call, so that its command is also admissible at 200 Hz
 _LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
 _MOST_GROWTH = 2.0  # bound on one late call in the filtered period
 _SMOOTHING = 0.2  # weight of the newest period in the filtered one

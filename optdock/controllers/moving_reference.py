@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 __all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks", "rate_for_turning", "waiting_rate"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
-_STEADY = 1e-3  # [1/s]: a slower change of the rate counts as none
-_AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
+_STEADY = 1e-3  # [1/s]: a slower change of the rate counts as zero
+_AT_START = 0.05  # [m]: a robot within this distance of the start begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
-_LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can come down
+_LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can decrease
 _SAMPLES = 400  # for the nearest point
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 
@@ -263,7 +263,7 @@ class TrajectoryReference:
 
         `now` is the last result of `state`.
         """
-        if self.time < 0.0:  # before the beginning the rate does not matter
+        if self.time < 0.0:  # before the start of the trajectory the rate has no effect
             if target_rate == 0.0:
                 self.rate = 0.0
                 return
@@ -380,5 +380,5 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
 
 
 def waiting_rate(lag: float, slow_down_lag: float, stop_lag: float) -> float:
-    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 from `stop_lag` on [m], linear between."""
+    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear between."""
     return min(1.0, max(0.0, (stop_lag - lag) / max(1e-9, stop_lag - slow_down_lag)))

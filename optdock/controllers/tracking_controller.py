@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
-_CREEP = 1e-6  # [m/s]: moves no drive, but its curvature turns steered wheels
+_CREEP = 1e-6  # [m/s]: too slow to move the robot, but its curvature turns steered wheels
 _TURN_LEVER = 0.5  # [m]: turns in place identify the delay by the speed of a point at this distance
 _ROOM = 2e-4  # [m] beyond the next rest: rounding of a motion at full braking
 _NOTHING = 5e-5  # [m/s], [rad/s]: smaller commands at the end are zero
@@ -109,7 +109,8 @@ class TrackingController(Controller):
     **Collisions.** A command after which the robot could not stop before it touches something raises NoValidControl.
     The checked motion is the commands under way in the drive, one period of the new command, and braking, along its arc
     or along the path. Contact with the station, and with obstacles that the trajectory touches at its start or end, is
-    intended: `collision_tolerance` is allowed there. A robot inside an obstacle may move unless it goes deeper.
+    intended: `collision_tolerance` is allowed there. A robot that overlaps an obstacle may move if the depth does not
+        increase.
     Obstacles come from the context: the problem, and the costmaps at the time of the call; without both there is no
     check.
 
@@ -238,7 +239,7 @@ class TrackingController(Controller):
     def _room(self, reference: TrajectoryReference, now: ReferenceState, lag: float) -> float:
         """Return the distance to the next rest when the command takes effect [m]; infinite at the end.
 
-        The present lag adds to it, less what the commands under way make up.
+        The present lag is added, less the part that the commands under way correct.
         """
         ahead = now.ahead
         if self._last is None or reference.finished or self._cancelled or ahead.gear == 0.0 or ahead.gear != now.gear:

@@ -39,14 +39,14 @@ __all__ = [
 ]
 
 # Share of the phase margin that a delay may take: 0.4 leaves 46 of 76 degrees across at a damping of 1, and 54 of 90
-# along. Textbooks ask for 30 to 60 degrees.
+# along. Textbooks recommend 30 to 60 degrees.
 _SHARE = 0.4
 _SAME_ROOTS = 1e-6  # half the difference of the two exponents below which their quotient is rounding
 
 CREEPING = 1e-3  # [m/s]: the curvature of a slower reference is undefined
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _QUICKEST_TURN = 4.0  # [1/s], largest heading gain before the end, within the bound of the delay
-_AT_END = 0.78  # of the distance that the delay asks for, near the end: a phase margin of 37 degrees
+_AT_END = 0.78  # of the distance that the delay requires, near the end: a phase margin of 37 degrees
 _ERROR_SMOOTHING = 0.2  # [s], time constant of the error filter
 _SCATTER_SMOOTHING = 1.0  # [s], time constant of the variance filter
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: bound on what one sample adds to the variance
@@ -173,7 +173,7 @@ class FeedbackGains:
         delay: float,
         finished: bool,
     ) -> Gains:
-        """Return `usual` within the bounds of the delay, and other gains where those would leave too much at the end.
+        """Return `usual` within the bounds of the delay, or other gains if those would leave too large an error.
 
         The lateral and heading errors count in units of the accepted ones, smoothed and beyond their own noise, which
         higher gains would amplify. A lateral error is removed by turning the robot: where the distance left is too

@@ -48,10 +48,10 @@ _FEEDBACK = {
 # Settings that are parameters of the default `SimpleDock`; any other dock type has its own.
 _SIMPLE_DOCK_SETTINGS = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
 _STILL = 1e-8  # [m/s], [rad/s]: rounding of a completed stop, below the effect of any jerk limit
-_TURNING = 0.005  # [m/s]: at lower target speeds, a robot that turns turns in place
+_TURNING = 0.005  # [m/s]: a robot that turns at a lower target speed counts as turning in place
 _MOST_REPEATS = 25  # cycles with the same stamp: measurements at 10 Hz at the fastest control rate, and a reserve
 _LATE = 1.5  # factor on the usual period above which a cycle is late
-_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, so that no command changes too fast
+_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, to limit changes of commands
 
 
 class DockingExecutor:
@@ -153,7 +153,7 @@ class DockingExecutor:
                 self._log.cancel()
 
     def step(self, measurements: Measurements) -> Step:
-        """Run one control cycle; no measurements raise an exception.
+        """Run one control cycle; invalid measurements raise no exception.
 
         Args:
             measurements: Measurements since the last cycle, with stamps at any rate from 10 to 200 Hz. Fields of a

@@ -64,7 +64,7 @@ class DrivenMotion:
         start_relief: From the certificate, see `Tube` [m].
 
     Raises:
-        InvalidValue: If `plan` is no `DockPlan`, or contains another motion.
+        InvalidValue: If `plan` is not a `DockPlan`, or contains another motion.
     """
 
     trajectory: Trajectory
@@ -101,7 +101,7 @@ class Job(NamedTuple):
         pose: Measured pose of the robot.
         lead: Time from `time` until the new motion takes over [s].
         moved: Displacement of the running motion as a whole, because the estimated dock has moved since it was planned;
-            None: none.
+            None: no displacement.
     """
 
     number: int
@@ -122,9 +122,9 @@ class PlanResult(NamedTuple):
     Attributes:
         number: Number of the job.
         outcome: Outcome.
-        motion: New motion; None without one.
+        motion: New motion; None if there is none.
         starts_at: Time of the takeover on the running motion's own clock [s].
-        reason: Why there is no new motion, with the name of the error.
+        reason: Reason why there is no new motion, with the name of the error.
         code: Nav2's code of that error.
     """
 
@@ -143,7 +143,7 @@ class Verdict(NamedTuple):
     """Whether the rest of a motion keeps its clearance; true if it does.
 
     Attributes:
-        holds: The same.
+        holds: Whether the rest keeps its clearance.
         reason: The obstacle and its place.
         at_time: Time at which the motion would reach it, on its own clock [s].
     """
@@ -174,7 +174,7 @@ class Planning(Protocol):
 
     def close(self) -> None:
         """Release all resources; by default there are none."""
-        return  # not abstract
+        return  # optional for subclasses, therefore not abstract
 
 
 def planned(job: Job) -> PlanResult:
@@ -281,8 +281,8 @@ class Planned(NamedTuple):
     """A recorded result of planning.
 
     Attributes:
-        result: Result of a job, without its motion; None for a verdict.
-        trajectory: Trajectory of the motion; None without one.
+        result: Result of a job, without its motion; None for a recorded verdict.
+        trajectory: Trajectory of the motion; None without a motion.
         start: Start of the motion's problem.
         start_relief: Start relief of the motion.
         verdict: Recorded answer of `still_holds`, instead of a result.
@@ -296,7 +296,7 @@ class Planned(NamedTuple):
 
 
 class RecordedPlanning(Planning):
-    """Planning from a log: every result is delivered in the cycle in which it was recorded; none is certified."""
+    """Planning from a log: every result is delivered in the cycle in which it was recorded, without a certificate."""
 
     def __init__(self) -> None:
         self._results: deque[Planned] = deque()

@@ -1,6 +1,6 @@
 """Obstacles around the robot, staging poses, and the planning problems built from the newest estimates.
 
-A costmap shows the station a cell or two too large, so that the docked robot would collide with the part that it must
+The station is one or two cells too large in a costmap, so the docked robot would collide with the part that it must
 touch. The cells at the touching edge of the docked robot, the contact zone, are freed before planning.
 """
 

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 __all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
-AHEAD = 0.01  # [s]: rounding and jitter of stamps; later stamps are those of another clock
+AHEAD = 0.01  # [s]: rounding and jitter of stamps; stamps further ahead come from another clock
 # A larger difference of the odometry's pose to the integrated twists means that its frame has restarted: far above the
 # error of the twists, plus the distance of a fast robot while twists are missing.
 _LEAP = 0.3, 0.5  # [m], [rad]
 _FASTEST = 3.0, 6.0  # [m/s], [rad/s]
-_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose, which then is not filled in by the driver
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose: the driver does not fill in the pose
 
 
 class DeadReckoning:
@@ -58,7 +58,7 @@ class DeadReckoning:
         self.restarts = 0
         self._stamp, self._twist = stamp, twist
         self._known, self._at_known = odometry, _ORIGIN  # newest pose of the odometry, and the robot then
-        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # since then, by the twists
+        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # motion since then, by the twists
         self._idle = _ORIGIN  # motion by the twists since the odometry's pose changed
 
     def advance(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> Pose2:
@@ -368,7 +368,7 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Add an alternative pose, to which a single measurement moves the estimate.
+        """Add an alternative pose; a single measurement that agrees with it moves the estimate there.
 
         Args:
             pose: Alternative present pose.

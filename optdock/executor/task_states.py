@@ -112,7 +112,7 @@ class Ending(NamedTuple):
 
     Attributes:
         kind: Kind of the ending.
-        reason: Explanation; empty if none is needed.
+        reason: Explanation; empty if no explanation is needed.
         num_retries: Number of approaches after the first one.
         stamp: Time [s].
     """

@@ -68,8 +68,8 @@ _AROUND = 1.0  # [m] around the straight line to the goal in which obstacles cou
 _PAUSE = 3.0  # factor on the usual pause between two plans
 
 # The tube.
-_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, causes no plan: noise is sufficient for it
-_LAST_REPLAN = 0.15  # [m] before the dock; nearer, no path moves a robot sideways by more than a millimetre
+_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, does not start a plan, because noise can cause it
+_LAST_REPLAN = 0.15  # [m] before the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
@@ -110,7 +110,7 @@ class TrajectoryDrive:
         self._costmap = motion.problem.costmap
         self._shorter_way = ShorterWay(situation, motion.problem.costmap)
         self._is_from_rest = False  # whether the last job plans from rest
-        self._blocked = math.inf, ""  # time on the motion's clock at which it meets a new obstacle, and the obstacle
+        self._blocked = math.inf, ""  # time on the motion's clock at which it reaches a new obstacle, and the obstacle
         self._checked_at, self._error_text = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
         self._finished_since: float | None = None
@@ -213,7 +213,7 @@ class TrajectoryDrive:
             raise Interrupted("detection missing", reason)
 
     def _share_while_hidden(self) -> float:
-        """Share of the planned speed at which corrections stay possible for as long as a hidden dock is awaited."""
+        """Share of the planned speed at which corrections stay possible during the wait for a hidden dock."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
@@ -309,7 +309,7 @@ class TrajectoryDrive:
         self._requests.forget()
 
     def _replan(self) -> None:
-        """Take over the result of the last job, or submit a job if a plan is worth it."""
+        """Take over the result of the last job, or submit a job if a new plan is useful."""
         situation, settings = self._situation, self._situation.settings
         if self._requests.pending:
             result = self._requests.result(situation.now)
@@ -350,7 +350,8 @@ class TrajectoryDrive:
                 rate=rate,
                 pose=situation.perception.robot,
                 lead=budget + _LEAD,
-                # The controller gets poses relative to the dock, so the motion is driven where the dock is now.
+                # The controller gets poses relative to the dock, so the motion ends at the present estimate of the
+                # dock.
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )
@@ -461,7 +462,7 @@ class TubeMonitor:
         radius = self._robot.footprint.circumscribed_radius
         moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
         width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # relative to this place; another one may be nearer
+        if moved > width:  # relative to this place; another place may be nearer
             found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
             moved, width = float(found.displacement[0]), float(found.width[0])
         is_outside = moved > width
@@ -538,7 +539,7 @@ class ShorterWay:
         return Job(0, situation.now, problem, _FROM_REST_BUDGET)
 
     def require_none(self, result: PlanResult, motion: DrivenMotion, time: float) -> None:
-        """Check that the motion is not to be replaced by the result of the job.
+        """Check that the result of the job is not a reason to stop the motion.
 
         Raises:
             Interrupted: If the result is so much shorter that the robot should stop for it.

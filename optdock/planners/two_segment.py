@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 _SAME_POSITION = 1e-9  # [m]
-_SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
+_SAME_DISTANCE = 1e-9  # [m]; breaks ties in the same way in every frame
 _SAME_ANGLE = 1e-9  # [rad]
 _ON_AXIS = 1e-6  # [m]
 _REVERSE_SLACK = 0.05  # [rad], of the source
@@ -257,7 +257,7 @@ def plan_two_segment(
     """Compute the raw docking path from `start` to `goal`.
 
     The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
-    `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
+    `parameters.check_free_space` the cells under start, goal and curves must be free; places off the map are not free.
     `cancel_checker` is polled at least every 5 ms.
 
     Raises:
@@ -411,9 +411,9 @@ class Joint(NamedTuple):
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
     """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
 
-    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search. `start`:
-    position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m]. `angle_threshold`:
-    smallest interior angle between the rays from the joint to A and along the axis [rad].
+    From a start on the axis the robot drives straight to C without a turn, even if C is too near for the sampled
+    search. `start`: position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m].
+    `angle_threshold`: smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))
@@ -477,7 +477,7 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
-    """Join start, both segments and goal; of repeated positions the first pose stays, and always the goal."""
+    """Join start, both segments and goal; of repeated positions only the first pose is kept, and the goal always."""
     head = _without_repeats(np.vstack((start.as_array(), parts[0])))
     tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
     apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION

@@ -36,7 +36,7 @@ __all__ = ["StillHolds", "still_holds"]
 _NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 _SPACING = 0.1  # [m] between the places by which near obstacles are found
 _HALVINGS = 30  # of a phase: below a microsecond
-_RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
+_RULES = {"clearance", "footprint", "dock"}  # the proof does not hold if one of these has changed
 
 
 @dataclass(frozen=True)

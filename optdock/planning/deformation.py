@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Push", "deformed", "push_off"]
 
-_ROOM = 0.005  # [m]: additional distance of a push, as the nearest place moves along the path
-_CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_ROOM = 0.005  # [m]: additional distance of a push, because the nearest place moves along the path
+_CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
@@ -113,7 +113,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot, Shape (2,) [m], unit normal away from the obstacle, missing distance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal off the obstacle (2,) and missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -284,7 +284,7 @@ class _Program:
             found = np.diff(gear.curvature) / steps
             at = np.arange(n - 1)
             rows[count + at, begin + at], rows[count + at, begin + at + 1] = -1.0 / steps, 1.0 / steps
-            rows[count + at, begin + n] = -found  # a longer gear swings more slowly
+            rows[count + at, begin + n] = -found  # the same turn over a longer gear
             rates.append(found)
             count += n - 1
         return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
@@ -362,7 +362,7 @@ class _Program:
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
             first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
-            # Derivative by the logarithm of the length: the turns grow in proportion, and so does the way.
+            # Derivative by the logarithm of the length: the turns and the travelled distance grow in proportion.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))
         return np.concatenate(columns, axis=1)

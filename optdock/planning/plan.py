@@ -40,7 +40,8 @@ class Attempt(NamedTuple):
     """A guess and its result.
 
     Attributes:
-        stage: Source of the guess: the stage of a planner, `given` by the caller, or a planner without a guess.
+        stage: Source of the guess: the stage of a planner, `given` for a guess of the caller, or a planner without a
+            guess.
         guess: The guess; None if a planner had none.
         seconds: Time for smoothing, proof and timing.
         price: Price of the plan [s], see `DockPlan.price`; inf without a plan.

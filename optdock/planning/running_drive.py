@@ -122,7 +122,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state in `lead` seconds; in a turn in place, or shortly before a rest, the state at that rest."""
+        """Return the state after `lead` seconds; in a turn in place or shortly before a rest, that at the rest."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -130,7 +130,7 @@ class RunningDrive:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
-        if s > length - NO_WAY:  # the last micrometre takes a millisecond
+        if s > length - NO_WAY:  # the last micrometre of a motion takes a millisecond
             time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
@@ -146,7 +146,7 @@ class RunningDrive:
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
-            return time  # the clock stands
+            return time  # the clock does not advance
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             return self._steered(time)
         turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
@@ -217,7 +217,7 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
         law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
         length = float(law.states[-1, 0])
         segment = joint.rest.segments[0]
-        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a jump is not certified
+        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a speed jump is not certified
             motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
             return still, motion
         if length > segment.length - NO_WAY:  # the braking ends at the cusp

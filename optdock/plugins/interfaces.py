@@ -126,7 +126,7 @@ class Smoother(Plugin):
         """Return a smoother path between the same two poses, in the same frame.
 
         If `problem` is given, a smoother that certifies its results returns a path from the problem's start to its
-        goal, and refuses a `path` that leads elsewhere.
+        goal, and raises InvalidPath for a `path` that leads elsewhere.
 
         Args:
             path: Raw path, from any source.
@@ -161,7 +161,7 @@ class Smoother(Plugin):
             instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
-        """Build and load in advance what makes the first call slower."""
+        """Load libraries and build data in advance that would make the first call slower."""
 
 
 class TimeParameterizer(Plugin):
@@ -191,12 +191,12 @@ class TimeParameterizer(Plugin):
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
-            start_wait: Time at rest at the start, for steering [s]; FAIL with a start in motion.
-            max_time: Wall-clock time for the whole call [s]; 0 or less is TIMED_OUT.
+            start_wait: Time at rest at the start, for steering [s]; with a start in motion the status is FAIL.
+            max_time: Wall-clock time for the whole call [s]; with 0 or less the status is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: If `max_time`, the start state or `start_wait` is not a number, or the wait is negative.
+            InvalidValue: If `max_time`, the start state or `start_wait` is NaN, or the wait is negative.
             TimingCancelled: If `cancel_checker` returned True.
         """
 
@@ -214,7 +214,7 @@ class Controller(Plugin):
                 motion. None: with the next command.
 
         Raises:
-            ControllerInvalidPath: If it cannot be followed.
+            ControllerInvalidPath: If the path or trajectory cannot be followed.
         """
 
     @abstractmethod
@@ -264,7 +264,7 @@ class Behavior(Plugin):
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin; cycles follow only after SUCCEEDED."""
+        """Start the behavior; cycles follow only after SUCCEEDED."""
 
     @abstractmethod
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -289,11 +289,11 @@ class Layer(Plugin):
         """Write costs into `master`, inside columns [min_i, max_i) and rows [min_j, max_j) only."""
 
     def is_clearable(self) -> bool:
-        """Whether a clearing behavior may reset it."""
+        """Whether a clearing behavior may reset the layer."""
         return False
 
     def is_current(self) -> bool:
-        """Whether its costs are up to date; servers wait while they are not.
+        """Whether the costs of the layer are up to date; servers wait until they are.
 
         An override must also respect `set_current(False)`, by a call of this method.
         """
@@ -329,7 +329,7 @@ class GoalChecker(Plugin):
         """
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the position alone is accepted, also by a latch; by default as `is_goal_reached`."""
+        """Whether the position alone is accepted, now or by a latch; by default the result of `is_goal_reached`."""
         return self.is_goal_reached(query_pose, goal_pose, velocity, path)
 
     @property
@@ -357,7 +357,7 @@ class DockType(Plugin):
 
     @property
     def is_pressed_on(self) -> bool:
-        """Whether the robot drives on until contact; False: until the goal checker accepts, or contact."""
+        """Whether the robot drives on until contact; False: until contact or until the goal checker accepts."""
         return False
 
     @property

@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 EXACT = TOLERANCE  # [m], [rad], ...: accuracy of numbers with more than five decimals
-REACH = 0.02  # [m]: a projection step is at most twice as long, and steps between samples must be known to it
+REACH = 0.02  # [m]: accuracy of steps between samples; a projection step is at most twice as long
 ON_PATH = float(np.sqrt(2.0)) * EXACT  # [m], [rad]: x and y are accurate to 1e-6 each
 _PROJECTIONS = 8
 _CONVERGED = 1e-10  # [m]
@@ -192,7 +192,7 @@ def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled:
         s[here], apart[here], turned[here] = (column[nearer] for column in place)
         driven[here] = (run.begin if run.is_turn else s[here]) - before
         before += (run.end - run.begin) * run.is_turn
-    # A pose on the path, but `ON_PATH` further along it, is turned by that much.
+    # A pose `ON_PATH` further along the path differs in heading by this angle.
     explained = ON_PATH * np.minimum(np.abs(path.curvature_at(s)), _BENT)
     return Places(s, driven, apart, np.maximum(turned - explained, 0.0))
 

@@ -3,10 +3,10 @@
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
 requests the curvature angular / linear, and so the angle atan(wheelbase * curvature).
 
-A command with zero speed has no curvature. Usual base controllers, such as the steering controllers of ros2_control and
-the converter of teb_local_planner, then steer straight, which is the default here; others hold the last angle. To steer
-the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead band, or 1e-6
-m/s.
+A command with zero speed has no curvature. With such a command usual base controllers, such as the steering controllers
+of ros2_control and the converter of teb_local_planner, steer straight, which is the default here; others hold the last
+angle. To steer the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead
+band, or 1e-6 m/s.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Stee
     Args:
         robot: The robot; a car without a wheelbase gets one of the robot's length.
         actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
-        steering: Steering of a car; None: perfect but for that lag.
+        steering: Steering of a car; None: perfect except for that lag.
 
     Raises:
         InvalidValue: If a car has an angular dead band or gain, or both an angular lag and a `steering`, or another

@@ -29,7 +29,7 @@ __all__ = ["Actuation", "DifferentialDrive", "Plant", "PlantState", "Slip", "Stu
 
 _LONGEST_LATENCY = 10.0  # [s]; every command of it is stored
 _INSTANT = 1e-9  # [s]: commands that arrive within this time arrive at once
-_BLOCK = 512  # random numbers drawn per call, as a call of NumPy costs as much as a hundred of them
+_BLOCK = 512  # random numbers drawn per call, because a call of NumPy takes as long as a hundred of them
 _SLIP_CORRELATION = 0.3  # [s]: time constant of the noise of slip
 _Target = tuple[float, float]
 
@@ -187,7 +187,7 @@ class Slip:
 
     Raises:
         InvalidValue: If a value is not a finite number, a sigma negative, the lost share not in [0, 1], or the
-            seed no whole number >= 0.
+            seed not a whole number >= 0.
     """
 
     lost: float = 0.0
@@ -286,14 +286,14 @@ class DifferentialDrive:
     """A robot on two driven wheels.
 
     A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps with
-    lag. The result is exact for constant velocities. Accelerations are not limited, which is the duty of the
+    lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the task of the
     controller. `step` is a pure function.
 
     Args:
         robot: Robot whose limits are applied to every command.
         actuation: Lags, latency, dead bands and gains.
         period: Default duration of a step [s].
-        wheels: Errors and faults of the wheels; None: none.
+        wheels: Errors and faults of the wheels; None: no errors.
         slip: Slip.
 
     Raises:

@@ -1,7 +1,7 @@
 """The sensors of a simulated robot: localization, odometry and the detector of the dock.
 
 Each sensor is a frozen description; its `reader(seed)` keeps the state, such as a random walk, counted ticks and images
-not yet delivered. A reader draws the same random numbers in every case, so that a fault changes nothing else.
+not yet delivered. A reader always draws the same random numbers, so that a fault does not change the other errors.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
     "PoseSensorReader",
 ]
 
-_BLOCK = 512  # random numbers drawn per call, as a call of NumPy costs as much as a hundred of them
+_BLOCK = 512  # random numbers drawn per call, because a call of NumPy takes as long as a hundred of them
 _INSTANT = 1e-9  # [s]: rounding of times that are sums of periods
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
 Seed = int | np.random.SeedSequence

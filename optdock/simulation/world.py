@@ -38,7 +38,7 @@ class Sensors:
     Args:
         pose: Localization.
         odometry: Odometry of the wheels.
-        dock: Detector of the dock; None: none.
+        dock: Detector of the dock; None: no detector.
     """
 
     pose: PoseSensor = field(default_factory=PoseSensor)
@@ -50,8 +50,8 @@ class Sensors:
 class Station:
     """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the axis of the dock. It stops a robot from the front; one from the side or from behind
-    passes, and collides with the outline of the station if the obstacles contain it.
+    The stop is a plane across the axis of the dock. It stops a robot that comes from the front. A robot from the side
+    or from behind passes, and collides with the outline of the station if the obstacles contain it.
 
     Args:
         direction: Gear of the last motion, forward or backward.

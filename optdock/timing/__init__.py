@@ -10,7 +10,7 @@ v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s),
                (s, v, a) given at the start, at rest at the end.
 
 In x = v^2 all but jerk is linear and the time is convex. So a reference is the solution of a convex program in x with
-an extension for jerk; ruckig turns it into exact motions; an independent proof decides. Modules in reading order:
-jerk_phases, turning_limits, path_limits, plan_checks, start_states, retry_strategy, windowed (plugin `Windowed`),
-reference_program, interior_point, ruckig_moves, near_optimal (plugin `NearOptimal`).
+an extension for jerk; ruckig turns it into exact motions, which an independent proof accepts or rejects. Modules in
+reading order: jerk_phases, turning_limits, path_limits, plan_checks, start_states, retry_strategy, windowed (plugin
+`Windowed`), reference_program, interior_point, ruckig_moves, near_optimal (plugin `NearOptimal`).
 """

@@ -99,7 +99,7 @@ class Motion(NamedTuple):
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
-        if not self.durations.size:  # of an acceleration so small that its square is 0
+        if not self.durations.size:  # underflow for an acceleration so small that its square is 0
             return np.repeat(self.states, t.size, axis=1)
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]

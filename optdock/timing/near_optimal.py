@@ -2,13 +2,15 @@
 
 Plans of one segment (`near_optimal_plans`), each made only when the one before was refused:
 
-1. One ruckig move over the whole segment, where that is enough; slower ones on a tiny segment.
+1. One ruckig move over the whole segment, if that is sufficient; slower moves on a tiny segment.
 2. The reference and the moves along it.
-3. From rest, the same slightly stretched in time: exact, and always possible.
+3. From rest, the same motion slightly stretched in time: exact, and always possible.
 4. 2 and 3 again with reduced speeds where limits were violated, at most twice.
-5. From rest, the best of them stretched until it keeps every limit; the windowed method, before that if it is faster.
+5. From rest, the best of these motions stretched until it keeps every limit, and the windowed method; the faster one
+first.
 
-For a moving start whose plans are all refused `retry_strategy` stops and goes; the final proof is there, too.
+For a moving start whose plans are all rejected, `retry_strategy` brakes to rest and plans from there; it also makes the
+final proof.
 """
 
 from __future__ import annotations
@@ -233,7 +235,7 @@ def _stretched_plan(limits: PathLimits, tried: _Tried, how: str) -> SegmentPlan:
 
 
 def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
-    """Return where and by how much the next reference must be slower."""
+    """Return the stretch and the factor by which the next reference must be slower."""
     worst = tried.worst
     bad = [(one.left, one.right, one.excess) for one in tried.motion.bad] or [(worst.s, worst.s, worst.stretch)]
     return tuple(

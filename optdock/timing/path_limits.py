@@ -47,7 +47,7 @@ __all__ = [
     "segment_limits",
 ]
 
-NO_LENGTH = 1e-11  # [m]: a shorter segment has none
+NO_LENGTH = 1e-11  # [m]: a shorter segment has no limits
 _CLOTHOID_SPACING = 0.005  # [m], between nodes: a clothoid is exact between them
 _POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline, whose curvature is that between its poses
 _MOST_NODES = 6000  # of one segment
@@ -141,7 +141,7 @@ class PathLimits:
     rate_right: FloatArray  # just left of every cell's right node, Shape (n - 1,) [1/m^2]
     caps: SpeedCaps
     zone_start: float  # start of the speed zone, exactly a node; `length` without a zone [m]
-    zone_speed: float  # speed limit from there on [m/s]
+    zone_speed: float  # speed limit in the zone [m/s]
     excess: FloatArray | None = None  # addition of the caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero
     begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
@@ -232,7 +232,7 @@ class PathLimits:
         return max(self.turning, key=lambda one: float(one.ratio(point.curvature, point.rate, speed, gain)[0]))
 
     def after(self, start: float) -> PathLimits:
-        """Return the limits from `start` [m] on, 0 <= start < length, with arc lengths from 0."""
+        """Return the limits beyond `start` [m], 0 <= start < length, with arc lengths from 0."""
         if start <= 0.0:
             return self
         cell = int(self.cells_at(np.array([start]))[0])
@@ -278,7 +278,7 @@ def segment_limits(
         segment: Clothoid spline or polyline.
         caps: Speed caps by curvature.
         zone_start: Start of the speed zone in this segment; at or beyond the length: none [m].
-        zone_speed: Speed limit from there on [m/s].
+        zone_speed: Speed limit in the zone [m/s].
         begin: Start of the segment on the whole path [m].
     """
     spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING

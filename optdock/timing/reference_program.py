@@ -3,7 +3,7 @@
 With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
 integral of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not, and a turning limit of order 2 has
 the same form: linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move
-between the states at any two of its knots exists.
+exists between the states at any two of its knots.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
@@ -70,7 +70,7 @@ _CRUISE_YAW = 0.6  # share of the yaw acceleration above which a stretch is not 
 _CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s], spacing of the samples, and their number to either side
 
 _GUESS_SAMPLE = 0.02  # [s], of the filter
-_GUESS_SHARE = 0.9  # of the filtered v^2: inside the limits
+_GUESS_SHARE = 0.9  # factor on the filtered v^2, to stay inside the limits
 _GUESS_BLEND = 0.6  # [s], from the speed of a moving start
 
 _DRIVE_MARGIN = 0.003  # of acceleration and deceleration: ruckig refuses a state beyond them
@@ -78,8 +78,8 @@ _JERK_STEP_PRICE = (
     0.002  # [s], of a full swing of the jerk between cells: saves a sixth of the moves for 0.01 % of time
 )
 _SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
-# A reference slower than the bounds by this factor was not solved: where no spline keeps the limits the iterations end
-# anywhere, and samples of a motion of weeks fill any memory. Solved ones stay below 4.
+# A reference slower than the bounds by this factor is not a solution: if no spline keeps the limits, the last iterate
+# is arbitrary, and the samples of a motion of weeks would exhaust the memory. The factor of solutions is below 4.
 _HOPELESS = 10.0
 
 
@@ -446,7 +446,7 @@ def solve_reference(
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
     program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, if no spline keeps the limits
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
         c = coefficients_of(grid.steps, guess, first, last)
         c, iterations = solve(program, c, deadline.look)
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))

@@ -1,19 +1,19 @@
 """The strategy: from a path to a proven time law, with all retries.
 
-At a cusp and at the end the robot rests, so each segment is planned alone. Where the wheels must be turned, between two
-segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments the
-first line that applies to the start state decides (`segment_plans`, `judge_start`):
+At a cusp and at the end the robot rests, so each segment is planned separately. Where the wheels must be turned,
+between two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other
+segments the first line that applies to the start state decides (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
 2. The robot cannot avoid rolling backwards: BAD_START.
-3. Full braking needs more room than there is: CANNOT_STOP, with the braking.
-4. Full braking violates a limit, and so does every motion: START_INFEASIBLE, braking until past the last violation and
-   then a plan, or the whole braking and then a plan from rest.
+3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking.
+4. Full braking and thus every motion violates a limit: START_INFEASIBLE, with braking past the last violation and then
+   a plan, or braking to rest and then a plan from rest.
 5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
 
 The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
 make a motion (`time_path`), which `certify_trajectory` proves or refuses; a refused segment gets its next plan. The
-search ends when the deadline leaves just enough for windows and their proof; later no motion is begun.
+search ends when the remaining time is just enough for the windowed method and its proof; later no motion is started.
 """
 
 from __future__ import annotations
@@ -68,15 +68,15 @@ _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are left out
 # Reserves of a deadline, as multiples of the time for looking up the curvature of the path, which depends on path and
 # machine: over the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the quickest
 # proof 4. Tuned with `experiments/benchmarks/timing_proofs.py`.
-_WINDOWS_AND_PROOF = 10.0  # with less left the search for a faster motion ends
-_PROOF = 4.0  # with less left no motion is begun
+_WINDOWS_AND_PROOF = 10.0  # with less time left the search for a faster motion ends
+_PROOF = 4.0  # with less time left no motion is started
 _REFUSAL = 0.02  # [s], for a refusal of an impossible request
 
 
 class Deadlines(NamedTuple):
     """Deadlines of the stages of a call."""
 
-    search: Deadline = ENDLESS  # for methods that are followed by another one
+    search: Deadline = ENDLESS  # for all methods but the last
     last: Deadline = ENDLESS  # for the last method
 
     @classmethod
@@ -96,8 +96,8 @@ NO_DEADLINES = Deadlines()
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
 """A method: plans one segment from a state whose full braking keeps the speed caps.
 
-Yields plans of status OK, best first, the next one made only when the one before was refused; at last perhaps one of
-status FAIL with the reason.
+Yields plans of status OK, best first, the next one made only when the one before was rejected; the last plan may have
+status FAIL, with the reason.
 """
 
 
@@ -223,7 +223,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
 def _proven(
     path: Path, request: _Request, plans: list[SegmentPlan], waiting: list[Iterator[SegmentPlan]], whole: Deadline
 ) -> TimingResult:
-    """Return the result once it is proven, with other plans of refused segments, or the failure of one without."""
+    """Return the proven result, with other plans for rejected segments, or the failure of a segment without one."""
     drive, zone, start = request
     while True:
         result = _result(path, request, plans)
@@ -249,7 +249,7 @@ def _proven(
 
 
 def _undrivable(path: Path) -> str:
-    """Return the place of a turn on the spot, which has no time law over arc length; empty without one."""
+    """Return the place of a turn in place, which has no time law over arc length; empty if there is none."""
     for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True):
         if not isinstance(segment, PolylineSegment):
             continue
@@ -372,7 +372,7 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin
 def _braked_plan(
     limits: PathLimits, start: MotionState, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
 ) -> SegmentPlan:
-    """Return braking and then a plan: always drivable, with a violation only where braking itself has one."""
+    """Return braking followed by a plan: always drivable, with violations only during the braking."""
     phases = _resumed(limits, verdict, method, deadlines if verdict.refusal is None else deadlines.refused)
     motion = Motion.of(start, phases)
     worst, arrives = worst_ratio(limits, motion), motion.end.s >= limits.length - end_slack(limits)
@@ -390,7 +390,7 @@ def _braked_plan(
 
 
 def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines) -> Phases:
-    """Return braking and the first plan of the rest of the segment; braking to rest if there is none in time."""
+    """Return braking and the first plan of the rest of the segment; braking to rest if no plan is found in time."""
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue

@@ -1,7 +1,7 @@
 """Moves by ruckig [Berscheid2021]: from state to state, and along the reference, as few as the limits allow.
 
 ruckig's community edition runs offline. It may drive backwards and accepts start states beyond its limits; both are
-checked here. It is never given an intermediate position: with one it would call a cloud service.
+checked here. Intermediate positions are never passed, because with them ruckig calls a cloud service.
 
 Along the reference, level by level, every open piece is tried as one move; a piece whose move violates a limit is split
 at the knot nearest to the worst place. Between two neighbouring knots a move exists, that of the reference itself.
@@ -45,7 +45,7 @@ _GENTLE_JERK = (1.05, 0.01)  # factor on the largest jerk of the reference, and 
 _GENTLE_MOST_JERK = 0.95  # share of the limit above which a gentle move has no advantage
 _GENTLE_DRIVE = (1.04, 0.04)  # factor on the reference's range of accelerations, and share of the limit added to it
 _GENTLE_LEAST_DRIVE = 0.01  # least share of the acceleration for a gentle move
-_LEVEL = 0.8  # share of the largest v^2: where the cap stays above, one move is tried for any length
+_LEVEL = 0.8  # share of the largest v^2: if the cap stays above it, one move is tried for any length
 _MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut into parts of at most 16, those above 6 into four, others in two
 
 
@@ -235,7 +235,7 @@ def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tup
 def _try_pieces(
     nodes: _Nodes, bounds: ReferenceBounds, active: list[tuple[int, int]], deadline: Deadline
 ) -> dict[tuple[int, int], Move | None]:
-    """Return the best move of every piece; the time-optimal one only without a gentle one, or for a single cell.
+    """Return the best move of every piece; the time-optimal one only if there is no gentle one, or for a single cell.
 
     A single cell for which rounding prevents a move gets the motion of the reference.
     """

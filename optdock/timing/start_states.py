@@ -89,8 +89,8 @@ class StartVerdict(NamedTuple):
     """Verdict of full braking on a moving start; true without a refusal.
 
     Args:
-        refusal: Why no motion keeps every limit; None where one may.
-        ways_on: Phases until a plan may continue, and the state then, best first.
+        refusal: Reason why no motion keeps every limit; None if a motion may.
+        ways_on: Phases after which a plan may continue, and the state then, best first.
     """
 
     refusal: SegmentPlan | None
@@ -101,7 +101,7 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Return whether the limits of a segment can be kept from a moving start, and the reason if not."""
+    """Return the verdict whether the limits of a segment can be kept from a moving start, with the reason if not."""
     begin = limits.begin
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot cannot avoid rolling backwards"

@@ -92,7 +92,7 @@ def windowed_plans(
         if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre
             found = ((length / v0, 0.0),)
         if found is None:
-            break  # the motion ends early and has not arrived
+            break  # the motion ends before the end of the segment
         phases.extend(found)
     yield arrived_plan(limits, Motion.of(start, phases), "windowed")
 

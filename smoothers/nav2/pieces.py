@@ -111,7 +111,7 @@ def with_travel_yaw(poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Costmap, footprint and obstacles near a path, each None if unknown."""
+    """Surroundings of a path: costmap, footprint and obstacles near it, each None if unknown."""
 
     costmap: Costmap | None
     footprint: Footprint | None
@@ -160,7 +160,7 @@ class PieceParameters(PluginParameters):
 
 
 class PieceEnd(str, Enum):
-    """What ended the work on a piece."""
+    """Reason for the end of the work on a piece."""
 
     STILL = "tolerance"
     OBSTACLE = "obstacle"
@@ -193,17 +193,17 @@ class PieceRun:
 class PieceSmoother(Smoother):
     """Base of smoothers that move the inner points of each piece between cusps.
 
-    Yaws become the directions of travel; start and goal keep theirs (Nav2 turns the start), so a path may begin and end
-    in a kink. A piece whose poses would bring the footprint into an obstacle that they cleared before stays unchanged,
-    unless `check_for_collisions` is off; the motion between poses is not checked. `completed` is False if the time
-    limit stopped the work.
+    Yaws become the directions of travel; start and goal keep their yaw (Nav2 turns the start), so a path may begin and
+    end with a kink. A piece whose poses would bring the footprint into an obstacle that they cleared before stays
+    unchanged, unless `check_for_collisions` is off; the motion between poses is not checked. `completed` is False if
+    the time limit stopped the work.
     """
 
     parameters: PieceParameters
 
     @abstractmethod
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return the smoothed poses of a piece, Shape (n, 3), and what ended it; None to leave a short piece."""
+        """Return the smoothed poses of a piece, Shape (n, 3), and the reason of the end; None: left unchanged."""
 
     @abstractmethod
     def report(self, run: PieceRun) -> SmoothingReport:

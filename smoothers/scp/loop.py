@@ -222,7 +222,7 @@ class _State:
     def overshoot(self, current: Iterate) -> float:
         """Clearance added to the buffer before the first feasible iterate [m].
 
-        Where sides roll around a corner, a step falls short by about as much as the one before it.
+        Where sides roll around a corner, the shortfall of a step is about that of the step before it.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
@@ -249,7 +249,7 @@ class _State:
     def is_hopeless(self, current: Iterate) -> bool:
         """Whether no step improves a feasible iterate, or the shortfall no longer shrinks.
 
-        The penalties are raised first where the shortfall costs less than the path itself.
+        The penalties are raised first if the shortfall costs less than the path itself.
         """
         settings, penalties = self.settings, self.penalties
         if current.feasible:

@@ -221,7 +221,7 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
-    """The goal moved back by the final straight, with the yaw on the branch of the input."""
+    """The goal moved back by the final straight, with a yaw continuous with the input's."""
     goal = problem.goal.as_array()
     back = sign * problem.dock.final_straight
     goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
@@ -265,7 +265,7 @@ def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArr
 
 
 def _scaled(weights: Weights, curvature: float) -> Weights:
-    """The weights for a robot of this largest curvature [1/m]; robots with wide turns may leave their input farther."""
+    """The weights for a largest curvature [1/m]; robots with wide turns may deviate farther from their input."""
     return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
@@ -286,7 +286,7 @@ def _variable_bounds(
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
-    if basis.num_gears > 1:  # a robot in motion needs its first gear to stop in
+    if basis.num_gears > 1:  # a robot in motion needs the first gear for stopping
         shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem), longest[0]))
     for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
         limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))

@@ -1,6 +1,6 @@
 """Paths that turn in place: divided at the turns into pieces that are smoothed separately.
 
-Positions and headings of turns stay, so a piece has fixed poses at both ends and free curvature at turns. The rules
+Positions and headings of turns are kept, so a piece has fixed poses at both ends and free curvature at turns. The rules
 near the start and the goal of the whole problem count for every piece; the whole path is certified.
 """
 

@@ -170,7 +170,7 @@ def _fill_cost(
 ) -> None:
     program.h[:] = 0.0
     program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
-    diagonal = np.einsum("ii->i", program.h)  # a view
+    diagonal = np.einsum("ii->i", program.h)  # a view, not a copy
     diagonal[blocks.path] += settings.ridge
     diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
     diagonal[blocks.clearance_slack] = settings.curved_clearance_slack

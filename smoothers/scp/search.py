@@ -133,7 +133,7 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
 
 
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
-    """Return the straight line to the goal from a start on its axis, hardly longer than the final straight; or None."""
+    """Return the straight line to the goal from a start on its axis, little longer than the final straight; or None."""
     problem = call.problem
     line = straight_line(call.path, problem.start, problem.goal, settings)
     if line is None or line.length >= problem.dock.final_straight + settings.staging:
@@ -298,7 +298,7 @@ class Solver:
         return self.outcome.incumbent
 
     def _take(self, row: Given) -> bool:
-        """Certify a given path; whether the strategy ends."""
+        """Certify a given path, and return whether the strategy ends."""
         path = row.path(self.call, self.settings.anytime)
         if path is None:
             return False
@@ -309,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search, if the row applies; whether the strategy ends, with a certified path or at the time limit."""
+        """Search if the row applies, and return whether the strategy ends by a certified path or the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -438,7 +438,7 @@ class Solver:
             before = self.deadline.elapsed
 
     def _must_settle(self) -> bool:
-        """Whether a step must be left unfinished so that the candidate can be certified in time."""
+        """Whether a step must be abandoned so that the candidate can be certified in time."""
         return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
 
     def _consider(self, iterate: Iterate) -> None:
@@ -448,7 +448,7 @@ class Solver:
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Whether to stop; certifies the candidate when the time gets short."""
+        """Certify the candidate when the time gets short, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
         short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
         first_only = self.call.first_only
@@ -460,7 +460,7 @@ class Solver:
         return short or found
 
     def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
-        """Certify the candidate; return it if it is not certified."""
+        """Certify the candidate, and return it if the certificate fails."""
         candidate, self._candidate = self._candidate, None
         if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last

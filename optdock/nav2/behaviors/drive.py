@@ -96,7 +96,7 @@ class _StraightBehavior(Behavior, ABC):
         """
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin a motion; the command has the fields of `DriveCommand`."""
+        """Start a motion; the command has the fields of `DriveCommand`."""
         self._motion = None
         context = self.context
         try:
@@ -134,7 +134,7 @@ class _StraightBehavior(Behavior, ABC):
             return _SUCCEEDED, Twist2()
         motion.speed = self._next_speed(motion, remaining)
         twist = Twist2(math.copysign(motion.speed, motion.command.speed))
-        # One cycle beyond the target, as the command holds until the next cycle.
+        # One cycle beyond the target, because the command holds until the next cycle.
         ahead = min(p.simulate_ahead_time, remaining / motion.speed + 1.0 / p.cycle_frequency)
         refusal = "" if motion.command.disable_collision_checks else self._collision(pose, twist, ahead)
         if refusal:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ArcTree", "Arcs", "Moves", "advance", "joined"]
 
-_NOTHING = 1e-9  # [m]: shorter arcs are no motion
+_NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
@@ -135,7 +135,7 @@ class ArcTree:
         effort: Effort,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
-        """Drive all moves from the nodes at `rows` as far as they are free and return the rows of the new nodes.
+        """Extend the nodes at `rows` by all moves, up to their first collision, and return the rows of the new nodes.
 
         Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
         found, in ascending order of price; None: keep all.
@@ -188,7 +188,7 @@ class ArcTree:
 def _free_lengths(
     starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
 ) -> FloatArray:
-    """Return how far arcs (start poses, signs, curvatures) are free, up to `longest`. Shape (n,) [m]."""
+    """Return the collision-free lengths of arcs (start poses, signs, curvatures), up to `longest`. Shape (n,) [m]."""
     poses, signs, curvatures = starts
 
     def are_free(rows: IntArray, lengths: FloatArray) -> BoolArray:

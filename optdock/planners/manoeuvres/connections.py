@@ -37,7 +37,7 @@ _COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coars
 _CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
 _ROUGH_BATCH = 256  # words per call of the rough check
 _BATCH = 24  # words per call of the coarse check
-_NOTHING = 1e-6  # [m]: shorter arcs are not motion
+_NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 
 
 class Connections(NamedTuple):
@@ -101,7 +101,7 @@ def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNode
 
 
 class PairWords(NamedTuple):
-    """Words of pairs of poses: index of the pair, price at full speed [s], (m,); lengths and curvatures (m, 5)."""
+    """Words between poses: index of the pair and price at full speed [s], (m,); lengths and curvatures, (m, 5)."""
 
     pair: IntArray
     driven: FloatArray

@@ -39,7 +39,7 @@ class DistanceField:
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: not computed yet
+        self._slots = np.full(self._tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
 

@@ -29,10 +29,10 @@ __all__ = [
     "turning_times",
 ]
 
-# [s] in addition to the time for stopping: a change of gear wears the drive, and controllers overshoot there, so each
-# one must save a second.
+# [s] in addition to the time for stopping: a change of gear wears the drive, and controllers overshoot at cusps, so
+# each cusp must save a second.
 CUSP_PRICE = 1.0
-_LEAST_MOTION = 1e-6  # [m]: shorter arcs are no motion
+_LEAST_MOTION = 1e-6  # [m]: shorter arcs do not count as motion
 _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 

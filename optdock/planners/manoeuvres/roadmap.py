@@ -69,7 +69,8 @@ def roadmap_ways(
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres along a route, Shape (n, 2) [m], as they are found, roughly in ascending order of price.
 
-    `entries` are without the root of the goal's tree; `worthwhile` returns the price from which on a way is useless.
+    `entries` are without the root of the goal's tree; `worthwhile` returns the price at or above which a manoeuvre is
+    useless.
     """
     for price, way in _LazySearch(exits, entries, space, effort, route).ways():
         if price >= worthwhile():
@@ -211,7 +212,7 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, as pushes between two walls overshoot the middle
+    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, because pushes between two walls overshoot the middle
         inner = points[1:-1]
         lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turning_places", "turns_and_drives"]
 
-_NOTHING = 1e-9  # [m], [rad]: less is no motion
+_NOTHING = 1e-9  # [m], [rad]: smaller values do not count as motion
 _HEADINGS = 24  # headings at which turning in place is checked: every 15 degrees
 _COARSE = readonly(np.arange(1, 8) / 7.0)  # shares of a line at which the coarse check samples it
 _BATCH = 64  # lines per coarse check
@@ -79,7 +79,7 @@ class TurnsAndDrives(NamedTuple):
         return before, np.column_stack((before[:, :2], yaw))
 
     def poses_every(self, spacing: float, radius: float) -> FloatArray:
-        """Return poses, Shape (q, 3), between which no point within `radius` moves by more than `spacing` [m]."""
+        """Return poses, Shape (q, 3); between two of them no point within `radius` moves more than `spacing` [m]."""
         before, after = self.joints()
         blocks = []
         swept = np.where(self.rounds(), 0.0, self.turns)
@@ -119,7 +119,7 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
     """Return the last segment with the goal itself as its last pose."""
     if isinstance(last, TurnSegment):
         return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
-    assert isinstance(last, PolylineSegment)  # nothing else is built here
+    assert isinstance(last, PolylineSegment)  # other types of segment are not built here
     poses = last.poses.copy()
     poses[-1] = goal.x, goal.y, poses[-1, 2] + math.remainder(goal.yaw - poses[-1, 2], 2.0 * math.pi)
     return PolylineSegment(poses, last.direction)
@@ -169,7 +169,7 @@ def turns_and_drives(
     """Yield free manoeuvres in ascending order of price: a straight run, a turn, a line, a turn, a straight run.
 
     `exits` are the start and the ends of straight runs out of it, `entries` poses at which straight runs into the dock
-    begin; `worthwhile` returns the price from which on a manoeuvre is useless [s].
+    begin; `worthwhile` returns the price at or above which a manoeuvre is useless [s].
     """
     found = _lines(exits, entries, space, effort)
     left = {False: _TRIES, True: _TRIES}
@@ -197,7 +197,7 @@ def turns_and_drives(
 
 
 class _Lines(NamedTuple):
-    """Lines between nodes: Shape (n,), turns before and after (n, 2) [rad]; whether corners are rounded."""
+    """Lines between nodes (n,), the turns before and after each (n, 2) [rad], and whether corners are rounded."""
 
     prices: FloatArray
     exits: IntArray
@@ -311,8 +311,8 @@ def routes(
 ) -> Iterator[TurnsAndDrives]:
     """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
 
-    The way is that of the disc in which the robot turns; then that of one as wide as the robot. Arguments as in
-    `turns_and_drives`.
+    The shortest way is first that of the disc in which the robot turns, then that of a disc as wide as the robot.
+    Arguments as in `turns_and_drives`.
     """
     kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)

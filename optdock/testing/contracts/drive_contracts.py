@@ -47,7 +47,7 @@ __all__ = ["BehaviorContract", "ControllerContract", "DockTypeContract", "GoalCh
 
 _REST = Twist2()
 _FAR = 100.0  # [m]
-_FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # away from every drive here
+_FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # far from every drive of this module
 _COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 60, 100, 20  # [s], and commands
 _SLACK = 1.0 + 1e-6
 _LIMIT_SLACK = 1.05  # of a speed limit: feedback may add to a reference that was slowed down
@@ -121,7 +121,7 @@ class ControllerContract(PluginContract[Controller]):
                 self._require_arrival(run, task.path.end)
 
     def test_a_speed_limit_holds_until_it_is_removed(self) -> None:
-        """`set_speed_limit`: percent or m/s, by position or by name; 0 removes the limit; InvalidValue else."""
+        """`set_speed_limit`: percent or m/s, by position or by name; 0 removes the limit; InvalidValue otherwise."""
         free, top = self._peak_after(lambda _: None), ROBOT.limits.max_speed
         slow = 0.4 * free
         by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, False))  # noqa: FBT003 - as in Nav2
@@ -337,7 +337,7 @@ class BehaviorContract(PluginContract[Behavior]):
         """Return the result of `on_run`, and of the first cycle.
 
         Raises:
-            BehaviorException: If it does not begin.
+            BehaviorException: If the behavior does not begin.
         """
         begun = plugin.on_run(self.command)
         if begun.status is not BehaviorStatus.SUCCEEDED:
@@ -346,7 +346,7 @@ class BehaviorContract(PluginContract[Behavior]):
         return begun, result, (twist.linear, twist.angular)
 
     def test_it_names_its_costmaps_and_needs_on_run(self) -> None:
-        """`resource_info`, `on_run`: known before `configure`; no cycle before SUCCEEDED."""
+        """`resource_info`, `on_run`: the costmaps are known before `configure`; no cycle runs before SUCCEEDED."""
         found = self.make_plugin().resource_info
         require(isinstance(found, CostmapInfoType), f"resource_info is a CostmapInfoType, got {found!r}")
         self._require_no_cycle(self.ready_plugin(), "there is no cycle before on_run")
@@ -450,7 +450,7 @@ class DockTypeContract(PluginContract[DockType]):
     def approach(self) -> Iterator[AtDock]:
         """Yield the cycles of an approach: half a metre, a second of pressing, then at rest with a contact signal.
 
-        Override it where contact shows in other ways.
+        Override this method if contact is detected in another way.
         """
         stamp = 0.0
         for cycle in range(350):

@@ -105,7 +105,7 @@ class LayerContract(PluginContract[Layer]):
             require(layer.is_current() is current, f"after set_current({current}) is_current() is {current}")
 
     def test_a_disabled_layer_writes_nothing(self) -> None:
-        """`is_enabled`: a layered costmap of it alone stays empty; for layers with a parameter `enabled`."""
+        """`is_enabled`: a layered costmap of one disabled layer stays empty; for layers with a parameter `enabled`."""
         from optdock.nav2.global_costmap import layered_costmap
 
         layer = self.make_plugin()

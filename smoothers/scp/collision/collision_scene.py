@@ -63,7 +63,7 @@ class Body(NamedTuple):
     width: float
 
 
-# The part of the clearance rule that decides.
+# The part of the clearance rule that applies.
 DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 

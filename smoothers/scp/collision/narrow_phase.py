@@ -88,7 +88,8 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
 
     Every part of the rule is convex in the distance and the smallest one counts; where the part changes within an
-    interval the larger value of both ends is safe. Next to the start only the right end is raised: the left is given.
+    interval the larger value of both ends is safe. Next to the start only the right end is raised, because the left
+    pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -163,7 +164,7 @@ def best_separating_axes(
 
 
 def _stacked(*points: Points) -> Points:
-    """Stack the rows of several."""
+    """Stack the rows of several sets of vectors."""
     return Points(*(np.concatenate(values) for values in zip(*points, strict=True)))
 
 
@@ -237,7 +238,7 @@ class Chords(NamedTuple):
 
 
 def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -> Chords:
-    """Return all chords between points at tangent coordinates `along`, Shape (k, p); of many points the lowest."""
+    """Return all chords between points at tangent coordinates `along`, Shape (k, p), or the lowest of them."""
     columns = np.arange(along.shape[1])
     if along.shape[0] > settings.lowest_vertices:
         lowest = np.argmin(height, axis=0)
@@ -259,7 +260,7 @@ def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:
-    """The normal of the hull's lower edge over the obstacle's support point, where it separates more."""
+    """The normal of the hull's lower edge over the obstacle's support point, if its separation is larger."""
     support = outline.at(np.argmax(outline.along(axis), axis=0))
     lines = chords(hull.across(axis), hull.along(axis), settings)
     share, spans = lines.levels(support.across(axis))
