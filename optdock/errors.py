@@ -168,7 +168,7 @@ class PlannerTimedOut(PlannerException, TimedOut):
 
 
 class NoValidPathCouldBeFound(PlannerException):
-    """The planner found no path of the type that it generates."""
+    """The planner found no path of the kind that it generates."""
 
     code = 208
 

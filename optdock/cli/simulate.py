@@ -181,7 +181,7 @@ def _refuse_fault(run: Run, left: str) -> None:
     """Report on stderr that a run did not dock, collided, or left the proven region.
 
     Raises:
-        Exit: If it did.
+        Exit: If the run failed in one of these ways.
     """
     faults = [*([run.fault] if run.fault else []), *([f"left what is proven: {left}"] if left else [])]
     for fault in faults:

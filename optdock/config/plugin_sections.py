@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 
-# Default plugins of the sections; of several planners the first, whose parameters may be given.
+# Default plugins of the sections; only the first planner, because only its parameters may be given.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
     "planner": DEFAULT_PLANNERS[0],
     "smoother": DEFAULT_SMOOTHER,

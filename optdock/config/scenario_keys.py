@@ -434,7 +434,7 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """The start curvature of the path [1/m]: as given, else free at rest (None) and 0 in motion."""
+        """The start curvature of the path [1/m]: the given one, or else free at rest (None) and 0 in motion."""
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
@@ -541,7 +541,7 @@ def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     model: type[BaseModel] | None = ScenarioDocument
     for part in key:
         field = model.model_fields.get(str(part)) if model else None
-        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional one
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional mapping
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return tuple(model.model_fields) if model else ()
 

@@ -45,7 +45,7 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    The file reads back as the same problem, number by number. The file refers to `map_source` if its cells block the
+    Reading the file gives the same problem, with equal numbers. The file refers to `map_source` if its cells block the
     same as the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and NAME_map.pgm.
     Default motion limits of the scenario are not written.
 
@@ -177,7 +177,7 @@ def _start(problem: DockingProblem) -> dict[str, object]:
 
 
 def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
-    """Section of a plugin; of several planners, the parameters of the first without its name."""
+    """Section of a plugin; for several planners, the parameters of the first one without its name."""
     if isinstance(choice, tuple):
         return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
     return {"plugin": choice.name, **choice.parameters}

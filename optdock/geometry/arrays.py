@@ -32,7 +32,7 @@ def readonly(array: _Array) -> _Array:
 
     The memory belongs to a `bytes` object, so NumPy refuses `setflags(write=True)` on the copy and on its views.
     """
-    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # same order, so that results round alike
+    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # same order, so that results round equally
     order: Literal["C", "F"] = "F" if by_columns else "C"
     copied: _Array = np.ndarray(array.shape, array.dtype, array.tobytes(order), order=order)
     return copied
@@ -41,8 +41,8 @@ def readonly(array: _Array) -> _Array:
 class FrozenArrays:
     """Base class of frozen dataclasses that hold arrays: the arrays are read-only, copies are the object itself.
 
-    A dataclass with a `__post_init__` of its own must make its arrays `readonly` there. Arrays restored by pickle are
-    made `readonly` again.
+    A dataclass that defines `__post_init__` must make its arrays `readonly` there. Arrays restored by pickle are made
+    `readonly` again.
     """
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ def frozen(value: _Value) -> _Value:
     if isinstance(value, np.ndarray):
         return readonly(value)
     if isinstance(value, tuple):
-        make: Callable[[Iterable[object]], _Value] = getattr(value, "_make", type(value))  # a named tuple stays one
+        make: Callable[[Iterable[object]], _Value] = getattr(value, "_make", type(value))  # keeps a named tuple
         return make(frozen(one) for one in value)
     return value
 

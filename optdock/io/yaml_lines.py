@@ -1,7 +1,7 @@
 """YAML with line numbers for messages.
 
-Aliases and merge keys let a few bytes of YAML expand to a very large document, so the values are counted before any is
-constructed: first as written, then as expanded.
+Aliases and merge keys can expand a few bytes of YAML to a very large document, so the values are counted before the
+first one is constructed: first as written, then as expanded.
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ def _border(costmap: Costmap) -> ObstacleSet:
     """Return four half-planes around the map that overlap beyond its corners.
 
     Each is a rectangle whose far sides lie beyond every point that a footprint can reach at any pose. The large extent
-    costs no precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
+    does not reduce the precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
     """
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
     left, low = min(x0 - 1.0, -_BORDER_END), min(y0 - 1.0, -_BORDER_END)

@@ -70,7 +70,7 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
 
     The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
     to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most the deceleration, and the remaining speed
-    is braked off at b. A deceleration beyond D is reduced first.
+    is reduced at b. A deceleration beyond D is reduced first.
 
     Args:
         v: Speed along the travel [m/s].
@@ -79,7 +79,7 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
         jerk: J, the largest [m/s^3].
     """
     if a < -deceleration:
-        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J directly to rest; limited to -D
         phases = ((-deceleration - a) / jerk, jerk), (spare / deceleration, 0.0), (deceleration / jerk, jerk)
     else:
         brake = min(deceleration, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))

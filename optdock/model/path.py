@@ -123,7 +123,7 @@ class Path(FrozenArrays):
         )
 
     def with_frame(self, frame: str) -> Path:
-        """Return the same path with the frame name set; an empty name changes nothing.
+        """Return the same path with the frame name set; an empty name has no effect.
 
         Raises:
             InvalidPath: If the path has another frame; poses are not transformed.
@@ -332,7 +332,7 @@ def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
 def joint_curvatures(path: Path) -> FloatArray:
     """Return the curvature just before and just after every cusp, Shape (cusps, 2) [1/m].
 
-    Signed as driven forward, a left turn of the wheels positive; a curve driven in reverse is steered mirrored.
+    Signed as driven forward, a left turn of the wheels positive; for a curve driven in reverse the sign is inverted.
     """
     ends = [
         (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["DockingProblem", "ProblemFingerprint"]
 
 OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
-STATION_DISTANCE = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for smaller robots
+STATION_DISTANCE = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for robots shorter than this
 # [m/s], [m/s^2]: rounding error of rest, or of the end of braking, of a time law over kilometres and hours; far below
 # the tolerance of certificates, 1e-6.
 _ROUNDING = 1e-10
@@ -260,7 +260,7 @@ class DockingProblem(FrozenArrays):
         return abs(self.start_speed), sign * self.start_acceleration
 
     def start_wait(self, path: Path) -> float:
-        """Return the rest at the start of a motion along `path` until steered wheels have the angle of the path [s].
+        """Return the waiting time at the start of a motion along `path` until steered wheels have its angle [s].
 
         0 if `start_curvature` is given; see `MotionLimits.start_wait`.
         """
@@ -278,7 +278,7 @@ class DockingProblem(FrozenArrays):
         """Return the largest displacements of the footprint from poses of a path that keep `clearance`.
 
         The difference between `path_clearance` and `clearance`: zero at the dock, where the robot ends in contact, and
-        near a start without spare clearance.
+        near a start without additional clearance.
 
         Args:
             poses: Poses of the path, Shape (n, 3).
@@ -309,8 +309,8 @@ class DockingProblem(FrozenArrays):
         """Return the margin of the marker in the view with which every pose in the tracking tube sees it.
 
         A position error e and a heading error w move a point at distance r of the robot by at most e + 2 r sin(w / 2)
-        in the camera frame. The tube tapers at the dock like the clearance. A start with less margin is left at the
-        slope of `ClearanceRule.leaving`.
+        in the camera frame. The tube tapers at the dock like the clearance. From a start with less margin the
+        requirement grows with the slope of `ClearanceRule.leaving`.
 
         Args:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
@@ -339,8 +339,8 @@ class DockingProblem(FrozenArrays):
         """Start relief of the weaker rule [m]: twice the length of the robot.
 
         A robot along a wall closer than required cannot gain clearance at once, because its tail swings towards the
-        wall, so it may keep nearly its start clearance over this run. Over one length a robot of 0.9 m cannot leave a
-        wall at 1 cm without a cusp.
+        wall, so over this distance little more than its start clearance is required. Over one length a robot of 0.9 m
+        cannot leave a wall at 1 cm without a cusp.
         """
         footprint = self.robot.footprint
         return 2.0 * min(footprint.length, 2.0 * footprint.circumscribed_radius)

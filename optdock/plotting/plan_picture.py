@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 __all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
-_RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
-_VIEW_REASONS = ("view", "approach_unseen")  # of refusals
+_RAW_WIDTH, _WIDTH = 4.5, 2.0  # widths of the two paths [pt]
+_VIEW_REASONS = ("view", "approach_unseen")  # colour of refusals
 _FOOTPRINTS = 24  # drawn along a path at most
 
 

@@ -76,7 +76,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
 
 
 def _duration(path: Path, scenario: Scenario) -> float | None:
-    """The duration [s]; None where the limits allow no motion along the path, as at a corner."""
+    """The duration [s]; None if the limits allow no motion along the path, as at a corner."""
     problem = scenario.problem
     speed, acceleration = problem.start_state(int(path.segments[0].direction))
     wait = problem.start_wait(path)

@@ -52,10 +52,10 @@ class Row(NamedTuple):
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     """Return the plan file of a failure: its name, its reason, and the results so far.
 
-    A path without certificate is left out, as paths of plan files are meant to be driven.
+    A path without certificate is left out, because paths of plan files are meant to be driven.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
-    judged = so_far.certificate is not None and proof is None  # no path next to a proof that none exists
+    judged = so_far.certificate is not None and proof is None  # no path next to a proof that no path exists
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
@@ -168,7 +168,7 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
     Args:
         run: The run.
         deviations: Deviations of its poses from the certified path; None without a path.
-        left: How its poses left the proven region, see `beyond_proof`; empty if they did not.
+        left: Description of the poses outside the proven region, see `beyond_proof`; empty if all are inside.
     """
     error = run.final_error
     rows = [

@@ -19,7 +19,7 @@ __all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "Memo", "TrajectoryCertifica
 # drives.
 TOLERANCE = 1e-6
 # [m]: the proven minimum of the clearance is at most this far below a clearance that occurs. If the minimum is at the
-# dock, as it usually is, sharpness costs nothing.
+# dock, the usual case, this accuracy needs no additional time.
 SHARPNESS = 1e-3
 
 Subject = TypeVar("Subject")
@@ -27,7 +27,7 @@ Value = TypeVar("Value")
 
 
 class Memo(Generic[Subject, Value]):
-    """The last value kept for every living subject, by identity and not by equality of the subject.
+    """Cache with one value for every existing subject, by identity and not by equality of the subject.
 
     Frozen inputs have the same verdict, so a proof is made once. Verdicts are stored here, so a caller cannot supply
     one.
@@ -113,9 +113,9 @@ class Certificate(_Verdict):
         poses_checked: Number of poses that the proof evaluated.
         problem: Digests of the problem; a certificate is valid for no other problem.
         path: Digest of the path.
-        start_relief: 0 for the strict clearance rule near the start, which requires growing clearance from the start
-            on; otherwise the distance from the start within which the weaker rule allows the start clearance [m]. The
-            weaker rule is used only if the strict one is violated.
+        start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
+            distance from the start; otherwise the distance from the start within which the weaker rule allows the start
+            clearance [m]. The weaker rule is used only if the strict one is violated.
         tube: Largest displacement of a footprint point from its place on the path that keeps the robot's clearance [m];
             it tapers at the dock like the clearance and is included in `required_clearance` (`TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be

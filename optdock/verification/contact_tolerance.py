@@ -1,8 +1,9 @@
-"""Contact tolerance: overlaps that are shallow piece by piece but deep for the union of the pieces.
+"""Contact tolerance: overlaps that are shallow for every piece but deep for the union of the pieces.
 
-If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, which is harmless: their
-intersection lies within t of the outline of either. But a footprint that is not convex, and obstacles that touch each
-other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to any depth.
+If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, because their
+intersection then lies within t of the outline of either piece. But a footprint that is not convex, and obstacles that
+touch each other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to
+any depth.
 
 Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
 C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres count as
@@ -75,7 +76,7 @@ def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray)
         return ObstacleSet.empty()
     import shapely
 
-    middle = 0.5 * (low + high)  # offset curves are computed near the origin, where floats are finest
+    middle = 0.5 * (low + high)  # offset curves are computed near the origin, where floats are most precise
     box = shapely.box(*(low - middle), *(high - middle))
     shapes = shapely.intersection(shapely.polygons(obstacles.vertices[rows] - middle), box)
     closed = shapely.union_all(shapely.buffer(shapes, _CRACK, join_style="mitre"))

@@ -1,8 +1,8 @@
 """Proven motions: path, time law, problem and pose of the robot, tied together by their proofs.
 
 Certificates are plain values that any program can create. The library acts on `ProvenMotion` and `ProvenWay`, which
-only the functions of this module create. Such an object holds no data: its content is looked up among the proofs made
-here, so a forged or modified object has no content.
+only the functions of this module create. Such an object has no attributes: its content is looked up in the table of
+proofs made here, so a forged or modified object has no content.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ class _Proven(Generic[Content]):
 class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
-    Valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's robot
-    from then on. Created by `prove_motion` only. Pickles are trusted, as Python trusts all pickles.
+    It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
+    robot afterwards. Created by `prove_motion` only. Pickles are trusted, as Python trusts all pickles.
 
     Raises:
         InvalidValue: If it is constructed, or accessed without a proof.
@@ -118,7 +118,7 @@ class ProvenMotion(_Proven[_Motion]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that it is proven for."""
+        """The problem that the motion is proven for."""
         return self._content.problem
 
     @property
@@ -165,7 +165,7 @@ class ProvenWay(_Proven[_Way]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that it is proven in; its start is not used."""
+        """The problem that the path is proven in; its start is not used."""
         return self._content.problem
 
 
@@ -185,7 +185,8 @@ def prove_motion(
         is_late: As for `certify_path` and `certify_trajectory`.
 
     Raises:
-        CertificationFailed: If a rule is violated or a proof was cut short; the message is that of the first violation.
+        CertificationFailed: If a rule is violated or a proof was interrupted; the message is that of the first
+            violation.
         InvalidValue: If the class of trajectory or problem is another one or a subclass.
     """
     exactly(Trajectory, trajectory, "trajectory")
@@ -234,11 +235,11 @@ def prove_way(
 
     A robot next to the path, with its outline displaced by e, returns to the path. Within the tube around the path this
     is covered by the tube. Beyond it, every pose displaced by at most e must keep `problem.clearance`, so the path is
-    proven to keep e more. Only the station is exempt if the robot would count as docked at this displacement, because
-    it ends in contact with the station.
+    proven to keep e more. The station is exempt if the robot counts as docked at this displacement, because it ends in
+    contact with the station.
 
     Args:
-        path: The path from its start on.
+        path: The path, driven from its start.
         problem: Robot, obstacles and rule of clearance; its start is not used.
         pose: Pose of the robot; None for the start of the path.
         at: Arc length on the path that corresponds to `pose`, in the first gear [m].
@@ -308,7 +309,7 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
     """Return the way of a robot at the beginning of a proven motion; None if the tube does not contain the pose.
 
     Args:
-        motion: The motion from its start on.
+        motion: The motion, driven from its start.
         pose: Pose of the robot; None for the start.
     """
     problem, start, path = motion.problem, motion.pose, motion.trajectory.path
@@ -321,7 +322,7 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """Return a stretch of a proven path if its proof obviously holds in another problem, else None.
+    """Return a stretch of a proven path if its proof trivially holds in another problem, else None.
 
     The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
     clearance nor the station reaches it.

@@ -39,7 +39,7 @@ __all__ = [
     "pose_clearances",
 ]
 
-_MAX_CIRCLES = 3  # per body; more circles cost more than the narrow phase that they save
+_MAX_CIRCLES = 3  # per body; more circles take longer than the narrow phase that they save
 _NEARBY = 1.0  # [m]: obstacles farther than this are evaluated only if no other is as near
 _NEAREST = 8  # obstacles per pose that the narrow phase evaluates first; the others only if they may be nearer
 

@@ -113,7 +113,7 @@ def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation
 
 
 def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
-    """The parts that a motion omits at its ends within the tolerance must not contain a turn."""
+    """Check that the parts that a motion omits at its ends within the tolerance contain no turn."""
     law, path = trajectory.time_law, trajectory.path
     ends = ("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)
     yaws = path.poses_at([s for _, found, wanted in ends for s in (found, wanted)])[:, 2]
@@ -125,7 +125,7 @@ def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
 
 
 def _turns_in_place(path: Path) -> Iterator[Violation]:
-    """A time law over distance has no time for a turning step without distance."""
+    """Check for turning steps of a polyline without distance, for which a time law over distance has no time."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, PolylineSegment):
             still = np.flatnonzero(~np.isfinite(segment.step_curvature))

@@ -308,7 +308,7 @@ class OwnDock(DockPlugin):
         kind = load_plugin(DockType, self.entry_point)
         names = _own_names(kind)
         self._own = {key: value for key, value in parameters.items() if key in names}
-        parse_parameters(kind.Parameters, self._own, name)  # names the block in faults
+        parse_parameters(kind.Parameters, self._own, name)  # name of the block in error messages
         super().__init__(name, {key: value for key, value in parameters.items() if key not in names})
         self.is_charger = self.waits_for_charge
 

@@ -171,7 +171,7 @@ _TUBE = {"cross": 0.02, "yaw": 0.03}  # [m], [rad]: deviations of the study's ro
 
 
 class Docks:
-    """Dock plugins by the names of their instances, and docks by their names."""
+    """Dock plugins by the names of their instances, and docks by name."""
 
     def __init__(self, plugins: Mapping[str, DockPlugin], entries: Mapping[str, DockEntry]) -> None:
         self.plugins, self.entries = dict(plugins), dict(entries)
@@ -284,7 +284,7 @@ class DockingSettings:
             **of_goal,
         }
         if self.controller.use_collision_detection:
-            # A costmap that is new enough is passed in every cycle; a few cycles may fail.
+            # A costmap that is new enough is passed in every cycle; a few cycles may miss it.
             values["costmap_patience"] = max(0.1, 5.0 * self.period)
         return ExecutorSettings(**values)
 

@@ -112,8 +112,8 @@ class Measuring:
         if is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
             twist = Twist2()
         if twist is None:
-            # A stop must begin with the velocity just received, even if its stamp is of another clock; but not with
-            # one that was received before this process was suspended.
+            # A stop must begin with the velocity just received, even if its stamp is of another clock, but not with a
+            # velocity that was received before this process was suspended.
             is_new = monotonic() - min(self._heard_at, measured_before) <= self._rules.odom_tolerance
             twist = self._heard if is_new else Twist2()
         contact, odometry = self._contact(now), self._odometry_pose
@@ -195,7 +195,7 @@ class Measuring:
         return tuple(found)
 
     def _detection(self, message: Any, now: float) -> Detection | None:
-        """Return the detection of a message; None while its transform may arrive; raise if it is invalid or old."""
+        """Return the detection of a message; None while its transform may arrive; raise if invalid or too old."""
         stamp, frame = ros.seconds(message.header.stamp), message.header.frame_id
         age = now - stamp
         if age > self._rules.detection_timeout or age < -_AHEAD:

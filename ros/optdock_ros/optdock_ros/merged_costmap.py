@@ -1,7 +1,7 @@
 """Costmaps of several topics merged into one in the planning frame.
 
 Unknown cells count as occupied, and a cell that overlaps several cells of another grid gets the worst of their costs:
-whatever is certified in the merged costmap also holds in its sources.
+a certificate for the merged costmap also holds for its sources.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def joined(wide: Costmap, local: Costmap) -> Costmap:
     reach = 0 if same else math.ceil(0.5 * ratio)
     data = _spread(wide, reach).cost_at(_centres(origin, side, columns, rows)).reshape(rows, columns)
     i, j = (-low).tolist()
-    window = data[j : j + local.rows, i : i + local.columns]  # a view
+    window = data[j : j + local.rows, i : i + local.columns]  # a view, not a copy
     is_seen = local.data != NO_INFORMATION
     before = np.where(window == NO_INFORMATION, FREE_SPACE, window)
     window[is_seen] = np.maximum(before, local.data)[is_seen]

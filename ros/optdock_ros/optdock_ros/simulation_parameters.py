@@ -83,7 +83,7 @@ PARAMETERS: dict[str, tuple[object, str]] = {
     "faults.detections": (False, "detections stop"),
     "faults.costmap": (False, "costmap and footprint stop"),
 }
-"""Name, default, and what it is."""
+"""Name, default and description of every parameter."""
 
 POSITIVE = (
     "rate", "command_timeout", "odometry.rate", "localization.rate", "wheels.radius", "costmap.size",
