@@ -44,7 +44,9 @@ def as_text(calibration: Calibration) -> str:
             rows.append((one.name, f"{one.value:.4f}", interval, one.unit, str(one.samples), str(one.sources)))
         parts.append(table(rows))
     if missing:
-        parts.append("These recordings cannot tell:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing))
+        parts.append(
+            "Not determined by these recordings:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing)
+        )
     not_zero = [one for one in known if one.low > 0.0 or one.high < 0.0]
     notes = [f"  {one.name}: {_USES[one.name]}" for one in not_zero if one.name in _USES]
     if notes:

@@ -294,7 +294,7 @@ def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
 
 
 def _recording_of_bag(source: Path) -> Recording:
-    """The drive in a recording of ROS 2; detections must be in the robot's frame, as `optdock bag` writes them."""
+    """The drive in a recording of ROS 2; detections must be in the robot's frame, as written by `optdock bag`."""
     with open_bag(source) as bag:
         odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
         cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")

@@ -108,7 +108,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
     """Extract map, planned path and driven poses of a docking from a recording, for optdock certify.
 
     The last path, the last costmap and the driven poses are written in the frame of the costmap. To find collisions:
-    optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; likewise
+    optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; the same for
     failed/drive.json
     """
     with reported(verbose=verbose):

@@ -183,7 +183,7 @@ def _refuse_fault(run: Run, left: str) -> None:
     Raises:
         Exit: If the run failed in one of these ways.
     """
-    faults = [*([run.fault] if run.fault else []), *([f"left what is proven: {left}"] if left else [])]
+    faults = [*([run.fault] if run.fault else []), *([f"left the proven region: {left}"] if left else [])]
     for fault in faults:
         typer.echo(fault, err=True)
     if faults:

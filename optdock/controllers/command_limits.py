@@ -43,7 +43,7 @@ _QUARTER = 1.57  # [rad]: largest steering angle
 
 
 class CommandLimiter:
-    """Limits each command by the last one.
+    """Limiter of each command by the previous one.
 
     Attributes:
         command: The last command.
@@ -175,7 +175,7 @@ class CommandLimiter:
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced to the limits that it shares with the turn, as far as the jerk allows."""
+        """Return the acceleration, reduced to the limits that it shares with the turn if the jerk allows it."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
         speed = forward * self.command.linear  # negative: the speed decreases towards rest
         top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)

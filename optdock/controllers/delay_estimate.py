@@ -33,7 +33,7 @@ _SLEW = 0.5  # [s/s]: largest change of the estimate, so that the feed-forward d
 
 
 class ControlClock:
-    """Measures the period of the calls from their stamps.
+    """Period of the calls, measured from their stamps.
 
     Attributes:
         now: Stamp of the last call [s]; None before the first.
@@ -89,7 +89,7 @@ class ControlClock:
 
 
 class DelayEstimate:
-    """Estimates the drive's delay with a bank of models, from commands and measured speeds.
+    """Estimator of the drive's delay by a bank of models, from commands and measured speeds.
 
     Every model is a latency followed by a first-order lag; the feed-forward needs only their sum. The period may vary.
 

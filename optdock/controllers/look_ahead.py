@@ -52,7 +52,7 @@ def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, 
 
 
 class LookAhead:
-    """Finds obstacles along motions; caches those around the robot until they change."""
+    """Search for obstacles along motions, with a cache of those around the robot until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None

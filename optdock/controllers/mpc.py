@@ -86,7 +86,7 @@ class MpcStatus(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """Commands of a solved cycle at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
+    """Commands of a cycle solved at `stamp`, Shape (n, 2), with the times at which each begins, Shape (n,) [s]."""
 
     stamp: float
     times: FloatArray
@@ -94,7 +94,7 @@ class _Plan(NamedTuple):
 
 
 class MpcController(TrackingController):
-    """Follows a trajectory by model predictive control: a TrackingController with another law.
+    """Controller that follows a trajectory by model predictive control: a TrackingController with another law.
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as braking
     takes, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go weighs the
@@ -354,7 +354,7 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Passes the program's commands, which keep all limits, and limits those that the finish has changed.
+    """Limiter that passes the program's commands, which keep all limits, and limits those changed by the finish.
 
     Attributes:
         allowed: The program's command of this cycle.

@@ -50,7 +50,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
         raise ControllerInvalidPath(f"TrackingController: can follow a Path or a Trajectory, got {type(task).__name__}")
     if context.problem is not None and not may_be_one_frame(task.frame, context.problem.frame):
         raise ControllerInvalidPath(
-            f"TrackingController: the path stands in frame {task.frame!r}, the configured problem in "
+            f"TrackingController: the path is in frame {task.frame!r}, the configured problem in "
             f"{context.problem.frame!r}; transform one of them",
             where={"path": task.frame, "problem": context.problem.frame},
         )

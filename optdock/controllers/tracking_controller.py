@@ -91,7 +91,7 @@ class TrackingControllerParameters(PluginParameters):
 
 
 class TrackingController(Controller):
-    """Follows a trajectory in time, in both gears, and corrects the remaining error at its end.
+    """Controller that follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
     **Time.** Every call advances the reference by the time since the last one, as the stamps say, or by `period` if
     given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower under

@@ -138,7 +138,7 @@ def tracking_command(error: Pose2, reference: Twist2, gains: Gains) -> Twist2:
 
 
 class FeedbackGains:
-    """Gains scheduled by the drive's delay and by the distance to the end; estimates the noise of the poses.
+    """Gain schedule by the drive's delay and the distance to the end, with an estimate of the noise of the poses.
 
     Attributes:
         scatter: Variance of a measured pose across the robot [m^2].

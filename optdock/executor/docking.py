@@ -230,7 +230,9 @@ class DockingExecutor:
         self._repeats = self._repeats + 1 if period == 0.0 else 0
         if self._repeats > _MOST_REPEATS:
             self._offset += usual
-            self._interrupt("clock stands still", f"the same stamp {self._repeats} times; the clock goes on")
+            self._interrupt(
+                "clock stands still", f"the same stamp {self._repeats} times; the task continues on its own clock"
+            )
             return usual, usual
         if period < 0.0:
             self._offset += usual - period

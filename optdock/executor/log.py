@@ -118,7 +118,7 @@ class DockingLog:
 
 
 class LogWriter(AbstractContextManager["LogWriter"]):
-    """Writes a log, line by line; a context manager.
+    """Writer of a log, line by line; a context manager.
 
     Args:
         target: The file; an existing one is replaced.

@@ -157,7 +157,7 @@ class Verdict(NamedTuple):
 
 
 class Planning(Protocol):
-    """Runs the jobs of an executor, one at a time."""
+    """Interface that runs the planning jobs of an executor, one at a time."""
 
     def submit(self, job: Job) -> None:
         """Start a job; the result of the job before is dropped."""
@@ -341,7 +341,7 @@ class RecordedPlanning(Planning):
 
 
 class PlanRequests:
-    """Numbers the jobs of a task and drops the results of outdated ones.
+    """Jobs of a task by number; results of outdated jobs are dropped.
 
     Attributes:
         pending: Whether a result is expected.

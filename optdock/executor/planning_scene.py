@@ -44,8 +44,8 @@ def contact_reach(costmap: Costmap, margin: float) -> float:
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
     """Return the costmap with the cells at the touching edge of the docked robot freed.
 
-    Cells are freed within the margin, or a cell and a half, of that edge and nowhere else, so that obstacles in the way
-    of the robot are kept.
+    Only cells within the margin, or a cell and a half, of that edge are freed, so that obstacles in the way of the
+    robot are kept.
 
     Args:
         costmap: Costmap in the frame of the dock.

@@ -240,7 +240,7 @@ class Procedure:
 
 
 class Travel:
-    """Plans from rest and drives of a task."""
+    """Functions of a task that plan from rest and drive motions."""
 
     def __init__(
         self, cycles: ControlCycles, controller: Controller, goal_checker: GoalChecker, planning: Planning

@@ -171,7 +171,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
 
     fault = ""
     if not 0.0 < problem.dock.final_straight < math.inf:
-        fault = "the dock asks for no final straight"
+        fault = "the dock requires no final straight"
     elif set(_GEARS[problem.dock.direction]) - {pose.gear for pose in proof.poses}:
         fault = "a gear that the dock allows is missing"
     elif not all(0.0 <= pose.before <= problem.dock.final_straight for pose in proof.poses):

@@ -151,7 +151,7 @@ class ImpossibilityProof(FrozenArrays):
     @property
     def message(self) -> str:
         """The result in one sentence."""
-        why = self.bottleneck or f"the {self.end} is shut in"
+        why = self.bottleneck or f"the {self.end} is enclosed"
         return f"no motion joins start and goal, reversing and turning in place included: {why}"
 
     @property

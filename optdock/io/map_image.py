@@ -78,7 +78,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
     except Image.DecompressionBombError as error:
         raise InvalidFile(f"{path}: more than the {MAX_PIXELS} pixels allowed; crop the map") from error
     except _DAMAGE as error:
-        raise InvalidFile(f"{path}: is damaged or cut short: {shortened(str(error))}") from error
+        raise InvalidFile(f"{path}: is damaged or truncated: {shortened(str(error))}") from error
 
 
 def _check_size(path: Path, width: int, height: int) -> None:

@@ -86,7 +86,7 @@ def check_vertices(value: object) -> None:
     """Check the number of vertices of an obstacle or outline.
 
     Raises:
-        InvalidValue: If there are more than 300.
+        InvalidValue: If there are more than 300 vertices.
     """
     if isinstance(value, list) and len(value) > _MOST_VERTICES:
         raise InvalidValue(f"must have at most {_MOST_VERTICES} vertices, got {len(value)}")

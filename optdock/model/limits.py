@@ -211,7 +211,7 @@ class MotionLimits:
                 raise InvalidValue(f"limits.{spec.name}: must be {rule}, got {value}")
         for name, unit in STEERING_UNITS.items():
             if math.isfinite(getattr(self, name)) and self.wheelbase == 0.0:
-                raise InvalidValue(f"limits.{name}: {getattr(self, name)} {unit} means nothing without wheelbase > 0 m")
+                raise InvalidValue(f"limits.{name}: {getattr(self, name)} {unit} requires wheelbase > 0 m")
         if math.isfinite(self.max_steering_angle):
             tightest = math.tan(self.max_steering_angle) / self.wheelbase
             vars(self).update(max_curvature=min(self.max_curvature, tightest))

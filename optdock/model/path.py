@@ -131,7 +131,7 @@ class Path(FrozenArrays):
         if frame in ("", self.frame):
             return self
         if not may_be_one_frame(self.frame, frame):
-            raise InvalidPath(f"path: stands in frame {self.frame!r}, not in {frame!r}; transform it first")
+            raise InvalidPath(f"path: is in frame {self.frame!r}, not in {frame!r}; transform it first")
         return dataclasses.replace(self, frame=frame)
 
     def __repr__(self) -> str:

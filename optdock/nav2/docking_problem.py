@@ -193,7 +193,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
 
 
 def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
-    """Speed of the docking controller, from the staging pose on."""
+    """Speed of the docking controller after the staging pose."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"
     if not isinstance(controller, Mapping):

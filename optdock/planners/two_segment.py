@@ -303,7 +303,7 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
         point = np.array([[pose.x, pose.y]])
         where: dict[str, object] = {"pose": [pose.x, pose.y]}
         if not bool(costmap.contains(point)[0]):
-            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where=where)
+            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) is outside the map", where=where)
         cost = int(costmap.cost_at(point)[0])
         if cost >= threshold:
             raise occupied(
@@ -397,7 +397,7 @@ class JointKind(IntEnum):
 
 
 class Joint(NamedTuple):
-    """How segment 1 reaches the axis.
+    """Joint of segment 1 with the axis.
 
     `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
     [m].

@@ -103,7 +103,7 @@ def still_holds(
         obstacles, costmap, later = world.obstacles, world.costmap, world
     changed = _changed(known, later, obstacles, costmap)
     if "frame" in changed:
-        reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
+        reason = f"the world is in frame {later.frame!r}, the plan in {plan.frame!r}"
         return StillHolds(holds=False, changed=changed, reason=reason)
     if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)

@@ -138,7 +138,9 @@ def check_ends(problem: DockingProblem) -> None:
         ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
     ):
         if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
-            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
+            raise off_map(
+                f"the {name} ({pose.x:.3f}, {pose.y:.3f}) is outside the map", where={"pose": [pose.x, pose.y]}
+            )
         required = problem.clearance.at_dock if name == "goal" else 0.0
         if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)

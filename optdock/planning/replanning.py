@@ -237,12 +237,12 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
         return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
     instance(DockingProblem, target, "target")
     if target.frame != plan.frame:
-        raise InvalidValue(f"target: stands in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
+        raise InvalidValue(f"target: is in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
     return target
 
 
 class _Plugins(NamedTuple):
-    """Plugins as the caller named them."""
+    """Plugins as specified by the caller."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
     smoother: SmootherLike

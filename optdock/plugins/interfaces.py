@@ -260,7 +260,7 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Costmaps of the collision checks; the obstacles of the problem always count."""
+        """Costmaps of the collision checks, which always include the obstacles of the problem."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:

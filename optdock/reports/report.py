@@ -198,7 +198,7 @@ def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
     outside = deviations.excess > 0.0
     to_go = np.hypot(run.poses[:, 0] - run.goal.x, run.poses[:, 1] - run.goal.y)
     if width == 0.0:
-        text = "none is proven; robot.tracking asks for one"
+        text = "not proven; set robot.tracking to prove one"
     elif not outside.any():
         text = f"kept, {1e3 * width:.1f} mm wide before it tapers"
     else:

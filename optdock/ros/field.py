@@ -73,7 +73,7 @@ _BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Topics to read: the first existing one of each kind; a single one must exist. Defaults are those of Nav2."""
+    """Topics to read: the first existing topic of each kind; a kind with one topic requires it. Defaults are Nav2's."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (

@@ -139,7 +139,7 @@ def _origin(types: MessageTypes, grid: Costmap) -> Message:
 
 
 def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
-    """Costs of a message, Shape (rows, columns); with a rule its cells are occupancies."""
+    """Costs of a message, Shape (rows, columns); a rule converts the cells of messages with occupancies."""
     given = message.data
     if isinstance(given, list | tuple):  # rclpy's fields also accept lists
         given = bytes(value % 256 for value in given)

@@ -117,7 +117,7 @@ class _Track:
 
 
 class TransformTree:
-    """Frames over time.
+    """Tree of frames with their transforms over time.
 
     Only one thread at a time may store messages; lookups from any thread never block. A frame with a new parent loses
     its previous transforms.
@@ -231,7 +231,7 @@ class TransformTree:
         if at > newest + self._reach + _SAME_TIME:
             if at - newest > tolerance:
                 raise TransformError(
-                    f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
+                    f"{target} <- {source}: requested for {at:.3f} s, but the newest of {frame} is {at - newest:.3f} s "
                     f"older, more than {tolerance:g} s",
                     where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - newest},
                 )
@@ -261,8 +261,8 @@ class TransformTree:
             if times[first] - at <= self._reach + _SAME_TIME:
                 return track.sample(first)
             raise TransformError(
-                f"{track.parent} <- {name}: asked for {at:.3f} s, but the oldest known is {times[first] - at:.3f} s "
-                f"newer",
+                f"{track.parent} <- {name}: requested for {at:.3f} s, but the oldest known is "
+                f"{times[first] - at:.3f} s newer",
                 where={"frame": name, "stamp": at, "before": times[first] - at},
             )
         share = (at - times[row - 1]) / (times[row] - times[row - 1])

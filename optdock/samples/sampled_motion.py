@@ -120,7 +120,7 @@ class Run(NamedTuple):
 
 
 def runs_of(motion: SampledMotion, path: Path, limits: MotionLimits, rounding: Rounding) -> list[Run] | Violation:
-    """The parts of the path with their samples, in order; a violation where the samples do not follow the parts.
+    """The parts of the path with their samples, in order, or a violation if the samples do not follow the parts.
 
     Parts that fit between two samples have no run.
     """
@@ -159,7 +159,7 @@ def _parts(path: Path) -> list[Run]:
 
 
 def _merged(parts: Sequence[Run]) -> list[Run]:
-    """Neighbours of one kind as one part."""
+    """Merge neighbouring parts of one kind."""
     groups = [list(group) for _, group in itertools.groupby(parts, key=lambda part: part.kind)]
     return [group[0]._replace(end=group[-1].end) for group in groups]
 
@@ -200,7 +200,7 @@ def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled:
 def _on_turn(
     path: Path, run: Run, motion: SampledMotion, yaw: FloatArray, rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Arc lengths, distances and turns off the turn in place."""
+    """Arc lengths of samples in a turn in place, with their distances and angles from it."""
     at = path.poses_at(0.5 * (run.begin + run.end))[0]
     extent, sign = run.end - run.begin, np.sign(run.kind)
     turned = sign * (yaw[rows] - at[2]) + 0.5 * extent

@@ -283,7 +283,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
-    """A robot on two driven wheels.
+    """Plant of a robot with two driven wheels.
 
     A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps with
     lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the task of the

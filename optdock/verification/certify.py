@@ -61,7 +61,7 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         problem: The problem.
         is_late: Polled after every round of the proof, below a millisecond each for a path of some metres among a
             hundred obstacles, and between the blocks of long rounds. Once it is True, everything not yet proven is
-            `unproven`, and the reported clearance is a bound that may be far from sharp.
+            `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.

@@ -362,7 +362,7 @@ def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advance
 
 
 class Advances(NamedTuple):
-    """Stretches of motion from known poses: n stretches from k poses, because neighbours share poses.
+    """Stretches of motion from known poses: n stretches from k poses, because neighbouring stretches share poses.
 
     `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du there, into the
     stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell: `speed` of |p'|, `turn`

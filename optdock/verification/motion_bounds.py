@@ -72,7 +72,7 @@ class Cells(NamedTuple):
 
 
 class CellEnds(NamedTuple):
-    """Places where cells meet: segment and parameter, Shape (k,); places of first and last ends of cells, (n,)."""
+    """Borders of cells: segment and parameter, Shape (k,); rows of the first and the last border of each cell, (n,)."""
 
     segment: IntArray
     u: FloatArray

@@ -289,7 +289,7 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
 def _not_clear_by(
     more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
 ) -> str:
-    """As `_not_clear` for `more` than `problem.clearance` [m]; an exempt station is checked without the increase."""
+    """Apply `_not_clear` with `more` clearance [m]; an exempt station is checked without the increase."""
     dock, robot = problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,

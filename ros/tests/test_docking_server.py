@@ -341,7 +341,7 @@ def test_deactivation_stops_the_robot_with_a_reason(bay: Bay) -> None:
     assert bay.life.deactivate()
     bay.client.until(lambda: len(asked) == 2, what="off")
     bay.client.destroy_service(service)
-    assert "the thread of a goal goes on" not in bay.server.log()
+    assert "the thread of a goal is still running" not in bay.server.log()
     reply = goal.reply()
     assert (reply.status, reply.result.error_code) == (ABORTED, 999)
     assert "deactivated" in reply.result.error_msg

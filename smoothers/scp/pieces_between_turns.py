@@ -51,7 +51,7 @@ class _Joined(NamedTuple):
 
 @dataclass
 class TurningSolver:
-    """Smooths the pieces between the turns of a path; arguments as of `Solver`."""
+    """Smoother of the pieces between the turns of a path; arguments as for `Solver`."""
 
     pool: ProgramPool
     deadline: Deadline

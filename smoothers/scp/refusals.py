@@ -129,7 +129,7 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
     before = length - broken.s
     place = "at the goal" if before <= _GOAL_ALONE else f"on the final straight, {before:.3f} m before the goal"
     refusal = _unseen(broken, path.length - before, None)
-    message = f"{place}: {broken.message.partition(': ')[2]} (every path ends so; see dock.blind_distance)"
+    message = f"{place}: {broken.message.partition(': ')[2]} (every path ends there; see dock.blind_distance)"
     return refusal._replace(reason="approach_unseen", message=f"the dock is not in the camera's view {message}")
 
 

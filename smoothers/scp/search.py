@@ -260,7 +260,7 @@ def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float
 
 @dataclass
 class Solver:
-    """Runs the strategy for one call; `cancelled` is polled every iteration."""
+    """Run of the strategy for one call; `cancelled` is polled every iteration."""
 
     pool: ProgramPool
     deadline: Deadline

@@ -590,7 +590,7 @@ def test_a_map_of_one_pixel_is_a_map():
     write("image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n", name="m.yaml")  # fmt: skip  # noqa: E501
     result = run("plan", write(SCENARIO, "robot:", "map: m.yaml\nrobot:"), "--plot", "p.png")
     assert result.exit_code == 3
-    assert result.stderr == "StartOutsideMapBounds: the start (1.000, 0.200) lies off the map\n"
+    assert result.stderr == "StartOutsideMapBounds: the start (1.000, 0.200) is outside the map\n"
 
 
 def test_names_with_blanks_and_letters_of_any_language_are_names(tmp_path):
@@ -689,7 +689,7 @@ time_budget: 5.0
     assert late.exit_code == 3
     assert late.stdout.startswith("NOT AS PROVEN")
     assert "the tube is" in late.stdout.splitlines()[0]
-    assert late.stderr.startswith("left what is proven: ")
+    assert late.stderr.startswith("left the proven region: ")
 
 
 def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):

@@ -213,7 +213,7 @@ def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path):
 WRONG_STEERING = [
     (
         "drive: ackermann, limits: {max_steering_angle: 0.6}",
-        ".limits.max_steering_angle: 0.6 rad means nothing without wheelbase > 0 m",
+        ".limits.max_steering_angle: 0.6 rad requires wheelbase > 0 m",
     ),
     (
         "drive: ackermann, limits: {wheelbase: 2.8, max_steering_angle: 35}",

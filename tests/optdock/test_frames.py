@@ -34,7 +34,7 @@ def test_a_frame_is_set_once():
     assert named.frame == "depot"
     assert named.segments is path.segments
     assert named.with_frame("depot") is named.with_frame("") is named
-    with pytest.raises(InvalidPath, match="stands in frame 'depot', not in 'odom'; transform it first"):
+    with pytest.raises(InvalidPath, match="is in frame 'depot', not in 'odom'; transform it first"):
         named.with_frame("odom")
     assert Path.from_poses([ORIGIN, GOAL], "depot").frame == "depot"
     with pytest.raises(InvalidPath, match=r"path\.frame: must be a name, got 3"):
@@ -74,7 +74,7 @@ def test_a_smoother_refuses_a_path_in_another_frame(name):
         lambda: smoother(name).smooth(odom, 20.0, problem=DEPOT),
         lambda: smoother(name, PluginContext(problem=DEPOT)).smooth(odom, 20.0),
     ):
-        with pytest.raises(InvalidPath, match="stands in frame 'odom', not in 'depot'"):
+        with pytest.raises(InvalidPath, match="is in frame 'odom', not in 'depot'"):
             call()
 
 
@@ -82,7 +82,7 @@ def test_a_smoother_refuses_a_path_in_another_frame(name):
 def test_a_controller_refuses_a_path_in_another_frame(name):
     controller = create_plugin(Controller, name)
     controller.configure(PluginContext(problem=DEPOT))
-    with pytest.raises(ControllerInvalidPath, match="path stands in frame 'odom', the configured problem in 'depot'"):
+    with pytest.raises(ControllerInvalidPath, match="path is in frame 'odom', the configured problem in 'depot'"):
         controller.set_path(Path.from_poses([ORIGIN, Pose2(1.0, 0.0, 0.0)], "odom"))
     for frame in ("", "depot"):
         controller.set_path(Path.from_poses([ORIGIN, Pose2(1.0, 0.0, 0.0)], frame))
@@ -96,7 +96,7 @@ def test_no_certificate_holds_across_frames():
     assert certify_path(path.with_frame("depot"), straight).certified
     (violation,) = certify_path(path.with_frame("odom"), straight).violations
     assert violation.kind == "frame"
-    assert "stands in frame 'odom', the problem in 'depot'" in violation.message
+    assert "is in frame 'odom', the problem in 'depot'" in violation.message
 
 
 def test_results_of_the_pipeline_have_the_frame(tmp_path):
@@ -108,5 +108,5 @@ def test_results_of_the_pipeline_have_the_frame(tmp_path):
 
 
 def test_a_plan_file_cannot_name_another_frame_than_its_paths():
-    with pytest.raises(InvalidPath, match="stands in frame 'odom', not in 'depot'"):
+    with pytest.raises(InvalidPath, match="is in frame 'odom', not in 'depot'"):
         PlanFile(frame="depot", path=raw_path().with_frame("odom"))

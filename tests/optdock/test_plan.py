@@ -58,7 +58,7 @@ def test_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
     slow = dataclasses.replace(PROBLEM, robot=dataclasses.replace(PROBLEM.robot, limits=slower))
     with pytest.raises(CertificationFailed, match="for this problem the motion is not certified: speed"):
         DockPlan.load(tmp_path / "plan.json", slow)
-    with pytest.raises(InvalidPath, match="stands in frame 'map'"):
+    with pytest.raises(InvalidPath, match="is in frame 'map'"):
         DockPlan.load(tmp_path / "plan.json", dataclasses.replace(PROBLEM, frame="odom"))
 
 

@@ -142,7 +142,7 @@ def test_given_guess_to_another_place_is_refused_and_the_search_continues():
         (3, InvalidValue, "guesses: must be a list of paths, got int"),
         ("path", InvalidValue, "guesses: must be a list of paths, got str"),
         ([None], InvalidValue, r"guesses\[0\]: must be a Path, got NoneType"),
-        ([Path.from_poses([(0, 0, 0), (1, 0, 0)], "odom")], InvalidPath, "stands in frame 'odom', not in 'map'"),
+        ([Path.from_poses([(0, 0, 0), (1, 0, 0)], "odom")], InvalidPath, "is in frame 'odom', not in 'map'"),
     ],
 )
 def test_invalid_guesses_are_refused_by_name(guesses, error, message):

@@ -223,6 +223,6 @@ def _free_lengths(
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
-    """Concatenate ways to one sequence of arcs from a pose."""
+    """Concatenate several sequences of arcs to one that begins at a pose."""
     lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
     return Arcs(start[None], lengths, curvatures)

@@ -157,8 +157,8 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
         other = [gear for gear in runs if gear not in wanted and runs[gear] >= dock.final_straight]
         hint = f"; {other[0]} it can be entered" if other else ""
         return (
-            f"the dock asks for {dock.direction.value} with a final straight of {dock.final_straight:.2f} m, of which "
-            f"the clearance leaves {sides}{hint}"
+            f"the dock requires direction {dock.direction.value} with a final straight of {dock.final_straight:.2f} m, "
+            f"of which the clearance leaves {sides}{hint}"
         )
     return (
         f"no free manoeuvre found from {problem.start.brief} to {problem.goal.brief}; that is not a proof, there may "

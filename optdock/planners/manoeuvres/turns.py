@@ -2,7 +2,7 @@
 
 The fastest motions of a differential drive with bounded wheel speeds are such sequences on open floor [Balkcom2002].
 Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives straight and
-turns again. If obstacles block that line, it follows a shortest way around them for the disc of turning, cut short by
+turns again. If obstacles block that line, it follows a shortest way around them for the disc of turning, shortened by
 lines of sight. The smoother rounds corners with enough room without a stop.
 """
 
@@ -329,7 +329,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
+    """Yield ways from a node to others along shortest ways of a disc, shortened for a narrower one, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():
@@ -368,7 +368,7 @@ def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple
 
 
 def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: FreeSpace, radius: float) -> FloatArray:
-    """Return the corners of a way that remain when it is cut short by lines of sight of a disc. Shape (k, 2)."""
+    """Return the corners of a way that remain after it is shortened by lines of sight of a disc. Shape (k, 2)."""
     some = way[np.unique(np.linspace(0, len(way) - 1, _POINTS).astype(np.int64))]
     points = np.concatenate((source[None], some[1:-1], target[None]))
     corners, at, last = [points[0]], 0, len(points) - 1

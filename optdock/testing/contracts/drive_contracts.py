@@ -296,7 +296,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
 
 
 class _ScriptedRobot:
-    """A clock and a robot that follows its commands exactly, or stays in place where it is `stuck`."""
+    """A clock and a robot that follows its commands exactly, or stays in place if it is `stuck`."""
 
     def __init__(self, context: PluginContext, *, stuck: bool = False) -> None:
         self.time, self.pose, self.twist, self.stuck = 100.0, ORIGIN, _REST, stuck

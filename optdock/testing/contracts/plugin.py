@@ -171,7 +171,7 @@ class PluginContract(ABC, Generic[P]):
             changed.set_parameters(**{name: value})
             built = type(changed)(**changed.parameters.model_dump(by_alias=True))
             self._walk(built, "configure", "activate")
-            require(self._outcome(changed) == self._outcome(built), f"{name} = {value} counts from now on")
+            require(self._outcome(changed) == self._outcome(built), f"{name} = {value} takes effect")
 
     def test_it_works_at_every_stage(self) -> None:
         """`Plugin`: the same results inactive, active and configured again; unconfigured at most an OptdockError."""

@@ -92,7 +92,7 @@ class TaskRun:
 
 
 class ControlLoop:
-    """Steps one `TaskRun` at a time.
+    """Thread that steps one `TaskRun` at a time.
 
     Args:
         robot: Robot whose limits the ramps keep.

@@ -266,7 +266,7 @@ class SimpleChargingDock(DockPlugin):
     is_charger = True
 
     def dock_type(self, settings: Mapping[str, object]) -> DockType:
-        """As `DockPlugin`; if the battery is used, docking waits for a current above the threshold."""
+        """Return the dock type, which waits for a charging current above the threshold if the battery is used."""
         if not self.uses_battery:
             return super().dock_type(settings)
         threshold = self.parameters.charging_threshold

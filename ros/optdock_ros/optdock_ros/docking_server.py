@@ -72,7 +72,7 @@ class DockingServer(Server[DockingSettings]):
         if not settings.docks:
             log.warning("there are no docks: goals must give a dock's pose, or reload_database must be called")
         if not settings.controller.use_collision_detection:
-            log.warning("controller.use_collision_detection is false: the robot sees no obstacles")
+            log.warning("controller.use_collision_detection is false: obstacles are ignored")
         self._parts = parts = ExitStack()
         planner = parts.enter_context(closing(PlanningProcess()))
         frames = parts.enter_context(closing(TransformBuffer(self)))
@@ -115,7 +115,7 @@ class DockingServer(Server[DockingSettings]):
         if loop is not None and not loop.close(reason, braking + STOPPING):
             self.get_logger().error("the robot was not stopped by the executor")
         if not self._goals.join(STOPPING):
-            self.get_logger().error("the thread of a goal goes on; it commands nothing any more")
+            self.get_logger().error("the thread of a goal is still running; its commands are ignored")
         self._resources.reports.idle(now(self))
 
     def tear_down(self) -> None:

@@ -36,7 +36,7 @@ _CANCELLED = "cancelled"
 
 
 class GoalOutcome(NamedTuple):
-    """How a goal ended: Nav2's error code, the reason, the approaches after the first one, and the result message."""
+    """Outcome of a goal: Nav2's error code, the reason, the approaches after the first one, and the result message."""
 
     success: bool
     code: int = 0

@@ -137,7 +137,7 @@ class Server(LifecycleNode, Generic[S]):
         new = frozenset(names) - self._logged
         if new:
             self._logged |= new
-            self.get_logger().info(f"parameters that mean nothing here: {', '.join(sorted(new))}")
+            self.get_logger().info(f"parameters without effect here: {', '.join(sorted(new))}")
 
     def log_error(self, error: BaseException, what: str) -> None:
         """Log an error: one line per fault of an `OptdockError`, the traceback of any other exception."""

@@ -184,7 +184,7 @@ class SmoothingTask:
             hint = ""
             if certificate is not None and certificate.certified:
                 proven, side = certificate.min_clearance, self.whole.resolution
-                hint = f"; its certified clearance is {proven:.3f} m, less than a cell of {side:g} m: ask for that much"
+                hint = f"; its certified clearance is {proven:.3f} m, less than a cell of {side:g} m: require that much"
             raise SmoothedPathInCollision(
                 f"Smoothed Path collided at X: {x:.3f} Y: {y:.3f} Theta: {yaw:.3f} (pose {at} of {len(poses)}){hint}",
                 where={"pose": [x, y, yaw], "index": at},
@@ -249,7 +249,7 @@ class SmootherServer(Server[SmootherSettings]):
         self._footprint: FootprintTopic | None = None
 
     def check(self, block: dict[str, object]) -> SmootherSettings:
-        """As `Server.check`."""
+        """Return all parameters, as described for `Server.check`."""
         given = block.get("smoother_plugins", [_DEFAULT])
         names = tuple(map(str, given)) if isinstance(given, list | tuple) else ()
         if names == (_DEFAULT,):
@@ -280,7 +280,7 @@ class SmootherServer(Server[SmootherSettings]):
         if own.costmap_topic:
             self._costmap = parts.enter_context(closing(CostmapTopic(self, own.costmap_topic)))
         else:
-            self.get_logger().warning("costmap_topic is empty: nothing is known of obstacles")
+            self.get_logger().warning("costmap_topic is empty: obstacles are unknown")
         if own.footprint_topic:
             base, tolerance = own.robot_base_frame, own.transform_tolerance
             outline = FootprintTopic(self, own.footprint_topic, self._transforms, base, tolerance)

@@ -113,7 +113,7 @@ class _WatchedPlanning(ThreadPlanning):
         self.motion: DrivenMotion | None = None
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """As `ThreadPlanning.poll`."""
+        """Return the result as `ThreadPlanning.poll` does, and store a new motion."""
         result = super().poll(stamp)
         if result is not None:
             self.motion = result.motion or self.motion

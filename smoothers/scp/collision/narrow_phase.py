@@ -85,7 +85,7 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 
 
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
-    """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
+    """Requirement of every hull vertex, such that no point of the chord between the two nodes is below the requirement.
 
     Every part of the rule is convex in the distance and the smallest one counts; where the part changes within an
     interval the larger value of both ends is safe. Next to the start only the right end is raised, because the left

@@ -47,7 +47,7 @@ def test_limits_name_the_bound_and_its_rule(name, value, rule):
 
 @pytest.mark.parametrize(("name", "unit"), [("max_steering_angle", "rad"), ("max_steering_rate", "rad/s")])
 def test_steering_limits_need_a_wheelbase(name, unit):
-    with pytest.raises(InvalidValue, match=f"limits.{name}: 0.5 {unit} means nothing without wheelbase > 0 m"):
+    with pytest.raises(InvalidValue, match=f"limits.{name}: 0.5 {unit} requires wheelbase > 0 m"):
         MotionLimits(**{name: 0.5})
     limits = MotionLimits(wheelbase=2.8, **{name: 0.5})
     Robot(Footprint.from_radius(0.3), limits, Drive.ACKERMANN)

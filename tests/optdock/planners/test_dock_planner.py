@@ -137,7 +137,7 @@ def test_costmap_of_the_context_is_checked_where_asked():
     blocked = Costmap(np.full((10, 10), 254, dtype=np.uint8), 0.1, (-0.5, -0.5))
     context = PluginContext(footprint=ROBOT, costmap=blocked)
     assert configured(context).create_plan(START, GOAL).end == GOAL
-    with pytest.raises(StartOutsideMapBounds, match="the start .* lies off the map"):
+    with pytest.raises(StartOutsideMapBounds, match="the start .* is outside the map"):
         configured(context, check_free_space=True).create_plan(START, GOAL)
 
 

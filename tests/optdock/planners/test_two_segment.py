@@ -275,12 +275,12 @@ def test_ends_on_cells_that_are_not_free_are_refused_by_name_where_asked():
             "the start .* has cost 254, must be < .* = 200",
         ),
         (blocked_at(0.0, 0.0), start, GoalOccupied, "the goal .* has cost 254"),
-        (blocked_at(5.0, 5.0), away, StartOutsideMapBounds, "the start .* lies off the map"),
+        (blocked_at(5.0, 5.0), away, StartOutsideMapBounds, "the start .* is outside the map"),
         (
             Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-5.0, -2.0)),
             start,
             GoalOutsideMapBounds,
-            "the goal .* lies off the map",
+            "the goal .* is outside the map",
         ),
     ):
         with pytest.raises(error, match=message):

@@ -270,9 +270,9 @@ def test_recorded_transforms_are_joined_and_interpolated():
     assert (back.x, back.y, back.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     for beyond in (0.85, 2.15):
         assert tree.lookup("odom", "base_link", beyond).planar().x == round(beyond - 1.0)
-    with pytest.raises(TransformError, match=r"asked for 3\.000 s, but the newest of base_link is 1\.000 s older"):
+    with pytest.raises(TransformError, match=r"requested for 3\.000 s, but the newest of base_link is 1\.000 s older"):
         tree.lookup("map", "base_link", 3.0)
-    with pytest.raises(TransformError, match=r"asked for 0\.500 s, but the oldest known is 0\.500 s newer"):
+    with pytest.raises(TransformError, match=r"requested for 0\.500 s, but the oldest known is 0\.500 s newer"):
         tree.lookup("map", "base_link", 0.5)
     assert not tree.put("base_link", "camera", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
     known = r"map <- odom \(static\), odom <- base_link \(until 2\.000 s\); refused: base_link <- camera \(its quat"
