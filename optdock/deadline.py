@@ -42,7 +42,7 @@ class Deadline:
 
     Args:
         seconds: Wall-clock allowance [s]; infinite without a deadline.
-        clock: Returns monotonic seconds.
+        clock: Function that returns monotonic seconds.
         stop: Polled together with the clock; True makes the deadline pass immediately.
 
     >>> now = iter([10.0, 10.2, 10.6])

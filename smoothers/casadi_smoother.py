@@ -108,11 +108,11 @@ class CasadiSmoother(Smoother):
         Args:
             path: Input, from any source.
             max_time: Wall-clock time for the whole call [s].
-            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
-                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
-                `path` with the footprint and costmaps of the context and the limits of the parameters. The least
-                clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
-                obstacle is known, and the report has a `warning`.
+            problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
+                with the ends of `path` where they differ; without one, from the first to the last pose of `path` with
+                the footprint and costmaps of the context and the limits of the parameters. The least clearance of the
+                result is then at least that of `path`, up to `kept_clearance`. Without a costmap no obstacle is known,
+                and the report has a `warning`.
             warm_start: Earlier result with the same gears; returned if it is still certified and no other is found.
             cancel_checker: Polled every iteration.
 
@@ -206,7 +206,7 @@ class CasadiSmoother(Smoother):
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
-        # A wall next to the input and a post on it: the push-out is loaded too.
+        # A wall next to the input and a post on it, so that the code of the push-out is also loaded.
         obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
         path = Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal])

@@ -6,7 +6,7 @@ The commanded speed is delayed by the latency and then followed with a time cons
 
 and the distance travelled between two poses of the odometry is compared with the measured one. The latency of single
 commands is taken as uniformly distributed about its mean. The spread smooths the response like the lag does, so it is
-estimated too.
+also estimated.
 """
 
 from __future__ import annotations

@@ -235,10 +235,10 @@ def _spread(
 ) -> Quantity:
     """Standard deviation of a drifting error: a Gauss-Markov process, by maximum likelihood.
 
-    The correlation time and a white part, in addition to the noise of the detections, are estimated too; the dock and
-    the sizes of jumps are unknown. The interval is that of the profile likelihood ([Pawitan2001] ch. 3). As a jump
-    before the dock is first detected shifts a whole recording, the lower bound is taken from a model with one more
-    unknown, the standard deviation of an offset of each recording.
+    The correlation time and a white part, in addition to the noise of the detections, are also estimated; the dock and
+    the sizes of jumps are unknown. The interval is that of the profile likelihood ([Pawitan2001] ch. 3). A jump before
+    the dock is first detected shifts a whole recording, so the lower bound is that of a model with one more unknown,
+    the standard deviation of an offset of each recording.
     """
     from scipy.optimize import brentq, minimize_scalar
 
@@ -252,7 +252,7 @@ def _spread(
             return process.profile(math.exp(logarithm), offsets=offsets)
 
         best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-        # Student's quantile replaces the normal one, as recordings are few.
+        # Student's quantile replaces the normal one, because recordings are few.
         level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
         if profile(limit) < level:
             return at, limit

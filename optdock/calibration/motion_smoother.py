@@ -185,7 +185,8 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
     The density of a detection is a mixture: right detections have standard deviations that grow with the range and, by
     the jitter of the stamps, with the speed; wrong ones have large standard deviations. The covariance is clustered by
-    stretches of one second, as slip that the smoothed motion misses is common to all detections of a stretch.
+    stretches of one second, because slip that is missing from the smoothed motion is common to all detections of a
+    stretch.
     """
     from scipy.optimize import minimize
 

@@ -21,7 +21,7 @@ __all__ = ["odometry_age", "odometry_quantities", "twist_window"]
 
 _LEAST_TRIP, _LEAST_TURN = 0.3, 0.3  # [m], [rad] in total: over less, an error of 10 % is not visible
 
-_STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima where the speed hardly changes
+_STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima at nearly constant speed
 _LONGEST = 1.0  # [s]: a twist that is older is useless for control
 _LEAST_CHANGE = 0.05  # [m/s]: means over different windows are equal if the speed changes by less
 _ROUGH = 0.1  # of the time between two poses

@@ -61,7 +61,7 @@ def save_scenario(
 
     Raises:
         InvalidFile: If a file cannot be written.
-        InvalidValue: If a scenario file cannot hold the problem: free unknown cells, or tolerances of the dock.
+        InvalidValue: If a scenario file cannot represent the problem: free unknown cells, or tolerances of the dock.
     """
     target, problem = Path(target), scenario.problem
     _check_supported(problem)

@@ -97,10 +97,10 @@ def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
 class TrajectoryReference:
     """The present set-point: `trajectory` at time `time`, which advances by `rate` seconds per second.
 
-    The commands are ahead of the reference by a preview that compensates the delay of the drive. Where the preview or
-    the rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate
-    and every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
-    `rate^2 * acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
+    The commands are ahead of the reference by a preview that compensates the delay of the drive. If the preview or the
+    rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate and
+    every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum `rate^2 *
+    acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -369,7 +369,7 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
         reference: The moving reference.
         reserve: Share of `max_yaw_acceleration` left to feedback [1].
         limits: Limits of the robot.
-        drive: Kind of drive; steered wheels get a reserve in every limit.
+        drive: Kind of drive; for steered wheels there is a reserve in every limit.
     """
     most = _STEERED_RATE if drive is Drive.ACKERMANN else 1.0
     kept = (1.0 - reserve) * limits.max_yaw_acceleration

@@ -309,7 +309,7 @@ class MpcController(TrackingController):
         return shifted
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """Return the bounds of the commands after the last one."""
+        """Return the bounds of the commands that follow the last one."""
         n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
         v, rise, fall = nominal[:, 0], limits.max_acceleration, limits.max_deceleration
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))

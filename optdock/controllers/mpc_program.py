@@ -134,7 +134,7 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
 
 
 class MpcWeights(NamedTuple):
-    """Weights of the cost, per second; `final` counts once."""
+    """Weights of the cost, per second; `final` is added once."""
 
     errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
     effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
@@ -227,7 +227,8 @@ class TrackingProgram:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
         A command is the mean over its step, so two of them are half of both steps apart. Their difference is the mean
-        of the acceleration over a triangle around the border; the jerk counts between the centroids of these triangles.
+        of the acceleration over a triangle around the border; the jerk is measured between the centroids of these
+        triangles.
         """
         n, program = self._steps, self._program
         self._h = h.copy()

@@ -50,7 +50,7 @@ _TURN_LEVER = 0.5  # [m]: turns in place identify the delay by the speed of a po
 _ROOM = 2e-4  # [m] beyond the next rest: rounding of a motion at full braking
 _NOTHING = 5e-5  # [m/s], [rad/s]: smaller commands at the end are zero
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
-_SEEN_NOISE = 2.0  # standard deviations of a pose across that count as noise of a depth
+_SEEN_NOISE = 2.0  # standard deviations of a pose across the path that are regarded as noise of a depth
 _PEAK_MARGIN = 1.2  # without a configured robot: limits over the peaks of the trajectory, room for feedback
 
 
@@ -93,18 +93,18 @@ class TrackingControllerParameters(PluginParameters):
 class TrackingController(Controller):
     """Controller that follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
-    **Time.** Every call advances the reference by the time since the last one, as the stamps say, or by `period` if
-    given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower under
-    a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot further than
-    `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
+    **Time.** Every call advances the reference by the time since the last one, measured by the stamps, or by `period`
+    if given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower
+    under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot further
+    than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
 
     **Law.** See `tracking_law`. The feed-forward is that of the middle of the coming period, `preview` ahead. Without
-    `preview` the delay of the drive is identified from the first ramp on, and kept until `reset`.
+    `preview` the delay of the drive is identified, beginning with the first ramp, and kept until `reset`.
 
-    **Finish.** At the trajectory's end the same law holds the last pose. A drive that ignores small commands gets
-    larger ones, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal checker
-    accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
-    NoValidControl, as does a robot that does not follow.
+    **Finish.** At the trajectory's end the same law holds the last pose. If the drive ignores small commands, larger
+    ones are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal
+    checker accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
+    NoValidControl. A robot that does not follow the reference also raises NoValidControl.
 
     **Collisions.** A command after which the robot could not stop before it touches something raises NoValidControl.
     The checked motion is the commands under way in the drive, one period of the new command, and braking, along its arc
@@ -143,7 +143,7 @@ class TrackingController(Controller):
         self._start_attempt()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
-        """Follow a trajectory, or a path after timing it, from the next call on.
+        """Follow a trajectory, or a path after timing it, beginning with the next call.
 
         A path is timed from the speed of the last command, so that the robot need not stop for a new path.
 

@@ -175,9 +175,9 @@ class FeedbackGains:
     ) -> Gains:
         """Return `usual` within the bounds of the delay, or other gains if those would leave too large an error.
 
-        The lateral and heading errors count in units of the accepted ones, smoothed and beyond their own noise, which
-        higher gains would amplify. A lateral error is removed by turning the robot: where the distance left is too
-        short to turn back, the heading is corrected and the lateral error stays.
+        The lateral and heading errors are measured in units of the accepted ones; they are smoothed, and reduced by
+        their own noise, which higher gains would amplify. A lateral error is removed by turning the robot: where the
+        distance left is too short to turn back, the heading is corrected and the lateral error stays.
 
         Args:
             usual: Gains of the parameters.

@@ -146,7 +146,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
 
 def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether a robot that was stopped on its way into the dock is docked, for instance by rolling on."""
+    """Return whether a robot that was stopped on its way into the dock is docked, for instance by its momentum."""
     situation = cycles.situation
     if situation.dock_type.is_pressed_on or situation.is_held:
         return False

@@ -42,7 +42,7 @@ _HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: 
 LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
 _NEAR = 0.25  # [m]: distance of a detection from close by
 NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
-LAST_LOOK = 0.2  # [m] before the dock within which an uncertain robot drives on, as a detection may follow
+LAST_LOOK = 0.2  # [m] before the dock within which an uncertain robot continues, because a detection may follow
 
 
 def reachable_offset(distance: float, limits: MotionLimits) -> float:

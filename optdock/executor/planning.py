@@ -166,7 +166,7 @@ class Planning(Protocol):
         """Return the result of the last job once; None before and after."""
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """Return whether a motion keeps its clearance to the obstacles of a costmap from a time on [s]."""
+        """Return whether a motion keeps its clearance to the obstacles of a costmap after a time [s]."""
         if motion.plan is None:
             return Verdict(holds=True)
         found = still_holds(motion.plan, costmap, from_time)
@@ -367,7 +367,7 @@ class PlanRequests:
         """Return the result of the last job once at a time [s]; None before and after.
 
         Raises:
-            TaskFailed: If a new motion is not certified; recorded motions are exempt, as they drive no robot.
+            TaskFailed: If a new motion is not certified; recorded motions are exempt, because they drive no robot.
         """
         result = self._planning.poll(now)
         if result is None or not self.pending or result.number != self._number:

@@ -40,7 +40,7 @@ _MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the proces
 class PlanningProcess:
     """A planning process: started at once, warm after some seconds, and replaced if it dies.
 
-    It ends with `close`, or with the parent process.
+    The process ends when `close` is called or the parent process ends.
     """
 
     def __init__(self) -> None:

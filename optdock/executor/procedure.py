@@ -334,7 +334,8 @@ class Travel:
         """Drive to the first reachable place; plan again after interruptions.
 
         Args:
-            places: Returns poses in the fixed frame, the preferred one first, for the present estimate of the dock.
+            places: Function that returns poses in the fixed frame, the preferred one first, for the present estimate of
+                the dock.
             state: Task state of the drive.
             failure: Kind of ending if the robot does not arrive.
 

@@ -64,7 +64,7 @@ _STALE_STOP = 0.3  # [s] before an obstacle's braking distance until which a new
 # A plan from rest after an obstacle has gone.
 _FROM_REST_BUDGET = 0.2  # [s]; usual plans take 30 to 90 ms
 _SHORTER, _STOPPING = 0.8, 1.0  # share of the remaining duration; [s] for the stop and a plan
-_AROUND = 1.0  # [m] around the straight line to the goal in which obstacles count
+_AROUND = 1.0  # [m] around the straight line to the goal in which obstacles are considered
 _PAUSE = 3.0  # factor on the usual pause between two plans
 
 # The tube.
@@ -350,8 +350,8 @@ class TrajectoryDrive:
                 rate=rate,
                 pose=situation.perception.robot,
                 lead=budget + _LEAD,
-                # The controller gets poses relative to the dock, so the motion ends at the present estimate of the
-                # dock.
+                # The poses passed to the controller are relative to the dock, so the motion ends at the present
+                # estimate of the dock.
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )

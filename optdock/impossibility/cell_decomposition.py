@@ -4,7 +4,7 @@
 found, or the time is up:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
-2. An examined tile has blocked cells, cells that look open, and narrow ones. Connected cells of one kind are one node
+2. An examined tile has blocked cells, cells that appear open, and narrow ones. Connected cells of one kind are one node
    of a graph.
 3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These are split.
 

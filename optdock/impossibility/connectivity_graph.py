@@ -90,7 +90,7 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Return the kinds of cells: those that look open, and others that are not blocked. Unexamined tiles are narrow."""
+    """Return the cells that appear open, and the other cells that are not blocked. Unexamined tiles are narrow."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.blocked is None or tile.margin is None:

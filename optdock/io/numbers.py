@@ -20,7 +20,7 @@ __all__ = ["MOST_POLYGONS", "check_outline", "check_speed", "check_vertices", "c
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value of a file is a number in the range of float; NaN and infinity count, booleans do not.
+    """Whether a value of a file is a number in the range of float; NaN and infinity are numbers, booleans are not.
 
     >>> is_number(3), is_number(True), is_number(10**400)
     (True, False, False)

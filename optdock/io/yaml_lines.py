@@ -37,7 +37,7 @@ _LONGEST_LINE = 400  # characters of a message about one value
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
-    """PyYAML's safe loader that reads 1e-3 and 1.5e3 as numbers, as YAML 1.2 and Nav2's parser do."""
+    """PyYAML's safe loader, which also reads 1e-3 and 1.5e3 as numbers, like YAML 1.2 and Nav2's parser."""
 
 
 _Loader.add_implicit_resolver(

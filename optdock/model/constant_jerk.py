@@ -1,7 +1,7 @@
 """Motion under piecewise constant jerk: states, braking, and the time law of a trajectory.
 
 This is the only implementation in the library: `constant_jerk` within a phase, `border_states` over many phases. The
-reference implementations in `experiments` evaluate it independently on purpose.
+reference implementations in `experiments` deliberately evaluate it independently.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Paths: gear segments by arc length, joined at cusps.
 
-`s` is the travelled distance, never negative, in either gear; a turn in place counts 1 m per rad (see `segments`).
-Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
+`s` is the travelled distance, never negative, in either gear; a turn in place has a length of 1 m per rad (see
+`segments`). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Path(FrozenArrays):
     def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
         """Return a polyline path; the gear of a step is the sign of (motion . heading), a change of gear is a cusp.
 
-        Repeated poses are dropped. A step that only turns gets the gear of its predecessor.
+        Repeated poses are dropped. A step that only turns has the gear of its predecessor.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.

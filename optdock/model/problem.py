@@ -306,7 +306,7 @@ class DockingProblem(FrozenArrays):
         return RequiredView(camera, marker, dock.visible_distance, dock.blind_distance)
 
     def required_view_margin(self, from_goal: FloatArray, from_start: FloatArray, to_marker: FloatArray) -> FloatArray:
-        """Return the margin of the marker in the view with which every pose in the tracking tube sees it.
+        """Return the margin of the marker in the view with which it is visible from every pose in the tracking tube.
 
         A position error e and a heading error w move a point at distance r of the robot by at most e + 2 r sin(w / 2)
         in the camera frame. The tube tapers at the dock like the clearance. From a start with less margin the
@@ -388,7 +388,7 @@ class DockingProblem(FrozenArrays):
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
     """Return a signed start state without rounding errors of rest or of the end of braking.
 
-    Such a state would reverse by an unmeasurable distance. It becomes rest, or gets exactly the speed that remains when
+    Such a state would reverse by an unmeasurable distance. It is replaced by rest, or by the speed that remains when
     its acceleration is brought to zero.
     """
     if max(abs(speed), abs(acceleration)) <= _ROUNDING:

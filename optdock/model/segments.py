@@ -75,7 +75,7 @@ class PathSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSegment(FrozenArrays):
-    """A gear segment that is exactly a clothoid spline, as the smoother returns it."""
+    """A gear segment that is exactly a clothoid spline, the result of the smoother."""
 
     spline: ClothoidSpline
 
@@ -115,7 +115,7 @@ class ClothoidSegment(FrozenArrays):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PolylineSegment(FrozenArrays):
-    """A gear segment given by poses, as planners return it.
+    """A gear segment given by poses, the result of planners.
 
     Position and yaw are linear between poses. The curvature of a step is that of the circular arc with its chord and
     its turn, so a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns

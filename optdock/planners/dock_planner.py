@@ -27,8 +27,8 @@ class DockPlanner(GlobalPlanner):
     """Plan a two-segment NURBS path into a dock.
 
     The robot's footprint and the costmap come from the context, or from the problem of the context, so the planner must
-    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are left open, those
-    of the dock of the context's problem count. A dock without an outline has length 0.
+    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are not set, those
+    of the dock of the context's problem are used. A dock without an outline has length 0.
 
     Args:
         **parameters: See `DockPlannerParameters`.
@@ -62,8 +62,8 @@ class DockPlanner(GlobalPlanner):
         the robot.
 
         Raises:
-            LifecycleError: If the planner is not configured: no other goal or retry can help, so it is no
-                PlannerException.
+            LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
+                retry can help.
             PlannerException: If `check_free_space` is set and there is no costmap.
             StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: if `check_free_space` is set
                 and an end is not free.

@@ -107,7 +107,7 @@ def still_holds(
         return StillHolds(holds=False, changed=changed, reason=reason)
     if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)
-    # At the end of the plan the pose of the standing robot must be clear as well.
+    # At the end of the plan the pose of the robot at rest must also be clear.
     begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
     return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
 
@@ -123,7 +123,7 @@ class _Change:
     changed: tuple[str, ...]
 
     def judged(self, begin: float, is_late: Callable[[], bool]) -> StillHolds:
-        """Check the rest of the path, from `begin` on [m], against the obstacles that matter."""
+        """Check the rest of the path, beyond `begin` [m], against the relevant obstacles."""
         known, later = self.plan.problem, self.later
         rest = self.plan.path.piece(begin)
         count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)

@@ -79,7 +79,7 @@ class _GearPiece(NamedTuple):
         return self.curvature.size + 1 if self.sign else 1
 
     def changed(self, change: FloatArray) -> _GearPiece:
-        """Return the gear with changed variables; the length changes by its logarithm."""
+        """Return the gear with changed variables; the variable of the length is the change of its logarithm."""
         if self.sign == 0:
             return self._replace(turn=self.turn + float(change[0]))
         return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])

@@ -229,7 +229,7 @@ def warm_up(
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        robot: Robot of the problems to come: data of its footprint for proofs is computed now, in up to 0.1 s.
+        robot: Robot of later problems; the data of its footprint for proofs are computed now, in up to 0.1 s.
 
     Raises:
         PluginError: If a plugin is unknown or cannot be built.

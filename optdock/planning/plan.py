@@ -209,7 +209,7 @@ class DockPlan:
             InvalidFile: If the file cannot be read, breaks its format, or holds no path, raw path or time law.
             InvalidPath: If the path is in another frame than the problem.
             CertificationFailed: If the plan does not solve `problem`.
-            InvalidValue: If `problem` is no problem.
+            InvalidValue: If `problem` is not a DockingProblem.
         """
         instance(DockingProblem, problem, "problem")
         found = load_plan(source)

@@ -401,7 +401,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         plugin.configure(PluginContext(name=plugin.name, problem=problem))
         try:
             yield
-        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, as the problem is valid
+        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, because the problem is valid
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()

@@ -96,7 +96,7 @@ _NEARBY = 0.5  # [m]: distance from its reference along the path in which a robo
 class ReplanOutcome(str, Enum):
     """Decision for a moving robot."""
 
-    NEW = "new"  # drive the new plan from the joint on
+    NEW = "new"  # drive the new plan after the joint
     KEPT = "kept"  # continue with the old plan
     STOP = "stop"  # brake along the old path
 
@@ -232,7 +232,7 @@ def _checked(state: DriveState) -> DriveState:
 
 
 def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
-    """Return the new problem, except for its start."""
+    """Return the new problem; its start is not used."""
     if isinstance(target, Pose2):
         return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
     instance(DockingProblem, target, "target")
@@ -421,7 +421,7 @@ class _Replanning:
         return holds and certify_motion(self.drive.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
-        """Brake along the running path: from the joint if that is proven, otherwise from now on."""
+        """Brake along the running path: from the joint if that is proven, otherwise immediately."""
         found: list[Replanned] = []
         for lead in (self.lead, delay):
             joint = self.drive.branch_point(lead)

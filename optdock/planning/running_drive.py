@@ -155,7 +155,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time; while the robot rests until its wheels are turned, the end of that rest."""
+        """Return the time, or the end of the rest during which the wheels are turned."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest

@@ -78,7 +78,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
 ) -> None:
     """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the reason of a refusal.
 
-    If the dock must be in view, its marker and the camera's cone at some poses of the path are drawn as well.
+    If the dock must be in view, its marker and the camera's cone at some poses of the path are also drawn.
 
     Args:
         target: File to write; the suffix gives the format.

@@ -131,9 +131,9 @@ class Smoother(Plugin):
         Args:
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s].
-            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
-                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
-                `path`, among the obstacles of the configured costmap.
+            problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
+                with the ends of `path` where they differ; without one, from the first to the last pose of `path`, among
+                the obstacles of the configured costmap.
             warm_start: Earlier result for a similar problem.
             cancel_checker: Polled at least every 5 ms.
 
@@ -239,7 +239,7 @@ class Controller(Plugin):
         """Limit the speed; 0 removes the limit.
 
         Args:
-            limit: Percent of the maximum (at most 100 count), or m/s.
+            limit: Percent of the maximum (values above 100 are reduced to 100), or m/s.
             percentage: Whether `limit` is in percent.
 
         Raises:
@@ -390,7 +390,7 @@ class DockType(Plugin):
     @property
     def back_out_distance(self) -> float:
         """Largest straight distance out of contact before a path is planned [m]; the final straight when undocking."""
-        return 0.1  # twice the 5 cm within which contact counts
+        return 0.1  # twice the 5 cm within which contact is accepted
 
     def reset(self) -> None:
         """Clear the state before a task or another approach."""

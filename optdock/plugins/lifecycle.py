@@ -126,7 +126,7 @@ class PluginContext:
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Costmaps that count in addition to the problem, which includes the cells of the global one.
+            needs: Costmaps to include in addition to the problem, which contains the cells of the global one.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)

@@ -89,7 +89,7 @@ def _duration(path: Path, scenario: Scenario) -> float | None:
 
 
 def worst_joint_angle(path: Path) -> float:
-    """Largest jump of the direction of motion along the path [rad]; a reversal at a cusp does not count.
+    """Largest jump of the direction of motion along the path [rad]; reversals at cusps are ignored.
 
     A polyline jumps between two steps, and between the heading of its first or last pose and the step next to it.
     """

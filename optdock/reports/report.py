@@ -38,7 +38,10 @@ __all__ = [
 ]
 
 _WIDE = 78  # characters of a value on a line
-_STEP, _FAR = 0.01, 2.0  # [m]: between poses whose clearance is measured; distance of obstacles that count
+_STEP, _FAR = (
+    0.01,
+    2.0,
+)  # [m]: between poses whose clearance is measured; largest distance of obstacles that are included
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 

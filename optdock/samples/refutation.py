@@ -64,7 +64,7 @@ OFF_PATH = 2e-3
 _ARITHMETIC = 1e-9  # rounding of sums of numbers around 1
 _STEERED = 1e-4  # relative, of a steering time: six decimals of a curvature, and the tolerance of the proof
 _DECIMALS = 6  # of rounded phases
-_ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of the numbers of rounded phases; ten units, as they may be rounded twice
+_ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of rounded phases; ten units, because they may be rounded twice
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,8 @@ class _Bends(NamedTuple):
 def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
     """Least and largest curvature that the sampled curve may have on each step, Shape (steps,) each [1/m].
 
-    The turn of a step gives the mean only: neighbouring steps count, widened by their difference and by the rounding of
-    the poses.
+    The turn of a step gives the mean only, so the range includes the neighbouring steps, widened by their difference
+    and by the rounding of the poses.
     """
     k = segment.step_curvature
     around = np.lib.stride_tricks.sliding_window_view(np.pad(k, 1, mode="edge"), 3)
@@ -510,7 +510,7 @@ def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
     """Check whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
 
-    The clearance must cover deviations of more than 1e-6. Where jerk and yaw acceleration jump, the values on both
+    The clearance must cover deviations of more than 1e-6. At jumps of jerk and yaw acceleration, the values on both
     sides and all between them are accepted.
 
     Args:

@@ -226,7 +226,7 @@ def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Stee
     """Return the plant of a robot: a `Bicycle` for a car, else a `DifferentialDrive`.
 
     Args:
-        robot: The robot; a car without a wheelbase gets one of the robot's length.
+        robot: The robot; for a car without a wheelbase, the robot's length is used.
         actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
         steering: Steering of a car; None: perfect except for that lag.
 

@@ -92,7 +92,7 @@ class StuckWheel:
         end: End [s].
 
     Raises:
-        InvalidValue: If there is no such wheel, or not start < end.
+        InvalidValue: If there is no such wheel, or the start is not before the end.
     """
 
     wheel: Wheel
@@ -119,7 +119,7 @@ class Wheels:
         right_gain: True radius of the right wheel over the nominal one [1].
         left_dead_band: Speeds of the left wheel below this have no effect.
         right_dead_band: Speeds of the right wheel below this have no effect.
-        max_speed: Saturation of each wheel on its own, which changes the curvature.
+        max_speed: Saturation of each wheel separately, which changes the curvature.
         stuck: Faults.
 
     Raises:

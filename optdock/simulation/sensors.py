@@ -74,7 +74,7 @@ class PoseSensorReader:
         self._time: float | None = None
 
     def jump(self, offset: Pose2) -> None:
-        """Increase the error by `offset` from now on."""
+        """Increase the error by `offset` permanently."""
         x, y, yaw = self._error
         self._error = x + offset.x, y + offset.y, yaw + offset.yaw
 

@@ -196,7 +196,7 @@ class SimulatedRobot:
         return self.measurements
 
     def put(self, obstacles: ObstacleSet, costmap: Costmap | None = None) -> None:
-        """Replace the obstacles from now on; the next measurements contain `costmap`."""
+        """Replace the obstacles; the next measurements contain `costmap`."""
         self._obstacles.append((len(self._rows), obstacles))
         self._costmap = costmap or self._costmap
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SpeedProfile", "forward_backward_pass"]
 
-_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, as the profile rests at its ends
+_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, because the profile rests at its ends
 
 
 class SpeedProfile(NamedTuple):

@@ -11,7 +11,7 @@ cap jumps where k' does.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds beyond which no motion
 at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their
-reciprocals, `slowness`: the largest counts, and an infinite limit is zero.
+reciprocals, `slowness`: the largest one is the limit, and an infinite limit is zero.
 """
 
 from __future__ import annotations
@@ -353,8 +353,8 @@ class ReferenceBounds:
 
     limits: PathLimits
     step: float = KNOT_STEP  # knot spacing of the reference [s]
-    smooth: bool = False  # whether the reference itself is the motion, with jerk that hardly changes between knots
-    relief: float = 0.0  # distance without margins, as full braking from a moving start leaves none [m]
+    smooth: bool = False  # whether the reference itself is the motion, with nearly continuous jerk between knots
+    relief: float = 0.0  # distance in which full braking from a moving start leaves no margins [m]
     tightenings: tuple[Tightening, ...] = ()
 
     def __post_init__(self) -> None:

@@ -60,7 +60,7 @@ class Worst(NamedTuple):
 class _Ratios(NamedTuple):
     """Ratios of speeds and turning limits at distances `s`, Shape (n,); of the lateral acceleration the square root.
 
-    `drive`, of the acceleration, exists only at the first of these, as the acceleration is linear between them.
+    `drive`, of the acceleration, exists only at the first of these, because the acceleration is linear between them.
     """
 
     s: FloatArray

@@ -10,7 +10,7 @@ exists between the states at any two of its knots.
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
 At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope and zero
-value never moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+value never moves. Therefore arcs of constant jerk, launch and stop, lead from rest to the reference and back.
 
 In order: the forward-backward pass, the arcs, the knots and their limits, the spline's linear maps, the constraints,
 the initial guess, the solution, its own motion.
@@ -329,8 +329,8 @@ class LimitRows(NamedTuple):
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
     """Return the constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
 
-    At a knot the turning rows use the largest and the least of the rates on both sides, as x >= 0. The rows of the last
-    knot, whose state is given, are zero.
+    At a knot the turning rows use the largest and the least of the rates on both sides, because x >= 0. The rows of the
+    last knot, whose state is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
     drive, share = bounds.limits.drive, 1.0 - _DRIVE_MARGIN

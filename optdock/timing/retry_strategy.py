@@ -1,8 +1,8 @@
 """The strategy: from a path to a proven time law, with all retries.
 
-At a cusp and at the end the robot rests, so each segment is planned separately. Where the wheels must be turned,
-between two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other
-segments the first line that applies to the start state decides (`segment_plans`, `judge_start`):
+At a cusp and at the end the robot rests, so each segment is planned separately. If the wheels must be turned, between
+two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments
+the first line that applies to the start state decides (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
 2. The robot cannot avoid rolling backwards: BAD_START.
@@ -12,8 +12,9 @@ segments the first line that applies to the start state decides (`segment_plans`
 5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
 
 The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
-make a motion (`time_path`), which `certify_trajectory` proves or refuses; a refused segment gets its next plan. The
-search ends when the remaining time is just enough for the windowed method and its proof; later no motion is started.
+make a motion (`time_path`), which `certify_trajectory` proves or refuses; for a rejected segment the next plan is
+tried. The search ends when the remaining time is just enough for the windowed method and its proof; later no motion is
+started.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ __all__ = [
     "turn_plans",
 ]
 
-LONGEST_MOTION = 3600.0  # [s]: longer motions are refused, as memory and time grow with them
+LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are left out
 # Reserves of a deadline, as multiples of the time for looking up the curvature of the path, which depends on path and
 # machine: over the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the quickest
@@ -202,7 +203,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
     began = whole.elapsed, time.thread_time()
     segments = limits_along(path, drive, zone)
-    # The smaller of two clocks: one counts while the machine does something else, the other may be coarse.
+    # The smaller time of two clocks: one includes the time of other processes, the other may be coarse.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting: list[Iterator[SegmentPlan]] = []
     plans: list[SegmentPlan] = []

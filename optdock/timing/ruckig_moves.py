@@ -40,7 +40,7 @@ _CRAWL = 1e-3  # [m/s]: lower speeds violate no limit
 
 _SAMPLE = 0.02  # [s], of the check of a move
 _LONGEST_FACTOR, _LONGEST_MORE = 1.2, 0.05  # bound on the duration of a move: a factor on the reference's, and [s]
-_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with hardly more than the reference's own jerk and drive
+_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with little more than the jerk of the reference
 _GENTLE_JERK = (1.05, 0.01)  # factor on the largest jerk of the reference, and share of the limit added to it
 _GENTLE_MOST_JERK = 0.95  # share of the limit above which a gentle move has no advantage
 _GENTLE_DRIVE = (1.04, 0.04)  # factor on the reference's range of accelerations, and share of the limit added to it
@@ -237,7 +237,7 @@ def _try_pieces(
 ) -> dict[tuple[int, int], Move | None]:
     """Return the best move of every piece; the time-optimal one only if there is no gentle one, or for a single cell.
 
-    A single cell for which rounding prevents a move gets the motion of the reference.
+    For a single cell in which rounding prevents a move, the motion of the reference is used.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
@@ -265,7 +265,7 @@ def _full_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases
 
 
 def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
-    """Return a move with hardly more jerk and acceleration than the reference, which stays close to its speeds."""
+    """Return a move with little more jerk and acceleration than the reference, which stays close to its speeds."""
     drive = bounds.limits.drive
     if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
         return None

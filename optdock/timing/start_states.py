@@ -1,8 +1,8 @@
 """Start states: full braking decides in closed form whether (v0, a0) is feasible.
 
 Viability: among all controls from a start state full braking (jerk -J to -D, hold, +J to rest) gives the least speed at
-every distance: compare da/ds = j / v. So the speed caps can be kept if and only if the full-braking curve stays below
-them; otherwise no other motion violates them less.
+every distance: compare da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve stays
+below them; otherwise no other motion violates them less.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ With the acceleration a and the curvature's rate r per metre
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), as a = x' / 2. Where time is stretched by c the quantity falls with c^(n + 1), so
-ratios of quantity and limit are raised to the power 2 / (n + 1): all fall with the square of c.
+second factor is linear in (x, x'), as a = x' / 2. If time is stretched by c, the quantity decreases with c^(n + 1), so
+ratios of quantity and limit are raised to the power 2 / (n + 1): all then decrease with the square of c.
 """
 
 from __future__ import annotations

@@ -42,7 +42,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     if the dock requires it, visibility of the marker (`visibility`). Checked exactly: start and goal pose
     (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature, final straight. A polyline is linear
     motion between its poses, turning the short way, with the curvature of the arcs through them; a step whose arc is
-    more than 5 mm from that motion is rejected, as are slips and jumps that are small individually but add up.
+    more than 5 mm from that motion is rejected. Slips and jumps that are small individually but add up are also
+    rejected.
 
     If no clearance is required, contact may overlap by a micrometre, and no point of one shape is deeper than two
     micrometres inside another one, regardless of the decomposition into pieces (see `contact_tolerance`).

@@ -229,7 +229,7 @@ def prove_way(
     begun: Begun | None = None,
     start_relief: float = 0.0,
 ) -> WayVerdict:
-    """Prove the clearance of a path that is driven from now on, for the current pose of the robot.
+    """Prove the clearance of a path that is about to be driven, for the current pose of the robot.
 
     The rule is `problem.path_clearance`, which tapers at the goal and at the beginning of the drive.
 

@@ -3,7 +3,7 @@
 Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
 of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
 (`geometry.separation`), for the pairs that the broad phase cannot decide. If a shallow overlap of pieces may hide a
-deep one of their unions, the unions are checked as well (`contact_tolerance`).
+deep one of their unions, the unions are also checked (`contact_tolerance`).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
 exact. The limits that depend on curvature are proven by `turning_rules`.
 
-Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough; the same
+At jumps of the curvature between two segments the wheels turn at rest, and the rest must be long enough; the same
 applies to a start with unknown steering angle.
 
 A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are those of the time law:

@@ -4,11 +4,11 @@ Within a cell (no phase border, no knot of the path inside) jerk and curvature r
 quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
 Cells that the bound does not clear are bisected.
 
-Time within a cell counts from the start of its phase, and arc length from the knot before it, so that a long wait or a
-long path does not reduce the precision. The cells of a phase run from event to event (its start, knots of the path, a
-grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is decisive.
-Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature within
-less than the resolution of time counts with its rate.
+Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
+or a long path does not reduce the precision. The cells of a phase run from event to event (its start, knots of the
+path, a grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is
+decisive. Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of
+curvature within less than the resolution of time is included with its rate.
 
 A polyline is evaluated three times: with the interpolated curvature between its poses, with that of its steps, and with
 the rate of its oscillation from step to step, which is not visible in the means at the poses.
@@ -124,7 +124,7 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
     if isinstance(segment, TurnSegment):
         step[:] = np.inf
     elif isinstance(segment, PolylineSegment):
-        # Repeated poses have no length: the curvature between the adjacent poses counts.
+        # Repeated poses have no length: the curvature between the adjacent poses is used.
         kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
         step, swing = (
             column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)

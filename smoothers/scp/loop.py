@@ -222,7 +222,7 @@ class _State:
     def overshoot(self, current: Iterate) -> float:
         """Clearance added to the buffer before the first feasible iterate [m].
 
-        Where sides roll around a corner, the shortfall of a step is about that of the step before it.
+        When sides roll around a corner, the shortfall of a step is about that of the step before it.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 

@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 __all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
 
 _BRAKING_ROOM = 1.02  # times the braking distance: slack for the timing
-_EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth where the robot is at rest, too
-# [1/m]: for smaller largest curvatures, lateral distances from the input count in turning radii instead of metres.
+_EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth even where the robot is at rest
+# [1/m]: for a smaller largest curvature, lateral distances from the input are weighted in turning radii instead of
+# metres.
 _TRACKED = 1.5
 
 

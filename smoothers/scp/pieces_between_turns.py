@@ -1,7 +1,7 @@
 """Paths that turn in place: divided at the turns into pieces that are smoothed separately.
 
 Positions and headings of turns are kept, so a piece has fixed poses at both ends and free curvature at turns. The rules
-near the start and the goal of the whole problem count for every piece; the whole path is certified.
+near the start and the goal of the whole problem apply to every piece; the whole path is certified.
 """
 
 from __future__ import annotations

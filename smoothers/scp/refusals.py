@@ -184,7 +184,7 @@ def refuse_search(
         nlp: Program of the search.
         closest: Iterate with the smallest violation; its path is that of the refusal.
         problem: Problem of the path, or of a piece of it.
-        whole: Problem of the whole path, whose clearance rule counts; None: `problem`.
+        whole: Problem of the whole path, whose clearance rule applies; None: `problem`.
     """
     is_clear = closest.clearance.margin.size == 0
     if not closest.on_goal or (is_clear and nlp.view is None):

@@ -1,6 +1,6 @@
 """The strategy: searches from several guesses, in the order of `STRATEGY`, within a time limit.
 
-The best feasible iterate of a search is certified when the search converges or the time gets short; only certified
+The best feasible iterate of a search is certified when the search converges or the time becomes short; only certified
 paths are returned.
 """
 
@@ -75,13 +75,13 @@ class Call(NamedTuple):
     formulation: Formulation  # weights and resolution
     max_iterations: int = 60  # limit of every search
     first_only: bool = False  # whether to stop at the first certified path
-    # for a piece of a path, the problem of the whole path, whose clearance rule counts; else None
+    # for a piece of a path, the problem of the whole path, whose clearance rule applies; else None
     within: DockingProblem | None = None
     after: float = 0.0  # length of the path after the piece [m]
 
     @property
     def whole(self) -> DockingProblem:
-        """Problem whose clearance rule counts."""
+        """Problem whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
@@ -113,7 +113,7 @@ class Search(NamedTuple):
     guess: Callable[[InitialGuesses], SearchGuess | None]  # the first variables, or None
     thoroughly: bool = False  # whether nodes are finer and small obstacles active everywhere; only among many obstacles
     after_the_goal: bool = False  # whether the search is only run if the search before it reached the goal
-    # whether the weaker clearance rule near the start counts; only for starts with too little clearance
+    # whether the weaker clearance rule near the start applies; only for starts with too little clearance
     relieved: bool = False
 
 
@@ -448,7 +448,7 @@ class Solver:
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Certify the candidate when the time gets short, and return whether to stop."""
+        """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
         short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
         first_only = self.call.first_only
@@ -485,7 +485,7 @@ class Solver:
         return None
 
     def _judged(self, path: Path, began: float) -> Certificate:
-        """The certificate of a path; its time counts from `began` [s]."""
+        """The certificate of a path; its time is measured from `began` [s]."""
         certificate = self.call.certified(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)
         return certificate

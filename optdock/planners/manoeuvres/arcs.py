@@ -144,7 +144,7 @@ class ArcTree:
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
         free = _free_lengths((self.poses[node], sign, curvature), float(stations[-1]), space, effort)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
-        # The end of the free length between two stations is a station as well.
+        # The end of the free length between two stations is also a station.
         last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
@@ -212,7 +212,7 @@ def _free_lengths(
             blocked[mine] = some[np.minimum(count, some.size - 1)]
             still.append(mine[count == some.size])
         going = np.concatenate(still) if still else going
-    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre is important.
     ended = np.setdiff1d(np.arange(free.size), going)
     for _ in range(_BISECTIONS if ended.size else 0):
         middle = 0.5 * (free[ended] + blocked[ended])

@@ -78,7 +78,7 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
     """Return the cheapest words of pairs of nodes in gears that start and dock allow; collisions are not checked."""
     problem, (leaving, i), (arriving, j) = space.problem, exits, entries
     pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
-    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
+    # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
     gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
     prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
     prices += stopping_cost(problem.robot.limits) * gear_changes(gears)

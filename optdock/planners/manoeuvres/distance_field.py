@@ -129,8 +129,9 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
 class Wavefront:
     """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
 
-    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, as an octagon: the
-    number of steps is at most the length in cells, and at most 11 % less. It advances on demand.
+    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
+    octagon. The number of steps is a lower bound of the length in cells, too small by at most 11 %. It advances on
+    demand.
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:

@@ -129,7 +129,7 @@ class EndTrees:
     def grown(
         self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
     ) -> tuple[IntArray, float]:
-        """Grow arcs and lines out of the nodes of an end, in several generations if hardly any is free.
+        """Grow arcs and lines out of the nodes of an end, in several generations if almost all are blocked.
 
         Returns the rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
         `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.

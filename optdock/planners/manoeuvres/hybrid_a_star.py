@@ -88,7 +88,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
         wavefront: Wavefront from the end where the search does not begin.
-        worthwhile: Returns the price at or above which a manoeuvre is useless; infinite while there is no plan.
+        worthwhile: Function that returns the price at or above which a manoeuvre is useless; infinite while there is no
+            plan.
         from_start: Grow the start's tree instead, and join its nodes to the entries.
         bends: Curvatures of the arcs in addition to straight lines, in those of the smallest radius.
     """

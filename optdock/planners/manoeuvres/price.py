@@ -42,7 +42,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
     Args:
         path: Path of any kind.
         duration: Duration of the motion along the path [s].
-        robot: Robot whose `reverse_price` counts.
+        robot: Robot with the `reverse_price`.
     """
     gears = np.array([one.direction * one.length for one in path.segments if not isinstance(one, TurnSegment)])
     return duration + CUSP_PRICE * stops(path) + float(_reversing(gears, robot).sum())
@@ -89,7 +89,7 @@ def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return shortest durations of drives from stop to stop, see `least_price`; signed lengths to [s], Shape (n, k)."""
+    """Return shortest durations [s] from stop to stop by signed lengths [m], Shape (n, k); see `least_price`."""
     limits, zone = problem.robot.limits, problem.dock.approach
     length, drives = np.abs(gears), gears != 0.0
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)

@@ -165,7 +165,7 @@ class PluginContract(ABC, Generic[P]):
             require(has_unit, f"parameter {known}: the unit stands in brackets or `unitless` lists it; got {text!r}")
 
     def test_a_change_has_the_effect_of_the_constructor(self) -> None:
-        """`Plugin.set_parameters`: values derived from parameters earlier change too."""
+        """`Plugin.set_parameters`: values derived earlier from the parameters change with them."""
         for name, value in _accepted_changes(self.make_plugin).items():
             changed = self.ready_plugin()
             changed.set_parameters(**{name: value})

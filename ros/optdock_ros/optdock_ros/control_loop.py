@@ -70,7 +70,7 @@ class TaskRun:
 
     Args:
         executor: Executor of the task.
-        measure: Returns the measurements at a time [s]; called once per cycle in the loop's thread.
+        measure: Function that returns the measurements at a time [s]; called once per cycle in the loop's thread.
         observe: Callback with measurements and step of every cycle, in the loop's thread; must return at once.
 
     Attributes:
@@ -97,8 +97,8 @@ class ControlLoop:
     Args:
         robot: Robot whose limits the ramps keep.
         period: Period of the cycles [s].
-        now: Returns the time of the measurements [s].
-        send: Sends a command; called in the loop's thread.
+        now: Function that returns the time of the measurements [s].
+        send: Function that sends a command; called in the loop's thread.
         realtime: Whether the threads of this process have real-time scheduling while a task runs.
     """
 
@@ -161,7 +161,7 @@ class ControlLoop:
         limits = self._robot.limits
         thread.join(braking_time(limits.max_speed, limits.max_deceleration, limits.max_jerk) + _SLACK)
         if not run.done.is_set():  # a cycle hangs; its late command is not sent
-            is_free = self._sending.acquire(timeout=_SLACK)  # the middleware may hang as well
+            is_free = self._sending.acquire(timeout=_SLACK)  # the middleware may also hang
             self._silent = True
             try:
                 self._send(Twist2())

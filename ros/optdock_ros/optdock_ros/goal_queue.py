@@ -90,7 +90,7 @@ class Goal:
         self._stop: Callable[[str], object] | None = None
 
     def end(self, reason: str) -> None:
-        """End the goal early; the first reason counts. Callable from any thread."""
+        """End the goal early; the first reason is kept. Callable from any thread."""
         self.ending = self.ending or reason
         if self._stop is not None:
             self._stop(self.ending)
@@ -241,7 +241,7 @@ class GoalQueue:
             if found is None:
                 return CancelResponse.REJECT
             found.end(f"{_CANCELLED} before it began")
-        # rclpy marks the goal as canceling after this callback; it can be answered from then on.
+        # rclpy marks the goal as canceling after this callback; it can be answered after that.
         executor = self._node.executor
         assert executor is not None, "it calls this method"
         executor.create_task(self._drop, found)

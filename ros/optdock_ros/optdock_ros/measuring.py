@@ -47,9 +47,10 @@ class Measuring:
     Args:
         rules: Frames and largest ages.
         frames: Transforms.
-        detect: Returns the detection of a message, given the pose of its frame in the robot's; None: no detections.
-        contact: Returns the contact at a time [s]; None if unknown.
-        current: Returns the current into the battery [A] at a time [s]; None if unknown.
+        detect: Function that returns the detection of a message, given the pose of its frame in the robot's; None: no
+            detections.
+        contact: Function that returns the contact at a time [s]; None if unknown.
+        current: Function that returns the current into the battery [A] at a time [s]; None if unknown.
 
     Attributes:
         faults: Causes of missing measurements: `transform`, `odometry`, `costmap`, `detection`.

@@ -1,7 +1,7 @@
 """Costmaps of several topics merged into one in the planning frame.
 
-Unknown cells count as occupied, and a cell that overlaps several cells of another grid gets the worst of their costs:
-a certificate for the merged costmap also holds for its sources.
+Unknown cells count as occupied, and the cost of a cell that overlaps several cells of another grid is the worst of
+their costs: a certificate for the merged costmap also holds for its sources.
 """
 
 from __future__ import annotations

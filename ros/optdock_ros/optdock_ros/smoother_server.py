@@ -97,7 +97,7 @@ class SmootherServerParameters(ServerParameters):
 
 @dataclass(frozen=True)
 class NamedSmoother:
-    """A smoother of the parameters, with hints for those that are not read; each goal gets a new instance."""
+    """A smoother of the parameters, with hints for those that are not read; a new instance is made for each goal."""
 
     name: str
     choice: PluginChoice

@@ -282,7 +282,7 @@ class TaskDrive:
             reports.motion(self._planning.motion, self._exempt(), time_now)
 
     def _exempt(self) -> str:
-        """Return a description of the obstacles that no certificate of this task counts."""
+        """Return a description of the obstacles that are excluded from the certificates of this task."""
         if self._local is None:
             return "any obstacle but the station's outline: controller.use_collision_detection is false"
         margin = self._settings.dock_parameters[self._plugin.name].contact_margin

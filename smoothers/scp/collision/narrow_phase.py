@@ -6,7 +6,7 @@ g'' is the second derivative of its coordinate along n. The area that the vertex
 
     min over H of (n.v - required - sag) - max over the obstacle of n.q
 
-above the requirement: a lower bound for any n, between the nodes too. g'' is taken at both ends; within the interval
+above the requirement: a lower bound for any n, also between the nodes. g'' is taken at both ends; within the interval
 it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
 
 The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. Hulls of two
@@ -87,7 +87,7 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
     """Requirement of every hull vertex, such that no point of the chord between the two nodes is below the requirement.
 
-    Every part of the rule is convex in the distance and the smallest one counts; where the part changes within an
+    Every part of the rule is convex in the distance, and the smallest one applies; where the part changes within an
     interval the larger value of both ends is safe. Next to the start only the right end is raised, because the left
     pose is given.
     """
