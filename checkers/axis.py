@@ -64,7 +64,7 @@ class AxisGoalChecker(GoalChecker):
 
     With u the unit vector of the path's end and g the vector from the robot to the goal, along = g . u (positive
     before the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All comparisons are strict.
-    Yaw is not checked, velocity only if `stopped`.
+    Yaw is not checked; the velocity is checked only if `stopped`.
 
     The goal is not reached while the remaining path is longer than `path_length_tolerance`. Without an axis (a single
     pose) the distance must be below the radial fallback; otherwise along and cross must be within tolerance. With

@@ -1,4 +1,4 @@
-"""Deadline of a call, shared by all stages that may take long."""
+"""Deadline of a call, shared by all stages that may take a long time."""
 
 from __future__ import annotations
 

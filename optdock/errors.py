@@ -1,6 +1,6 @@
 """Exceptions, named as in Nav2, each with Nav2's action error code.
 
-Every exception that leaves this library derives from `OptdockError`.
+Every exception raised by this library derives from `OptdockError`.
 """
 
 from __future__ import annotations

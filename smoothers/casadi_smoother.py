@@ -1,4 +1,4 @@
-"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that cannot be kept."""
+"""`CasadiSmoother`: a certified clothoid spline near the input path, or an error with the bound that cannot be kept."""
 
 from __future__ import annotations
 
@@ -109,10 +109,10 @@ class CasadiSmoother(Smoother):
             path: Input, from any source.
             max_time: Wall-clock time for the whole call [s].
             problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
-                with the ends of `path` where they differ; without one, from the first to the last pose of `path` with
-                the footprint and costmaps of the context and the limits of the parameters. The least clearance of the
-                result is then at least that of `path`, up to `kept_clearance`. Without a costmap no obstacle is known,
-                and the report has a `warning`.
+                with the ends of `path` if they differ; without a configured problem, from the first to the last pose of
+                `path` with the footprint and costmaps of the context and the limits of the parameters. The least
+                clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
+                obstacle is known, and the report has a `warning`.
             warm_start: Earlier result with the same gears; returned if it is still certified and no other is found.
             cancel_checker: Polled every iteration.
 
@@ -253,7 +253,7 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
-    """Return the configured problem with the ends of `path` where they differ.
+    """Return the configured problem, with the ends of `path` if they differ.
 
     A different start is at rest with free steering. A different end is not a dock: the station is an obstacle, and no
     gear, final straight or slow approach is required.

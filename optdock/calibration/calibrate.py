@@ -64,7 +64,7 @@ class Calibration(NamedTuple):
     tube: DrivenTube
 
     def quantity(self, name: str) -> Quantity:
-        """Return the quantity with the name in the report.
+        """Return the quantity with this name in the report.
 
         Raises:
             InvalidValue: If there is no quantity of that name.

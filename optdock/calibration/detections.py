@@ -1,4 +1,4 @@
-"""Detections: noise as a function of range, share of wrong ones, blind distance."""
+"""Detections: noise as a function of range, share of wrong detections, blind distance."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
 def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     """Distance of the docked pose within which there are no detections.
 
-    The upper bound is the range of the nearest detection. The lower bound is the range at which so many frames without
-    a detection have passed that, with the share of frames with a detection farther away, chance is improbable.
+    The upper bound is the range of the nearest detection. The lower bound is the range at which the number of frames
+    without a detection is no longer explained by chance, given the share of frames with a detection farther away.
     """
     name, unit = "blind distance", "m"
     begins = np.cumsum([0, *(len(one.seen.ranges) for one in motion.of)])

@@ -174,7 +174,7 @@ def _clusters(axes: list[_Axis]) -> IntArray:
 
 
 def _axis(recording: Recording, name: str, bands: tuple[float, float] = (0.0, 0.0), width: float = 0.0) -> _Axis:
-    """Linear or angular drive; with a track width, wheels stand still below their dead bands [m/s]."""
+    """Linear or angular drive; with a track width, the wheels do not move below their dead bands [m/s]."""
     linear, angular = recording.commands.T
     if width > 0.0:
         rims = [linear + 0.5 * side * width * angular for _, side in _WHEELS]
@@ -202,7 +202,7 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
-    """Dead band of each wheel: the speed below which the wheel stands still that fits best [m/s].
+    """Dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
 
     The interval contains all speeds whose misfit, summed by clusters, is not significantly worse.
 
@@ -236,7 +236,7 @@ def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: 
 def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatArray:
     """Sums of squared residuals for each dead band and cluster, Shape (b, c) [m^2].
 
-    Sums beyond four times the usual ones are cut off, as a wheel may slip or stall.
+    Sums above four times the usual ones are clipped, because a wheel may slip or stall.
     """
     clusters, before = _clusters(axes), np.zeros(0)
     rows: list[FloatArray] = []

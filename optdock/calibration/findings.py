@@ -58,7 +58,7 @@ def as_text(calibration: Calibration) -> str:
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Return keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`) where known."""
+    """Return keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`) if known."""
     known = {one.name: one for one in calibration.quantities if one}
     executor = _settings(known)
     values: dict[str, dict[str, object]] = {}

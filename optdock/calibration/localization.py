@@ -99,7 +99,7 @@ def docks_in_map(one: Smoothed, delay: float) -> Placed:
 
 
 def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses given in frames, in the parent frame of these, Shape (n, 3)."""
+    """Transform poses given in frames to the parent frame of the frames, Shape (n, 3)."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
     return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))

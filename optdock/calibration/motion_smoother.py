@@ -172,7 +172,7 @@ class DetectionNoise(NamedTuple):
     Attributes:
         noise: Standard deviations.
         covariance: Covariance of position, position slope, yaw, yaw slope and the square of the jitter, Shape (5, 5).
-        wrong: Probability that each detection is a wrong one, Shape (n,).
+        wrong: Probability that each detection is wrong, Shape (n,).
     """
 
     noise: Noise

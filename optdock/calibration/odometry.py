@@ -34,7 +34,7 @@ _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a
 def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
     """Return the scales of distances and turns, the turn per metre and the delay of the detections.
 
-    With a track width also the errors of the wheels' radii and of the track width.
+    With a track width, also return the errors of the wheels' radii and of the track width.
 
     Args:
         motion: Smoothed recordings.
@@ -149,6 +149,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """Cluster indices of the residuals; each part has a linear and an angular one at every time."""
+    """Cluster indices of the residuals; each part has a linear and an angular residual at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

@@ -39,9 +39,9 @@ def nav2(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Write a scenario of a docking from Nav2's parameters, map and dock database.
 
-    The scenario refers to the map if its cells block the same as the global costmap of the parameters; otherwise a map
-    is written next to it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml --docks
-    docks.yaml --dock home --start 3.5,1.5,0.1 -o home.yaml
+    The scenario refers to the map if the same cells are occupied as in the global costmap of the parameters; otherwise
+    a map is written next to it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml
+    --docks docks.yaml --dock home --start 3.5,1.5,0.1 -o home.yaml
     """
     with reported(verbose=verbose):
         import dataclasses

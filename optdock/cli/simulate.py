@@ -44,7 +44,7 @@ class WorldDeviations(NamedTuple):
         position_noise: Standard deviation of the measured x and y [m]; the default is typical of a docking sensor.
         yaw_noise: Standard deviation of the measured yaw [rad].
         lag: Time constant with which speed and yaw rate, or the steering of a car, follow their commands [s].
-        latency: Delay of the commands [s], taken to the nearest quarter of the control period.
+        latency: Delay of the commands [s], rounded to the nearest quarter of the control period.
     """
 
     position_noise: float = 0.001

@@ -59,7 +59,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
-    """Return the planner that is named, or the default planners, the first with the given parameters.
+    """Return the named planner, or the default planners, the first one with the given parameters.
 
     Args:
         choice: Result of `plugin_choice`.

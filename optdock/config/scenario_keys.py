@@ -1,8 +1,8 @@
 """Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
 The constructors of the values check their rules; the models call them key by key, so that every fault is reported. The
-scenario reference and the JSON schema of `optdock.config.reference` are made of the descriptions of the keys (`_key`),
-which have their unit in brackets.
+scenario reference and the JSON schema of `optdock.config.reference` are generated from the descriptions of the keys
+(`_key`), which end with the unit in brackets.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _key(
         absent: Meaning of a missing key, if not the default.
         above: Exclusive lower bound of the constructor.
         least: Inclusive lower bound of the constructor.
-        finite: Whether infinity, `.inf` in YAML, is refused.
+        finite: Whether infinity, `.inf` in YAML, is rejected.
     """
     values = {"exclusiveMinimum": above, "minimum": least, "x-absent": absent or None, "x-finite": finite or None}
     extra: Any = {name: value for name, value in values.items() if value is not None}

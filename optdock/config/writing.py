@@ -45,9 +45,9 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    Reading the file gives the same problem, with equal numbers. The file refers to `map_source` if its cells block the
-    same as the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and NAME_map.pgm.
-    Default motion limits of the scenario are not written.
+    Reading the file gives the same problem, with equal numbers. The file refers to `map_source` if the same cells are
+    occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
+    NAME_map.pgm. Default motion limits of the scenario are not written.
 
     Args:
         target: The file.

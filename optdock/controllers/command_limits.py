@@ -1,4 +1,4 @@
-"""Limits on commands: the command nearest to the wanted one that the drive can follow from the last, jerk included.
+"""Limits on commands: the command nearest to the wanted one that can follow the last one, with limits up to the jerk.
 
 The speed is a second-order limiter. A reachable command passes unchanged, so a feed-forward within the limits has no
 lag; otherwise the acceleration changes by no more than the jerk, and decreases early enough that the speed reaches the
@@ -65,7 +65,7 @@ class CommandLimiter:
         self.curvature: float | None = command.angular / command.linear if moving else None
 
     def stop(self, period: float = 0.0) -> None:
-        """Restart from rest, as after an emergency stop, which keeps no jerk limit.
+        """Restart from rest, for instance after an emergency stop, which has no jerk limit.
 
         Args:
             period: Time for which the command has been zero [s]; 0: unknown.
@@ -100,12 +100,12 @@ class CommandLimiter:
 
         Args:
             wanted: Sum of feed-forward and feedback.
-            feed_forward: Feed-forward, whose rate of change the command converges to.
+            feed_forward: Feed-forward; the rate of change of the command converges to that of the feed-forward.
             period: Time since the last command [s], > 0.
             limits: Limits of the robot.
             drive: Kind of drive.
-            in_place: Whether a differential drive may turn tighter than its smallest radius: where the reference turns
-                in place, or is at its end.
+            in_place: Whether a differential drive may turn tighter than its smallest radius: if the reference turns in
+                place, or is at its end.
             room: Distance in which the robot must be able to stop [m].
         """
         free = in_place and drive is Drive.DIFFERENTIAL
@@ -251,8 +251,8 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
     """Whether a command is within the limits that speed and turn share, now and while both decrease fastest.
 
-    `speed` and `rise`, the acceleration at the end of the period, count in the direction of the rise; `amount` is the
-    size of the turn.
+    `speed` and `rise`, the acceleration at the end of the period, are positive in the direction of the rise; `amount`
+    is the size of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     shared: tuple[tuple[int, float, float, float], ...]
@@ -346,7 +346,7 @@ def smooth_slope(
     periods: tuple[float, float, float],
     target_jerk: tuple[float, float] = (0.0, math.inf),
 ) -> float:
-    """Return the slope of the next period, of a value that is to reach a moving target and stay with it.
+    """Return the slope in the next period of a value that has to reach and follow a moving target.
 
     The slope relative to the target must decrease by the part of `jerk` that the target's own jerk does not use, or is
     so small that the value arrives no later than that jerk ends.
@@ -406,7 +406,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` that keeps the lateral jerk, without exceeding it and the last one."""
+    """Return the yaw rate nearest to `angular` within the lateral jerk, no larger than both it and the last one."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period

@@ -39,7 +39,7 @@ class ControlClock:
         now: Stamp of the last call [s]; None before the first.
         elapsed: Time between the last two calls [s], at most half a second.
         period: Filtered period, the estimate of the coming one [s].
-        learnt: Whether the last call was the first that gave a period.
+        learnt: Whether the last call was the first one with a measured period.
         silent: Whether the last call was the first, or came after more than half a second.
     """
 
@@ -60,7 +60,7 @@ class ControlClock:
             period: Fixed period [s]; None: measured.
 
         Raises:
-            NoValidControl: If the clock went back. Calls are refused until the clock has caught up or is reset.
+            NoValidControl: If the clock went back. Calls are rejected until the clock has caught up or is reset.
             InvalidValue: If the stamp is not a finite number.
         """
         stamp = context.clock() if stamp is None else finite_number(stamp, f"{context.name}: stamp")
@@ -97,7 +97,7 @@ class DelayEstimate:
         delay: Known delay [s].
 
     Attributes:
-        delay: Latency plus lag of the best model [s]; the known delay until there is evidence.
+        delay: Latency plus lag of the best model [s]; the known delay until the data determine it.
     """
 
     def __init__(self, delay: float = 0.0) -> None:

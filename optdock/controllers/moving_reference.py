@@ -136,7 +136,7 @@ class TrajectoryReference:
         return np.array([pose.as_array() for pose in poses])
 
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
-        """Let `trajectory` take over `lead` seconds from now, instead of those that were to take over later.
+        """Let `trajectory` take over `lead` seconds from now, and cancel later takeovers.
 
         The place of the change is fixed by the present rate: a later change of the rate moves the instant, so that the
         reference does not jump. A standing reference waits.
@@ -213,7 +213,7 @@ class TrajectoryReference:
         return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
 
     def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
-        """Return poses over the next `distance` [m] of the path, offset as `pose` is from `now`; None beyond the path.
+        """Return poses over the next `distance` [m] of the path, offset by `pose` relative to `now`; None beyond it.
 
         Shape (n, 3).
         """
@@ -240,7 +240,7 @@ class TrajectoryReference:
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
-        """Begin at the trajectory's start, or at the nearest point of the first gear when the robot is not there.
+        """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
 
         The first rate makes the reference no faster than the robot at `linear` m/s; from rest the reference begins late
         by the drive's `delay` [s], so that no command is left out.
@@ -337,7 +337,8 @@ def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, floa
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 
-    They occur at the borders of the phases; the speed's also where the acceleration vanishes within a phase.
+    They occur at the borders of the phases; the largest speed may also occur at a zero of the acceleration within a
+    phase.
     """
     law = trajectory.time_law
     middle = law.phase_middles(0.5 * (law.times[:-1] + law.times[1:]))

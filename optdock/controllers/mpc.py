@@ -138,7 +138,7 @@ class MpcController(TrackingController):
         self._prepare()
 
     def reset(self) -> None:
-        """Discard the path and the identified delay; the speed limit stays."""
+        """Discard the path and the identified delay; the speed limit is kept."""
         super().reset()
         self._to_go.clear()
         self._given.clear()

@@ -39,7 +39,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
     """Check `task`, the path or trajectory to follow, and return it.
 
     The frame must be the one of the configured problem if both are known. A certified trajectory must have been
-    certified for the configured problem; only its start may differ, as a new plan in motion begins at the robot.
+    certified for the configured problem; only its start may differ, because a new plan in motion begins at the robot.
     Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:

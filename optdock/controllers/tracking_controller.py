@@ -94,9 +94,9 @@ class TrackingController(Controller):
     """Controller that follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
     **Time.** Every call advances the reference by the time since the last one, measured by the stamps, or by `period`
-    if given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower
-    under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot further
-    than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
+    if given, times a rate in [0, 1]. Any constant or varying call rate from 10 to 200 Hz is possible. The rate is 1,
+    lower under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot
+    further than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
 
     **Law.** See `tracking_law`. The feed-forward is that of the middle of the coming period, `preview` ahead. Without
     `preview` the delay of the drive is identified, beginning with the first ramp, and kept until `reset`.
@@ -114,8 +114,8 @@ class TrackingController(Controller):
     Obstacles come from the context: the problem, and the costmaps at the time of the call; without both there is no
     check.
 
-    **Limits.** Those of the context's robot; without one the defaults of `MotionLimits`, widened to 1.2 times the
-    peaks of the trajectory. Commands are admissible for the drive and keep its acceleration limits.
+    **Limits.** The limits are those of the context's robot, or without a robot the defaults of `MotionLimits`, widened
+    to 1.2 times the peaks of the trajectory. Commands are admissible for the drive and keep its acceleration limits.
 
     Args:
         **parameters: Fields of `TrackingControllerParameters`.
@@ -151,8 +151,8 @@ class TrackingController(Controller):
             path: Path or trajectory to follow.
             start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until then the reference
                 continues on the previous trajectory, or waits at the start if there is none. The new trajectory should
-                begin at the state of the reference at that time. None: starts with the next call, from where the robot
-                is.
+                begin at the state of the reference at that time. None: the trajectory starts with the next call, at the
+                place of the robot.
 
         Raises:
             ControllerInvalidPath: If it is neither a path nor a trajectory, is in another frame than the configured
@@ -178,7 +178,7 @@ class TrackingController(Controller):
         Args:
             pose: Measured pose.
             velocity: Measured body velocity, the start of the first command and the response to the last one.
-            goal_checker: Its position tolerance may widen `finish_tolerance`.
+            goal_checker: Goal checker whose position tolerance may widen `finish_tolerance`.
             stamp: Time of the measured pose [s], on any monotonic clock; None: now, on the context's clock.
 
         Raises:
@@ -298,7 +298,7 @@ class TrackingController(Controller):
         )
 
     def reset(self) -> None:
-        """Discard the path and the identified delay; the speed limit stays."""
+        """Discard the path and the identified delay; the speed limit is kept."""
         self._reference = self._starts_at = None
         self._clock = ControlClock()
         self._delay = DelayEstimate()
@@ -412,7 +412,7 @@ def _at_least(value: float, least: float) -> float:
 
 
 def _limited_rate(speed_limit: tuple[float, bool] | None, trajectory: Trajectory) -> float:
-    """Return the rate under a speed limit, in percent where the second value is True."""
+    """Return the rate under a speed limit, which is in percent if the second value is True."""
     if speed_limit is None:
         return 1.0
     limit, percentage = speed_limit

@@ -7,7 +7,7 @@ rate w_r, [Samson1993], [Kanayama1990], [DeLuca2001]:
     w = w_r + k_y v_r sinc(theta) y + k_theta theta
 
 V = k_y (x^2 + y^2) / 2 + theta^2 / 2 gives V' = -k_y k_x x^2 - k_theta theta^2 <= 0 for either sign of v_r, so the law
-is stable in both gears, and y converges where v_r does not vanish (continuous time, commands not saturated).
+is stable in both gears, and y converges while v_r does not vanish (continuous time, commands not saturated).
 Linearized, the lateral error obeys s^2 + k_theta s + k_y v_r^2. With k_y = 1 / L^2 and k_theta = 2 zeta |v_r| / L the
 error decays over the distance L at every speed.
 
@@ -63,7 +63,7 @@ class Gains(NamedTuple):
     """Gains of the law.
 
     `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], which turns
-    the robot where the reference stands.
+    the robot if the reference is at rest.
     """
 
     along: float
@@ -103,8 +103,8 @@ def left_after(
 ) -> tuple[float, float]:
     """Return the lateral offset [m] and slope [rad] that the law leaves after a distance (E5).
 
-    With the offset y and slope y', y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L where that
-    is more (at least critically damped).
+    With the offset y and slope y', y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L if that is
+    larger (at least critically damped).
 
     Args:
         distance: Distance to drive [m], >= 0.
@@ -176,8 +176,8 @@ class FeedbackGains:
         """Return `usual` within the bounds of the delay, or other gains if those would leave too large an error.
 
         The lateral and heading errors are measured in units of the accepted ones; they are smoothed, and reduced by
-        their own noise, which higher gains would amplify. A lateral error is removed by turning the robot: where the
-        distance left is too short to turn back, the heading is corrected and the lateral error stays.
+        their own noise, which higher gains would amplify. A lateral error is removed by turning the robot: if the
+        remaining distance is too short to turn back, the heading is corrected and the lateral error remains.
 
         Args:
             usual: Gains of the parameters.

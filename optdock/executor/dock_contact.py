@@ -1,4 +1,4 @@
-"""At the dock: detect it at rest, confirm that the robot is docked, press, back out, and nudge the robot into place.
+"""Actions at the dock: detect it at rest, confirm that the robot is docked, press, back out, correct small errors.
 
 The motions here are short, straight or in place, and not planned; each is checked against the obstacles by time of
 impact before it is driven.
@@ -62,7 +62,7 @@ _ANSWER = 0.3  # [s] in which drive and odometry respond to the last command
 
 
 def stands_docked(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether the robot is docked before the task begins, for docks that need no signal."""
+    """Return whether the robot is docked before the task begins, for docks without a required signal."""
     situation, settings, estimate = cycles.situation, cycles.situation.settings, cycles.situation.estimate
     needs_signal = situation.dock_type.is_pressed_on or situation.dock_type.waits_for_charge
     if needs_signal or not estimate.is_near:
@@ -119,7 +119,7 @@ def wait_for_detection(cycles: ControlCycles) -> Cycles:
 
 
 def confirm(cycles: ControlCycles) -> Cycles:
-    """Confirm at rest that the robot is docked; only the detector shows a wheel slip over the last centimetres.
+    """Confirm at rest that the robot is docked; wheel slip over the last centimetres is only visible in the detections.
 
     Raises:
         Interrupted: If the robot is outside of the tolerances.
@@ -210,7 +210,7 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
 
     Args:
         cycles: Cycles of the task.
-        least: Distance to drive at least, if it is free [m].
+        least: Least distance to drive, if it is free of obstacles [m].
     """
     situation = cycles.situation
     direction, footprint = -situation.estimate.gear, situation.problem.robot.footprint

@@ -1,4 +1,4 @@
-"""The robot relative to the dock: errors, uncertainty, and what a path or the feedback can still correct."""
+"""The robot relative to the dock: errors, uncertainty, and the errors that a path or the feedback can still correct."""
 
 from __future__ import annotations
 
@@ -193,13 +193,13 @@ class DockEstimate:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the required number of detections was accepted and no newer ones contradict them."""
+        """Whether the required number of detections was accepted and not contradicted by newer ones."""
         detections = self.perception.detections
         return detections.count >= self.settings.least_detections and not detections.is_contradicted
 
     @property
     def is_known(self) -> bool:
-        """Whether the dock is known well enough to be driven to."""
+        """Whether the pose of the dock is accurate enough to drive to it."""
         accepted = self.problem.dock.tolerances
         (place, turn), most = self.perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
@@ -207,7 +207,7 @@ class DockEstimate:
 
     @property
     def is_found(self) -> bool:
-        """Whether the dock is known well enough for an approach, whose second half corrects the remaining error."""
+        """Whether the pose of the dock is accurate enough for an approach, which corrects errors in its second half."""
         if self.is_known:
             return True
         place, turn = (_CERTAINTY * sigma for sigma in self.perception.sigma)

@@ -62,10 +62,10 @@ class DockingExecutor:
         settings: Settings; None: the defaults.
         task: `dock` or `undock`.
         controller: Name, name with parameters, or plugin that is not configured.
-        goal_checker: Decides whether the robot is docked; of the same forms as `controller`.
+        goal_checker: Goal checker that decides whether the robot is docked; of the same forms as `controller`.
         dock_type: Kind of dock, of the same forms as `controller`; None: a `SimpleDock` with parameters from the
             settings.
-        planning: Runs planning jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
+        planning: Planning that runs the jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
         log: Log to write; None: no log.
         last_command: Last command before the task, for a robot in motion; None: the first measured velocity.
 
@@ -198,7 +198,7 @@ class DockingExecutor:
         return found
 
     def _with_dock_detections(self, measurements: Measurements) -> Measurements:
-        """Keep the detections that the dock type selects; none if it raises an exception."""
+        """Keep the detections that the dock type selects, or no detections if it raises an exception."""
         failure = ""
         try:
             chosen = self._dock_type.detections(measurements)
@@ -219,7 +219,7 @@ class DockingExecutor:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
     def _tick(self, stamp: float) -> tuple[float, float]:
-        """Time since the last cycle on a monotonic clock without leaps, and time over which commands may change [s]."""
+        """Return the time since the last cycle on a clock without jumps, and the time for changes of commands [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1

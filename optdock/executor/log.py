@@ -52,7 +52,7 @@ _MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; thi
 
 
 class Task(NamedTuple):
-    """The task of a log; without a dock type, the settings describe it."""
+    """The task of a log; without a dock type, the dock is described by the settings."""
 
     problem: DockingProblem
     settings: ExecutorSettings
@@ -122,7 +122,7 @@ class LogWriter(AbstractContextManager["LogWriter"]):
 
     Args:
         target: The file; an existing one is replaced.
-        flush: Flush every cycle, so that a crash of the program loses none.
+        flush: Flush every cycle, so that no cycle is lost in a crash of the program.
 
     Raises:
         InvalidFile: If the file cannot be written.

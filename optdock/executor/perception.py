@@ -117,7 +117,7 @@ class Perception:
     def unseen_turn(self) -> float:
         """Rotation of the localization against the odometry since the last detection [rad].
 
-        Wheel slip turns the robot without a trace in the odometry; the localization shows it.
+        A rotation by wheel slip is not visible in the odometry, but in the localization.
         """
         return normalize_angle(self.dock.yaw - self.detections.seen_yaw) if self.sees_dock else 0.0
 
@@ -180,7 +180,7 @@ class Perception:
         self._report_lost()
 
     def _locate(self, measurements: Measurements) -> bool:
-        """Update the robot in the map; False while its pose has never been measured."""
+        """Update the robot in the map; return False if its pose has never been measured."""
         robot, stamp, pose = self._robot, self.stamp, measurements.pose
         measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
         if self._reckoning is None:

@@ -145,7 +145,7 @@ class Verdict(NamedTuple):
     Attributes:
         holds: Whether the rest keeps its clearance.
         reason: The obstacle and its place.
-        at_time: Time at which the motion would reach it, on its own clock [s].
+        at_time: Time at which the motion would reach the obstacle, on its own clock [s].
     """
 
     holds: bool
@@ -242,7 +242,7 @@ class ThreadPlanning(Planning):
     A running job is not interrupted: its budget bounds it, and the next job begins after it.
 
     Args:
-        plan: Runs a job; `PlanningProcess.planned` runs it in another process.
+        plan: Function that runs a job; `PlanningProcess.planned` runs it in another process.
     """
 
     def __init__(self, plan: Callable[[Job], PlanResult] = planned) -> None:
@@ -285,7 +285,7 @@ class Planned(NamedTuple):
         trajectory: Trajectory of the motion; None without a motion.
         start: Start of the motion's problem.
         start_relief: Start relief of the motion.
-        verdict: Recorded answer of `still_holds`, instead of a result.
+        verdict: Recorded result of `still_holds`; None for a job.
     """
 
     result: PlanResult | None = None
@@ -314,7 +314,7 @@ class RecordedPlanning(Planning):
                 self._results.append(one)
 
     def submit(self, job: Job) -> None:
-        """Keep the job, whose problem completes the recorded motion."""
+        """Store the job, whose problem completes the recorded motion."""
         self._job = job
 
     def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface

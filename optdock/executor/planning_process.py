@@ -66,7 +66,7 @@ class PlanningProcess:
             return False
 
     def planned(self, job: Job) -> PlanResult:
-        """Run a job within about its budget; a process that dies or does not answer is replaced, and the job fails."""
+        """Run a job within about its budget; if the process dies or hangs, it is replaced and the job fails."""
         with self._lock:
             if self._closed:
                 return PlanResult(job.number, Outcome.FAILED, reason="the planning process has been closed")
@@ -171,7 +171,7 @@ def _work(line: Connection) -> None:
 
 
 class _Shared:
-    """Pickling that sends every costmap and motion once, and a reference to it afterwards."""
+    """Pickler that sends every costmap and motion once, and afterwards a reference to it."""
 
     def __init__(self, side: str) -> None:
         self._side, self._count = side, 0

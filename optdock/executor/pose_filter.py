@@ -41,7 +41,7 @@ class DeadReckoning:
     """Pose of the robot by odometry, relative to its first pose.
 
     Poses of the odometry are joined by their increments, so that a restart of its frame has no effect. Twists are
-    integrated from the newest pose until now, or throughout without poses.
+    integrated from the newest pose until now, or without poses over the whole time.
 
     Args:
         stamp: Stamp of the first reading [s].
@@ -179,7 +179,7 @@ _DOUBT = 3.0  # factor on the prior of the systematic errors after innovations w
 
 
 class PoseFilter:
-    """Pose of the robot in a fixed frame, from dead reckoning and measured poses at any rates.
+    """Filter of the robot's pose in a fixed frame, from dead reckoning and measured poses at any rates.
 
     Args:
         errors: Errors of the odometry.
@@ -427,7 +427,7 @@ class PoseFilter:
         return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
 
     def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
-        """Keep a measurement outside the gate, and move the estimate if enough of them agree."""
+        """Store a measurement outside the gate, and move the estimate if enough of them agree."""
         now = measured @ (then.inverse() @ self.pose)
         one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
         self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]

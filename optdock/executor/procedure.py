@@ -1,7 +1,7 @@
-"""How a robot docks and undocks: the attempts, their plans and drives; each `yield` is one control cycle.
+"""Docking and undocking procedure: the attempts, their plans and drives; each `yield` is one control cycle.
 
-An early end of a motion, an attempt or the task is an exception, caught where the procedure can respond. Every wait and
-every motion has a timeout.
+An early end of a motion, an attempt or the task is an exception, which is caught by the part that can respond. Every
+wait and every motion has a timeout.
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ class Step(NamedTuple):
     Attributes:
         command: Velocity command to send, within the limits of the robot.
         state: State of the executor.
-        feedback: The same as feedback of Nav2's action.
+        feedback: The state as feedback of Nav2's action.
         ending: Ending of the task; None while the task runs.
         events: Events of this cycle.
         deviation: Pose of the robot relative to the nearest pose of the path; None while no path is driven.

@@ -230,7 +230,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """The pose for the controller: in an approach relative to the dock, which may have moved since the plan."""
+        """The pose for the controller; in an approach, relative to the dock, which may have moved since the plan."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 
@@ -245,7 +245,7 @@ class TrajectoryDrive:
     def _reference(self) -> tuple[float, float]:
         """Time of the reference on the trajectory's own clock [s], and its rate.
 
-        For a controller without a reference in time, the time at which the plan passes the place of the robot.
+        For a controller without a reference in time, this is the time at which the plan passes the place of the robot.
         """
         progress = getattr(self._controller, "progress", None)
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
@@ -528,7 +528,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return the job that plans from the place of a stop; `here` is the problem except for start and costmap."""
+        """Return the job that plans from the place of a stop; start and costmap of the problem `here` are replaced."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)
@@ -550,7 +550,7 @@ class ShorterWay:
             raise Interrupted(SHORTER_WAY, reason)
 
     def _is_better(self, duration: float, motion: DrivenMotion, time: float) -> bool:
-        """Whether a plan from rest of this duration [s] is worth a stop."""
+        """Whether a plan from rest of this duration [s] justifies a stop."""
         left = motion.trajectory.duration - time
         return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
 

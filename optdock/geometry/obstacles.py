@@ -205,7 +205,7 @@ class ObstacleSet(FrozenArrays):
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
-        """Return the polygons of `rows`, in this order, as `separation` takes them."""
+        """Return the polygons of `rows`, in this order, in the form required by `separation`."""
         return ConvexPieces(*self._columns[:, :, rows])
 
     @functools.cached_property

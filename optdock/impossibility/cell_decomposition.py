@@ -1,7 +1,7 @@
 """Search for a proof that no motion exists: approximate cell decomposition ([Brooks1985], [Zhang2008]).
 
 `proof` defines such proofs. Tiles of cells are refined until no route from start to goal is left, an open route is
-found, or the time is up:
+found, or the time has run out:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
 2. An examined tile has blocked cells, cells that appear open, and narrow ones. Connected cells of one kind are one node
@@ -116,7 +116,7 @@ class ImpossibilitySearch:
         Args:
             time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
             cancel_checker: Polled every few milliseconds; True interrupts the search.
-            only_disc: Stop if the largest disc alone proves nothing.
+            only_disc: Stop if there is no proof with the largest disc alone.
 
         Returns:
             The proof, with the bottleneck as accurate as the time allows; None if no proof was found, or not yet.
@@ -154,8 +154,8 @@ class _Obstacles:
     def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
         """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
 
-        Rows run along y. Every node is measured against a point of an obstacle near the lattice node that is its
-        nearest one at an obstacle; obstacles beyond the last node are ignored.
+        Rows run along y. The distance of a node is measured to an obstacle point next to the nearest lattice node at an
+        obstacle; obstacles beyond the last node are ignored.
         """
         from scipy import ndimage
 
@@ -253,7 +253,7 @@ class _Search:
         self.deadline.look()
 
     def looks_open(self, deadline: Deadline) -> bool:
-        """Whether free nodes of one coarse lattice join start and goal for a disc: a heuristic, no proof."""
+        """Whether free nodes of one coarse lattice join start and goal for a disc; a heuristic, not a proof."""
         from scipy import ndimage
 
         self.deadline = deadline
@@ -303,7 +303,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """Return the proof once no route is left: around the goal, or around the start if the goal is in the open."""
+        """Return the proof once no route is left: around the goal, or around the start if the goal is not enclosed."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
@@ -517,7 +517,7 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """Return the names of the obstacle nearest to the robot at a pose, and the nearest one on its other side."""
+        """Return the names of the obstacle nearest to the robot at a pose and of the nearest one on the other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])

@@ -6,17 +6,17 @@ turning in place. The converse does not hold: without a proof a motion may or ma
 
 *Cells.* The poses are divided into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are the position of
 one point of the robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has
-an obstacle nearer than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than e =
-sqrt(2) h + 2 |p| sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it an
-obstacle lies nearer to the footprint than required, or inside it if no clearance is required.
+an obstacle nearer than r + c - e at the middle of the cell. Here e = sqrt(2) h + 2 |p| sin(a / 2) is the largest motion
+of the disc's centre within the cell, and c is the least clearance required of any pose in it. Therefore, at every pose
+in the cell, an obstacle is nearer to the footprint than required, or inside it if no clearance is required.
 
 *The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with a cell of the set and is not in
-the set is blocked; so is every cell at the inner end, the goal or the start, that is not in the set; and no cell at the
-other end is in the set. Suppose that a motion keeps the clearance. No cell that holds any of its poses is blocked, so
-it begins in the set and ends outside. At the border of the set it has a pose that is both in a cell of the set and in a
-cell outside; of the cells around that pose, which are joined by faces, one in the set shares a face with one that is
-not: a blocked one, which is a contradiction. Cells may be of different sizes: tiles of a quadtree over the plane hold
-16 x 16 cells for every heading, each level with cells half as large.
+the set is blocked; every cell at the inner end, the goal or the start, that is not in the set is also blocked; and no
+cell at the other end is in the set. Suppose that a motion keeps the clearance. No cell that holds any of its poses is
+blocked, so it begins in the set and ends outside. At the border of the set it has a pose that is both in a cell of the
+set and in a cell outside; of the cells around that pose, which are joined by faces, one in the set shares a face with
+one that is not: a blocked one, which is a contradiction. Cells may be of different sizes: tiles of a quadtree over the
+plane hold 16 x 16 cells for every heading, each level with cells half as large.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
@@ -122,8 +122,8 @@ class ImpossibilityProof(FrozenArrays):
     Args:
         end: The end that the cells surround, `goal` or `start`.
         origin: Lower left corner of the tile (0, 0) of every level [m].
-        cell: Half the side of a cell of level 0 [m]; of level k it is 2^-k of that.
-        headings: Number of headings of level 0; of level k 2^k times as many.
+        cell: Half the side of a cell of level 0 [m]; multiplied by 2^-k for level k.
+        headings: Number of headings of level 0; multiplied by 2^k for level k.
         centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
         tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
@@ -177,7 +177,7 @@ class ImpossibilityProof(FrozenArrays):
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """Return plain values for a plan file; the cells as bits, packed by zlib, in base 64."""
+        """Return plain values for a plan file; the cells are bits, compressed by zlib, in base 64."""
         bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
         return {
             "end": self.end,
@@ -409,7 +409,7 @@ class _Rim:
         return found, bool(is_in.all(axis=2).any(axis=0).all())
 
     def _is_closed_at_sides(self) -> bool:
-        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set become rim."""
+        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set join the rim."""
         for axis in (0, 1):
             lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
             low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]

@@ -198,6 +198,6 @@ def _check_size(path: Path, size: int, most: int) -> None:
 
 
 def _name(path: Path) -> str:
-    """The name on one line; only the end of a long name."""
+    """The name on one line; of a long name only the end."""
     text = printable(str(path))
     return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

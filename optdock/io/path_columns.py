@@ -255,7 +255,7 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
-    """Check the curvature of samples against the quotients of turn and chord of the steps around them.
+    """Check the curvature of samples against the ratios of turn and chord of the steps around them.
 
     The range of the two steps before and the two after a sample is widened by its size and by the rounding. Samples
     near a turn in place are not checked. The check applies to drivable paths only; raw paths may have corners between

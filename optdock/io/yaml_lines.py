@@ -116,7 +116,7 @@ def load_yaml(path: str | Path) -> Document:
 
 
 def listed(source: str, lines: Sequence[str]) -> str:
-    """Join the lines of a message; of more than twenty lines, the first and the number of the others.
+    """Join the lines of a message; if there are more than twenty, the first ones and the number of the others.
 
     Args:
         source: Name of the file for the last line.

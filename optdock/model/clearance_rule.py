@@ -97,7 +97,7 @@ class ClearanceRule:
 
     @staticmethod
     def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """Return the start clearance, growing with the distance; beyond `start_relief` from a lower value."""
+        """Return a requirement that grows from the start clearance, or beyond `start_relief` from a lower value."""
         kept = max(0.0, start_clearance)
         least = kept if start_relief == 0.0 else _relieved(kept)
         return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)

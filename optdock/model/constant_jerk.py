@@ -28,7 +28,7 @@ Number = TypeVar("Number", float, FloatArray)
 def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
     """Return distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
 
-    s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
+    The distance is s + v t + a t^2 / 2 + j t^3 / 6; speed and acceleration are its derivatives.
 
     Args:
         t: Time since the state [s].

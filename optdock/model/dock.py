@@ -75,7 +75,7 @@ class Dock:
             orientation of the marker is not modelled.
         visible_distance: Length of the last part of the path [m], or the whole of a shorter path, on which the marker
             must be in the view of `Robot.camera`; 0 for no requirement.
-        blind_distance: Length of the last part of the path where the marker need not be visible [m].
+        blind_distance: Length of the last part of the path on which the marker may be invisible [m].
 
     Raises:
         InvalidValue: If final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the

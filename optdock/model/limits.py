@@ -1,7 +1,7 @@
 """Motion limits of the robot's drive.
 
 `LIMITS` is the single table of the bounds in `MotionLimits`: certificates, sample checks, scenario files, their
-reference and the plots take names, units and quantities from it.
+reference and the plots use its names, units and quantities.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ class MotionLimits:
         return turned
 
     def steering_times(self, curvatures: FloatArray) -> FloatArray:
-        """Return the times to steer between two curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
+        """Return the times to steer between two curvatures, signed as forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
 

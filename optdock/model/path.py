@@ -203,7 +203,7 @@ class Path(FrozenArrays):
         return Pose2.from_sequence(self.poses_at(s)[0])
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp that of the next gear. Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp the pose of the next gear. Shape (n, 3)."""
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
@@ -332,7 +332,8 @@ def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
 def joint_curvatures(path: Path) -> FloatArray:
     """Return the curvature just before and just after every cusp, Shape (cusps, 2) [1/m].
 
-    Signed as driven forward, a left turn of the wheels positive; for a curve driven in reverse the sign is inverted.
+    The sign is that for driving forward, positive for a left turn of the wheels; for a curve driven in reverse the sign
+    is inverted.
     """
     ends = [
         (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments

@@ -82,7 +82,7 @@ class DockingProblem(FrozenArrays):
         start_speed: Signed speed at the start, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m], with which the path begins. None leaves it free:
             steered wheels may then have any angle, and the motion waits for them at rest (`start_wait`).
-        start_acceleration: Derivative of the signed speed at the start [m/s^2]. Used by the motion, not by path
+        start_acceleration: Derivative of the signed speed at the start [m/s^2]. It is used by the motion, not by path
             planning. Start states within rounding of rest count as rest.
         costmap: Grid of the surroundings, or None. It is read on construction; a writable grid is copied.
         frame: Name of the coordinate frame.
@@ -191,14 +191,13 @@ class DockingProblem(FrozenArrays):
         unknown_is_obstacle: bool = True,
         frame: str = "map",
     ) -> DockingProblem:
-        """Return a problem among the cells of an occupancy grid.
+        """Return a problem with the cells of an occupancy grid as obstacles.
 
         Args:
             occupancy: Shape (rows, columns): row 0 has the lowest y, column 0 the lowest x, as in ROS's OccupancyGrid
                 (row 0 of
-                an image is at the top: pass `image[::-1]`). Either booleans, True is occupied; or integers as in ROS, 0
-                    (free)
-                to 100 (occupied) and -1 (unknown).
+                an image is at the top: pass `image[::-1]`). The elements are booleans, True is occupied, or integers as
+                    in ROS, 0 (free) to 100 (occupied) and -1 (unknown).
             resolution: Side of a cell [m].
             origin: Lower left corner of the cell in row 0 and column 0, x and y [m].
             start: Start pose of the robot.

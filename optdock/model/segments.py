@@ -172,8 +172,8 @@ class PolylineSegment(FrozenArrays):
     def step_swing(self) -> FloatArray:
         """Variation of the curvature over every step, to its mean and on to the next step, Shape (n - 1,) [1/m^2].
 
-        Half of the changes at both ends of the step, over its length. For monotonic curvature this is the slope of
-        `curvature_at`; an oscillation from step to step is hidden by the means at the poses.
+        It is half of the changes at both ends of the step, divided by its length. For monotonic curvature this is the
+        slope of `curvature_at`; an oscillation from step to step is not visible in the means at the poses.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))

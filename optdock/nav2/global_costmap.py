@@ -1,4 +1,4 @@
-"""Costmaps written by layers in order (Nav2: `LayeredCostmap`), and the global one of a Nav2 parameter file."""
+"""Costmaps written by layers in order (Nav2: `LayeredCostmap`), and the global costmap of a Nav2 parameter file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plugins that the nodes of a Nav2 parameter file list."""
+"""Plugins listed by the nodes of a Nav2 parameter file."""
 
 from __future__ import annotations
 

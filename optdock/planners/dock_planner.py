@@ -41,7 +41,7 @@ class DockPlanner(GlobalPlanner):
     parameters: DockPlannerParameters
 
     def on_configure(self) -> None:
-        """Check the surroundings and load SciPy's splines, which takes longer than a hundred plans.
+        """Check the context and load SciPy's splines, which takes longer than a hundred plans.
 
         Raises:
             InvalidValue: If the context holds no robot footprint.
@@ -58,8 +58,8 @@ class DockPlanner(GlobalPlanner):
         """Return the raw docking path: polylines, one per gear, in the frame of `start` and `goal`.
 
         The path starts exactly at `start` and ends exactly at `goal`. With `check_free_space` both must lie on free
-        cells of the map, and no obstacle of the configured problem under the path; `plan_dock` checks the outline of
-        the robot.
+        cells of the map, and the path must not cross an obstacle of the configured problem; `plan_dock` checks the
+        outline of the robot.
 
         Raises:
             LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
@@ -102,7 +102,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, as for the costmap."""
+    """Check that no obstacle lies on the path of the robot's origin, like the check of the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

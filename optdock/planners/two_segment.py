@@ -1,6 +1,6 @@
 """Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
 
-Both segments are NURBS curves through three control points. The path is a raw one: its first tangent ignores the yaw
+Both segments are NURBS curves through three control points. The path is a raw path: its first tangent ignores the yaw
 of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
 
 F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
@@ -100,7 +100,7 @@ class DockPlannerParameters(PluginParameters):
 
     @property
     def dock_outline(self) -> Footprint | None:
-        """`footprint_dock` as a polygon; None where it is null."""
+        """`footprint_dock` as a polygon; None if it is null."""
         return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
 
 
@@ -332,9 +332,9 @@ class CurveSampler:
         """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
         Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
-        of |dC/du|, which spaces poses up to twice too far where the curve is fast. As in the source the last pose has
-        the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2) [m], n >
-        degree, of unit weight.
+        of |dC/du|, so that the spacing is up to twice too large in fast parts of the curve. As in the source the last
+        pose has the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2)
+        [m], n > degree, of unit weight.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -457,7 +457,7 @@ def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
-    """Return the joint with equal legs, to one sample: an arc that ends tangent to the axis."""
+    """Return the joint with equal legs, accurate to one sample: an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
     end = ahead[int(np.argmax(far))]

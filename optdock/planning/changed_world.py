@@ -41,7 +41,7 @@ _RULES = {"clearance", "footprint", "dock"}  # the proof does not hold if one of
 
 @dataclass(frozen=True)
 class StillHolds:
-    """Result of `still_holds`; true if the clearance of the rest is proven.
+    """Result of `still_holds`; true if the clearance of the rest of the path is proven.
 
     Args:
         holds: Whether it is proven.
@@ -85,7 +85,7 @@ def still_holds(
         world: A costmap, which replaces the plan's costmap with its border; obstacles, which replace the plan's; or a
             whole problem, whose start is not used.
         from_time: Progress of the robot on the plan's trajectory [s].
-        is_late: Polled between the rounds of the proof; parts that are still open when it returns True do not hold.
+        is_late: Polled between the rounds of the proof; parts that are still open when it returns True are not proven.
 
     Raises:
         InvalidValue: If an argument is of another class, or of a subclass, or not finite.
@@ -142,7 +142,7 @@ class _Change:
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
 
     def _new(self, places: FloatArray, reach: float) -> ObstacleSet:
-        """Return the obstacles near the path that were not there when the plan was proven."""
+        """Return the obstacles near the path that did not exist when the plan was proven."""
         known, later, found = self.plan.problem, self.later, list[ObstacleSet]()
         if "obstacles" in self.changed:
             found.append(_without(self.obstacles.near(places, reach), known.obstacles))

@@ -5,9 +5,9 @@ point p(s), and moves the end by
 
     d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
 
-a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton: the change of least weighted
-norm that closes the gap in this linear model within the bounds of curvature and curvature rate, then the exact path,
-until the gap is closed. The norm weights the curvature rate, which determines the yaw acceleration.
+a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton steps are repeated until the
+gap is closed: the change of least weighted norm that closes the gap in this linear model within the bounds of curvature
+and curvature rate, then the exact path. The norm weights the curvature rate, which determines the yaw acceleration.
 
 A path that comes too close to an obstacle is pushed away in the same way, by constraints on points of the robot.
 """
@@ -131,7 +131,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     speed: float = 0.0,
     pushes: Sequence[Push] = (),
 ) -> Path | None:
-    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow none.
+    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow no path.
 
     Clearance is not checked.
 
@@ -141,7 +141,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
         goal: New goal.
         limits: Bounds of curvature and curvature rate.
         final_straight: Length of the straight run at the end [m].
-        steers: Whether the curvature at the start is fixed: the robot is in motion, or has a steering rate.
+        steers: Whether the curvature at the start is fixed, because the robot is in motion or has a steering rate.
         speed: Speed at the start, >= 0 [m/s]: while braking, yaw acceleration and steering rate bound the curvature
             rate.
         pushes: Distances to be kept.

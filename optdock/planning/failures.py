@@ -75,8 +75,8 @@ def furthest(failures: Sequence[Failure]) -> Failure:
 def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) -> OptdockError:
     """Return the error of a call that found no plan and no proof.
 
-    A time-out if more time might have given a plan; else the most informative failure. `is_cut_off`: whether the clock
-    ended the call before all guesses were made or tried.
+    The error is a time-out if more time might have given a plan, otherwise the most informative failure. `is_cut_off`:
+    whether the clock ended the call before all guesses were made or tried.
     """
     is_late = work.is_late()
     if not failures:

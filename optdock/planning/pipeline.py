@@ -129,8 +129,8 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
 
-    There are three results: a certified plan; a proof that no motion exists (`NoMotionExists`); or nothing found, with
-    the reason why the guess that came furthest failed, or because the time was up.
+    There are three results: a certified plan; a proof that no motion exists (`NoMotionExists`); or neither, with the
+    reason why the guess that came furthest failed, or a time-out.
 
     Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. A
     plugin object must not be configured; it is used during the call, and serves one call at a time.
@@ -138,7 +138,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     Args:
         problem: Start, dock, robot and obstacles.
         time_budget: Wall-clock seconds for the whole call. In the first call of a process with these plugins the clock
-            starts after `warm_up`. The call returns as soon as no later guess can be cheaper, mostly long before.
+            starts after `warm_up`. The call usually returns much earlier, as soon as no later guess can be cheaper.
         planner: Source of guesses; several are used in this order.
         smoother: Makes guesses drivable.
         timing: Computes the time law.
@@ -223,7 +223,7 @@ def warm_up(
     """Load libraries and build the one-time data of plugins, so that later calls need not wait for them.
 
     The first call in a process takes about a second, later calls no time. A small problem is planned; errors of a
-    plugin show in the first real call.
+    plugin are raised in the first real call.
 
     Args:
         planner: As in `plan_dock`.
@@ -437,7 +437,7 @@ class _Portfolio:
         return _WORTH_A_TRY * self.best.price if self.best is not None else math.inf
 
     def _must_go_on(self) -> bool:
-        """Whether the remaining time is better spent on an interrupted guess without collisions than on others."""
+        """Whether to continue an interrupted guess without collisions before trying other guesses."""
         is_one = any(one.begun is not None and one.overlapping == 0.0 for one in self.interrupted)
         return is_one and self.best is None and self.deadline.left < _GOING_ON * self.work.budget
 
@@ -477,7 +477,7 @@ class _Portfolio:
             self.best = plan
 
     def _stop_at_bends(self, guess: Guess) -> None:
-        """Keep a plan along a failed guess with a stop at every bend, for the case that nothing better is found."""
+        """Keep a plan along a failed guess with a stop at every bend, in case no better plan is found."""
         if guess.stage == "given" or self.best is not None or self.deadline.left <= 2.0 * self.work.reserve:
             return  # without time for the certificate before the timing
         known = self.last_resort.price if self.last_resort is not None else math.inf

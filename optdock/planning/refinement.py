@@ -1,7 +1,6 @@
 """From one guess to a plan: smooth, certify, time, and prove the motion; and edits of guesses.
 
-The edits: a straight line out of a contact is kept, a guess is driven with a stop at every bend, and short gears are
-left out.
+The edits keep a straight line out of a contact, drive a guess with a stop at every bend, and leave out short gears.
 """
 
 from __future__ import annotations
@@ -120,9 +119,9 @@ class Cancellation:
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     """Return the length of the straight line by which a robot in contact at the start leaves the obstacle [m].
 
-    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. 0 if
-    the robot touches nothing, moves or has its wheels turned, and if the path begins elsewhere or does not lead
-    straight out of the contact.
+    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. The
+    length is 0 if the robot touches no obstacle, moves or has its wheels turned, or if the path begins elsewhere or
+    does not lead straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -226,7 +225,7 @@ class Refinement:
         return self.deadline.left <= self.reserve
 
     def asked_to_stop(self) -> bool:
-        """Whether the caller cancelled, or the time is up."""
+        """Whether the caller cancelled, or the time has run out."""
         return self.cancelled() or self.deadline.passed()
 
     def refined(
@@ -236,7 +235,7 @@ class Refinement:
 
         Args:
             raw: The guess.
-            so_far: Filled on the way, for the case that a stage raises.
+            so_far: Filled during the work, in case a stage raises.
             most: Most seconds for smoothing.
             is_given: Whether the guess is the caller's, so that an error in it is not a plugin's fault.
             begun: The smoother's path of an interrupted attempt.
@@ -439,7 +438,7 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
 
 
 def plain(path: Path, plugin: Plugin, frame: str) -> Path:
-    """Return the path without a subclass, which could have other poses than the certified segments.
+    """Return the path as an exact `Path`, because a subclass could have other poses than the certified segments.
 
     Raises:
         PluginError: If the path is in another frame than the problem.

@@ -1,7 +1,7 @@
 """`replan`: another plan for a moving robot, which takes over from the running plan without a jump.
 
 A new plan begins at the *joint*: the state on the running trajectory that the robot will have when planning is finished
-and the drive responds. The joint is the start of an ordinary docking problem, and its rules of a moving start prove
+and the drive responds. The joint is the start of an ordinary docking problem, whose rules for a moving start guarantee
 continuity. These are tried in order until a plan is certified:
 
 1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
@@ -112,7 +112,7 @@ class Replanned:
         plan: The plan of that trajectory; None for STOP.
         reason: Reason why there is no new plan; empty for NEW.
         way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over
-            or ends; None: not proven. For KEPT the station is taken to be where the plan ends, within the dock's
+            or ends; None: not proven. For KEPT the station is assumed at the end of the plan, within the dock's
             tolerances.
         motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan has it.
         tried: Every attempt and its result.
@@ -371,7 +371,7 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """Return the old plan if it is still valid, with the station where it ends, within the dock's tolerances."""
+        """Return the old plan if it is still valid, with the station at its end, within the dock's tolerances."""
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None

@@ -43,7 +43,7 @@ class DriveState(NamedTuple):
             robot.
         moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, for a robot that
             steers by a dock detected at another place. None: identity.
-        is_filtered: Whether `pose` is an estimate accurate enough for a new plan to begin there in any case.
+        is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
 
     time: float
@@ -57,7 +57,7 @@ class BranchPoint(NamedTuple):
     """A place on the running trajectory, and the state of the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: nothing remains.
+    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: no path remains.
     """
 
     time: float
@@ -165,7 +165,7 @@ class RunningDrive:
         return rest
 
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
-        """Prove the clearance of the way from here to the joint; None if they coincide."""
+        """Prove the clearance of the way to the joint; None if the robot is at the joint."""
         now = self.now
         if now.rest is None or joint.s - now.s <= NO_WAY:
             return None
@@ -194,7 +194,7 @@ _STILL = 0.1  # [s]: duration of the motion of a standing robot
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
     """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
 
-    Returns the trajectory, and the certificate of its motion, which may be negative.
+    Returns the trajectory, and the certificate of its motion, which may list violations.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
     # A tenth of the certificate's tolerance: the path of a robot that stands.

@@ -242,7 +242,7 @@ def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
 
 
 def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
-    """Draw the cone at a pose of the robot, Shape (3,), where the marker is out of view."""
+    """Draw the cone at a pose of the robot, Shape (3,), from which the marker is out of view."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
     draw_shapes(axes, [_cone(view, pose)], style)
 

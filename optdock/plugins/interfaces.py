@@ -132,8 +132,8 @@ class Smoother(Plugin):
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s].
             problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
-                with the ends of `path` where they differ; without one, from the first to the last pose of `path`, among
-                the obstacles of the configured costmap.
+                with the ends of `path` if they differ; without a configured problem, the path leads from the first to
+                the last pose of `path`, among the obstacles of the configured costmap.
             warm_start: Earlier result for a similar problem.
             cancel_checker: Polled at least every 5 ms.
 
@@ -295,7 +295,7 @@ class Layer(Plugin):
     def is_current(self) -> bool:
         """Whether the costs of the layer are up to date; servers wait until they are.
 
-        An override must also respect `set_current(False)`, by a call of this method.
+        An override must call this method to respect `set_current(False)`.
         """
         return self._is_current
 
@@ -370,13 +370,14 @@ class DockType(Plugin):
         return measurements.contact is True
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return first poses of an approach relative to the docked pose, the preferred one first.
+        """Return poses at which an approach may begin, relative to the docked pose, the preferred one first.
 
         The next one is tried if one cannot be reached. By default one pose at `distance` on the axis of the dock.
 
         Args:
             gear: Gear of the last motion into the dock: 1 forward, -1 in reverse.
-            distance: Distance from the docked pose for correcting an inaccurate dock pose, or of the settings [m].
+            distance: Distance from the docked pose, from the settings or sufficient for correcting an inaccurate dock
+                pose [m].
         """
         return (Pose2(-gear * distance, 0.0, 0.0),)
 

@@ -224,7 +224,7 @@ class Plugin(ABC):
         self.parameters = checked
 
     def check_change(self, changed: PluginParameters) -> None:  # noqa: B027 - a hook
-        """Check a change of parameters; overrides raise InvalidValue to refuse it."""
+        """Check a change of parameters; overrides raise InvalidValue to reject it."""
 
     def on_configure(self) -> None:  # noqa: B027 - a hook
         """Hook after `self.context` is set."""

@@ -51,7 +51,7 @@ class SmoothingStatus(str, Enum):
 
 @dataclass(frozen=True, repr=False)
 class SmoothingReport:
-    """Report of a smoother; None or empty where a value is not reported.
+    """Report of a smoother; values that are not reported are None or empty.
 
     Args:
         status: Origin of the path.

@@ -27,7 +27,7 @@ __all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "w
 
 
 class PathFigures(NamedTuple):
-    """Figures of one path; None where a figure does not exist.
+    """Figures of one path; None if a figure does not exist.
 
     Args:
         scenario: Name of the scenario.

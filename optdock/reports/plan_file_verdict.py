@@ -1,4 +1,4 @@
-"""Check of a plan file: every part is proven, compared with proven values, or listed as not judged.
+"""Check of a plan file: every part is proven, compared with proven values, or listed as not checked.
 
 The path is proven. The motion is proven if the file has its phases; otherwise its samples may refute it. A proof that
 no motion exists is checked. Other values (certificate, tried guesses) are compared with the values computed here, up to
@@ -179,7 +179,7 @@ def _described(violation: Violation) -> str:
 
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """One row with the parts that cannot be judged; empty without such parts."""
+    """One row with the parts that cannot be checked; empty without such parts."""
     foreign = (
         [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
     )

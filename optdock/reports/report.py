@@ -156,7 +156,7 @@ def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row
 
 
 def _wrapped(name: str, parts: Iterable[str]) -> list[Row]:
-    """Rows of parts, separated by commas and wrapped between parts; empty without parts."""
+    """Rows of items, separated by commas and wrapped between items; empty without items."""
     lines = textwrap.wrap(", ".join(part.replace(" ", _NO_BREAK) for part in parts), _WIDE)
     return [Row(name if i == 0 else "", line.replace(_NO_BREAK, " ")) for i, line in enumerate(lines)]
 

@@ -116,7 +116,7 @@ class FieldDocking(NamedTuple):
         footprint: Outline of the robot, in its own frame.
         path: Last path, Shape (n, 3); None if the recording has none.
         drive: Driven poses; None if the recording has no odometry.
-        rows: Description of everything that was read.
+        rows: Description of the contents that were read.
     """
 
     frame: str
@@ -347,7 +347,7 @@ class _RecordingReader:
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
     """Return the rows of measured poses, Shape (n, 3), that form a path.
 
-    They are at least some centimetres or a turn apart, and include both ends and every reversal.
+    Consecutive poses differ by at least some centimetres or a small turn; both ends and every reversal are included.
     """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
@@ -457,7 +457,7 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
 
 
 def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
-    """Smallest clearance of the poses themselves [m], its row, and both as text."""
+    """Smallest clearance of the poses [m], its row, and a text with both."""
     if not len(problem.all_obstacles):
         return math.inf, 0, "there are no obstacles"
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles

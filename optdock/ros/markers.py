@@ -87,7 +87,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
         stamp: Stamp of the markers [s].
         footprint: Outline of the robot, for the swept outlines and the goal.
         obstacles: Obstacles for the closest point.
-        certificate: Certificate with the station of the closest point.
+        certificate: Certificate with the arc length of the closest point.
 
     Raises:
         InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.

@@ -132,7 +132,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
 def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
     """Bound of the error of the trapezoid of the speeds between neighbours, Shape (n - 1,) [m].
 
-    At speeds up to `rest` the gear may change within the step, where only the accelerations bound the changes.
+    At speeds up to `rest` the gear may change within the step, and only the accelerations bound the changes.
     """
     h, speed, gear = np.diff(motion.t), np.abs(motion.speed), gears_of(motion, rest)
     error = 0.25 * max(limits.max_acceleration, limits.max_deceleration) * h**2
@@ -236,7 +236,7 @@ class _Rules:
     def _at_most(
         self, kind: str, values: FloatArray, limit: FloatArray | float, rough: float = 0.0, first: int = 0
     ) -> None:
-        """Compare values, accurate to `rough`, of samples from number `first` on with their limit; report the worst."""
+        """Compare values, accurate to `rough`, of the samples after `first` with their limit; report the worst."""
         limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
         beyond = values - rough - limits * (1.0 + TOLERANCE) - _ARITHMETIC
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -476,11 +476,11 @@ def _integral(h: FloatArray, column: FloatArray) -> FloatArray:
 
 
 def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
-    """Whether rounding explains that phases miss their samples or a limit.
+    """Whether differences between phases and samples, or an exceeded limit, can be due to rounding.
 
     The numbers of the phases have at most six decimals, each off by at most r = 1e-5. With n phases of durations d and
     jerks j, the borders are off by n r, the acceleration by e = r (1 + sum |j| + sum d) and by its change while the
-    borders are off; speed and distance by the integrals of that.
+    borders are off; speed and distance are off by the integrals of that error.
 
     Args:
         trajectory: The path and the motion by the phases.

@@ -167,7 +167,7 @@ def _merged(parts: Sequence[Run]) -> list[Run]:
 class Places(NamedTuple):
     """The samples on their path, Shape (n,) each.
 
-    `s`: arc length [m]; `driven`: distance driven up to there, turns in place not counted [m]; `apart`, `turned`:
+    `s`: arc length [m]; `driven`: distance driven up to that place, without turns in place [m]; `apart`, `turned`:
     distance [m] and heading difference [rad] from the path.
     """
 

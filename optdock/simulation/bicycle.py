@@ -155,7 +155,7 @@ class Bicycle:
         return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
         drive = (0.0, state.drive[1]) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
@@ -197,7 +197,7 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Final angle: the near end of the play around the wanted angle."""
+        """Final angle: the nearer end of the play around the wanted angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:

@@ -143,7 +143,7 @@ class Run(FrozenArrays):
 
     @property
     def fault(self) -> str:
-        """Description of a collision or of a failure to dock; empty without one."""
+        """Description of a collision or of a failure to dock; empty if neither occurred."""
         if self.collided:
             return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
         return "" if self.docked else f"not docked: {self.reason}"
@@ -271,7 +271,7 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 
 
 class RemainingPath:
-    """A sampled path that is consumed monotonically from its start, up to its last two poses.
+    """A sampled path with the monotonic progress of the robot along it, up to its last two poses.
 
     The place of the robot is the nearest of the next samples of the present gear segment, without turns in place; the
     next segment begins at the sample of the cusp. The overlapping segments at a cusp are thus distinguished, so that

@@ -39,7 +39,7 @@ class Actuation:
     """Response of the drive to commands; the default is perfect.
 
     Args:
-        linear_lag: Time constant of the first-order lag of the speed [s]; 0: none.
+        linear_lag: Time constant of the first-order lag of the speed [s]; 0: no lag.
         angular_lag: Time constant of the first-order lag of the yaw rate [s].
         latency: Delay between a command and its first effect [s].
         linear_dead_band: Commanded speeds below this have no effect [m/s].
@@ -278,16 +278,16 @@ class Plant(Protocol):
         """Return the state after `duration` [s] with a command given at its beginning."""
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
     """Plant of a robot with two driven wheels.
 
-    A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps with
-    lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the task of the
-    controller. `step` is a pure function.
+    A step is split at the arrivals of commands; between them, the robot follows the arc of its mean velocity, in
+    sub-steps with lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the
+    task of the controller. `step` is a pure function.
 
     Args:
         robot: Robot whose limits are applied to every command.
@@ -345,7 +345,7 @@ class DifferentialDrive:
         return PlantState(Pose2(*pose), twist, self._encoders(turned), end, (v, w), target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
         drive = (0.0, 0.0) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 

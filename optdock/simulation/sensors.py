@@ -137,7 +137,7 @@ class OdometryReader:
         self._travel = (0.0, 0.0)
 
     def measure(self, encoders: Twist2, duration: float) -> Twist2:
-        """Return the measured velocity, `duration` [s] after the last one, for the present one of the encoders."""
+        """Return the measured velocity, `duration` [s] after the last one, for the present velocity of the encoders."""
         sensor = self.sensor
         linear, angular = encoders.linear, encoders.angular
         if sensor.tick > 0.0:
@@ -179,7 +179,7 @@ class DockSensor:
         position_sigma: Standard deviation of x and y in the frame of the robot, each [m].
         yaw_sigma: Standard deviation of yaw [rad].
         near: Distance of the marker within which the sigmas apply [m].
-        growth: Growth of the sigmas beyond [1/m].
+        growth: Growth of the sigmas beyond that distance [1/m].
         marker: Marker in the frame of the docked pose; its yaw is not used.
         camera: Camera in the frame of the robot.
         field_of_view: Full angle [rad].
@@ -242,7 +242,7 @@ class DockSensorReader:
         self._lost_until = -math.inf
 
     def lose(self, until: float) -> None:
-        """Detect nothing in images before `until` [s]."""
+        """Suppress detections in images before `until` [s]."""
         self._lost_until = until
 
     def displace_next(self, offset: Pose2) -> None:

@@ -1,4 +1,4 @@
-"""A simulated robot: commands in, measurements out, everything recorded."""
+"""A simulated robot: commands in, measurements out, with a record of all values."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class Sensors:
 class Station:
     """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the axis of the dock. It stops a robot that comes from the front. A robot from the side
-    or from behind passes, and collides with the outline of the station if the obstacles contain it.
+    The stop is a plane across the axis of the dock. The stop acts on a robot that comes from the front. A robot from
+    the side or from behind passes, and collides with the outline of the station if the obstacles contain it.
 
     Args:
         direction: Gear of the last motion, forward or backward.
@@ -238,7 +238,7 @@ class SimulatedRobot:
         self._obstacles = [(0, obstacles) for _, obstacles in self._obstacles[-1:]]
 
     def _stop(self, before: Pose2, station: Station) -> None:
-        """Keep the robot at the stop that it has driven against."""
+        """Keep the robot at the stop after contact."""
         there = self.error
         beyond = station.past(there)
         if beyond <= 0.0 or abs(there.y) > station.half_width:

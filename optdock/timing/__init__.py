@@ -1,4 +1,4 @@
-"""Time parameterization: the fastest motion along a path within all limits, in closed phases of constant jerk.
+"""Time parameterization: the fastest motion along a path within all limits, in exact phases of constant jerk.
 
 The problem, for every segment of a path between two stops (its start, cusps, the dock): with arc length s, speed
 v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s),

@@ -25,7 +25,7 @@ class SpeedProfile(NamedTuple):
 
 
 def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
-    """Return the fastest v^2 under caps, acceleration and deceleration alone, with turning limits as caps at a = 0.
+    """Return the fastest v^2 under caps, acceleration and deceleration, with the turning limits as caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
     2 A: one sweep forward, one backward [Bobrow1985].

@@ -107,7 +107,7 @@ class _Iterate:
         self.move_to(c, frozen=False)
 
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
-        """Evaluate everything at `c`; `frozen` keeps f as it is. Rows B are in units of 1 / sqrt(c)."""
+        """Evaluate all values at `c`; `frozen` keeps f unchanged. Rows B are in units of 1 / sqrt(c)."""
         program, linear = self.program, self.linear
         if not frozen:  # f: sqrt(c) over the speed of each row in the cell
             knot = c[:-1] + program.right_share * (c[1:] - c[:-1])

@@ -1,11 +1,11 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Plans of one segment (`near_optimal_plans`), each made only when the one before was refused:
+Plans of one segment (`near_optimal_plans`), each made only when the one before was rejected:
 
 1. One ruckig move over the whole segment, if that is sufficient; slower moves on a tiny segment.
 2. The reference and the moves along it.
 3. From rest, the same motion slightly stretched in time: exact, and always possible.
-4. 2 and 3 again with reduced speeds where limits were violated, at most twice.
+4. Steps 2 and 3 again with reduced speeds around violations, at most twice.
 5. From rest, the best of these motions stretched until it keeps every limit, and the windowed method; the faster one
 first.
 
@@ -96,9 +96,9 @@ class NearOptimal(SegmentTimeParameterizer):
 def near_optimal_plans(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment from a state from which the speed caps can be kept, by every method in order.
+    """Yield plans of one segment by every method in order, from a state from which the speed caps can be kept.
 
-    A plan is made only when the one before was refused. The plan of the windowed method may be FAIL.
+    A plan is made only when the one before was rejected. The status of the plan of the windowed method may be FAIL.
 
     Args:
         limits: Limits along the segment.
@@ -130,7 +130,7 @@ def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
 
 
 def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPlan]:
-    """Yield one move over a short segment; on a tiny one the shortest of several, stretched to keep every limit."""
+    """Yield one move over a short segment, or over a tiny one the shortest of several, stretched to the limits."""
     if limits.length >= _SINGLE_MOVE_BELOW:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
@@ -191,7 +191,7 @@ def reference_motion(
 
 
 class _Tried(NamedTuple):
-    """A refused motion along a reference, and its worst violation."""
+    """A rejected motion along a reference, and its worst violation."""
 
     motion: ReferenceMotion
     worst: Worst
@@ -200,7 +200,7 @@ class _Tried(NamedTuple):
 def _references(
     limits: PathLimits, start: MotionState, deadline: Deadline, options: tuple[float, bool, float], tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """Yield references, each slower than the last, as they are or slightly stretched; `tried` gets the refused ones."""
+    """Yield references, each slower than the last, unchanged or slightly stretched; `tried` holds rejected ones."""
     tightenings: tuple[Tightening, ...] = ()
     for retry in range(_RETRIES + 1 if limits.duration_estimate <= _LONGEST_RETRIED else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"

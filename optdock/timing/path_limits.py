@@ -1,4 +1,4 @@
-"""Path limits: the bounds that curvature and drive put on the motion along one segment of a path.
+"""Path limits: the bounds on the motion along one segment of a path by curvature and drive.
 
 Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
 
@@ -126,7 +126,7 @@ class PathLimits:
     """Limits along one segment: the curvature is linear between nodes; its rate linear in a cell, jumping at nodes.
 
     Attributes:
-        slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
+        slowness_left: 1 / speed cap just right of every cell's left node, without the zone, Shape (n - 1,) [s/m].
         slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: The drive's turning limits.
@@ -277,7 +277,7 @@ def segment_limits(
     Args:
         segment: Clothoid spline or polyline.
         caps: Speed caps by curvature.
-        zone_start: Start of the speed zone in this segment; at or beyond the length: none [m].
+        zone_start: Start of the speed zone in this segment; no zone if it is at or beyond the length [m].
         zone_speed: Speed limit in the zone [m/s].
         begin: Start of the segment on the whole path [m].
     """
@@ -332,7 +332,7 @@ def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
 
 
 class Tightening(NamedTuple):
-    """A stretch [m] in which speeds are to be smaller by `factor` than the limits allow."""
+    """A stretch [m] in which speeds must be smaller by `factor` than the limits allow."""
 
     left: float
     right: float

@@ -1,4 +1,4 @@
-"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex but for jerk.
+"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex except for jerk.
 
 With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
 integral of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not, and a turning limit of order 2 has
@@ -164,7 +164,7 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
 
 
 def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Return the pseudo time at the nodes, slower where the profile is level and needs few knots."""
+    """Return the pseudo time at the nodes, slower in level parts of the profile, which need few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
@@ -249,7 +249,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Whether each cell of the grid holds a jump without a knot on it, Shape (M,)."""
+    """Whether each cell of the grid contains a jump without a knot on it, Shape (M,)."""
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -260,7 +260,7 @@ def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
 def _extremes(
     limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the extreme rates at knots and centres, over the half cell around each where cells hide jumps."""
+    """Return the extreme rates at knots and centres, over the half cell around each if cells hide jumps."""
     quarter = 0.25 * np.diff(knots)
     borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
     cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
@@ -309,7 +309,7 @@ def spline_of(steps: FloatArray) -> Spline:
 
 
 def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
-    """Return coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
+    """Return coefficients near `guess`, v^2 at the knots; the two at each end are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
     x0, x1 = first.v * first.v, last.v * last.v
@@ -378,7 +378,7 @@ def initial_guess(
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
     It is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration from one
-    limit to the other, below the launch and the stop. It halves the iterations, to about 10.
+    limit to the other, below the launch and the stop. This guess halves the number of iterations to about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])

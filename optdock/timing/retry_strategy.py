@@ -2,9 +2,9 @@
 
 At a cusp and at the end the robot rests, so each segment is planned separately. If the wheels must be turned, between
 two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments
-the first line that applies to the start state decides (`segment_plans`, `judge_start`):
+the first of these cases that applies to the start state is used (`segment_plans`, `judge_start`):
 
-1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
+1. At rest: the plans of the method, best first; the next one is made only when the one before was rejected.
 2. The robot cannot avoid rolling backwards: BAD_START.
 3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking.
 4. Full braking and thus every motion violates a limit: START_INFEASIBLE, with braking past the last violation and then
@@ -12,7 +12,7 @@ the first line that applies to the start state decides (`segment_plans`, `judge_
 5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
 
 The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
-make a motion (`time_path`), which `certify_trajectory` proves or refuses; for a rejected segment the next plan is
+make a motion (`time_path`), which `certify_trajectory` proves or rejects; for a rejected segment the next plan is
 tried. The search ends when the remaining time is just enough for the windowed method and its proof; later no motion is
 started.
 """
@@ -292,7 +292,7 @@ def _waits(path: Path, request: _Request) -> dict[int, Phases]:
 
 
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
-    """Return the failure of a segment whose last plan is refused by the proof."""
+    """Return the failure of a segment whose last plan is rejected by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
     named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
     limit = named[0] if len(named) == 1 else ""  # a speed may be that of either gear, or of the zone
@@ -300,7 +300,7 @@ def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
 
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
-    """Return the next plan that is not FAIL, or the last one; TIMED_OUT if time is up."""
+    """Return the next plan that is not FAIL, or the last one; TIMED_OUT if no time is left."""
     last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method has a motion for this gear", arrives=False)
     try:
         for last in plans:
@@ -314,7 +314,7 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 def segment_plans(
     limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment from any start state, best first; impossible starts are refused with a reason.
+    """Yield plans of one segment from any start state, best first; impossible starts are rejected with a reason.
 
     Args:
         limits: Limits along the segment; None if it has no length.

@@ -1,4 +1,4 @@
-"""Moves by ruckig [Berscheid2021]: from state to state, and along the reference, as few as the limits allow.
+"""Moves by ruckig [Berscheid2021]: from state to state, and as few as possible along the reference.
 
 ruckig's community edition runs offline. It may drive backwards and accepts start states beyond its limits; both are
 checked here. Intermediate positions are never passed, because with them ruckig calls a cloud service.
@@ -165,7 +165,7 @@ class Move(NamedTuple):
 def split_into_moves(
     reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> list[Move]:
-    """Return moves along the reference, in driving order over the whole segment, within the limits where possible.
+    """Return moves along the reference, in driving order over the whole segment, within the limits if possible.
 
     Args:
         reference: The reference.
@@ -204,7 +204,7 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
-    """Return the pieces before and after the zone start, in parts where the speed cap is not level."""
+    """Return the pieces before and after the zone start, divided further if the speed cap is not level."""
     last = len(nodes.s) - 1
     halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
     pieces: list[tuple[int, int]] = []
@@ -314,7 +314,7 @@ class _Samples(NamedTuple):
 
 
 def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    """Return the largest excess of every move and its place; all moves at once."""
+    """Return the largest excess of every move and its place, vectorized over all moves."""
     if not moves:
         return []
     phases, counts = _phase_rows(moves)

@@ -45,9 +45,9 @@ class Braking:
         motion: The braking motion; it may end beyond the segment.
         times: Sample times: phase borders, a grid, every node of the limits, Shape (n,) [s].
         states: Distance, speed, acceleration there, Shape (3, n).
-        path_ratios: Ratios of the limits of the path that no motion from this start keeps better, Shape (n,): the
-            speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' > 0, else
-            with A; the turning limits at the start itself.
+        path_ratios: Ratios of the limits of the path, which are larger for any other motion from this start, Shape
+            (n,): the speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' >
+            0, else with A; the turning limits at the start itself.
         cap_ratios: The speed caps alone, Shape (n,).
         inevitable: The turning limits alone, Shape (n,) each.
         turning_ratios: Those of `turning_ratio`, Shape (n,).
@@ -73,11 +73,11 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """Return the distance from the start over which braking leaves no room for margins [m].
+        """Return the distance from the start in which braking leaves no margins [m].
 
         Args:
-            slack: Distance from the limits, relative, that leaves room.
-            turning_share: Ratio of a turning limit that leaves room.
+            slack: Relative distance from the limits that is sufficient for margins.
+            turning_share: Ratio of a turning limit that is sufficient for margins.
         """
         tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
         turning = np.flatnonzero(self.turning_ratios <= turning_share)
@@ -86,7 +86,7 @@ class Braking:
 
 
 class StartVerdict(NamedTuple):
-    """Verdict of full braking on a moving start; true without a refusal.
+    """Result of full braking for a moving start; true without a refusal.
 
     Args:
         refusal: Reason why no motion keeps every limit; None if a motion may.

@@ -5,8 +5,8 @@ With the acceleration a and the curvature's rate r per metre
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), as a = x' / 2. If time is stretched by c, the quantity decreases with c^(n + 1), so
-ratios of quantity and limit are raised to the power 2 / (n + 1): all then decrease with the square of c.
+second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity decreases with c^(n +
+1), so ratios of quantity and limit are raised to the power 2 / (n + 1): all then decrease with the square of c.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class TurningLimit(NamedTuple):
     def arc_acceleration(self, v: float, jerk: float, bend: float, share: float) -> float:
         """Return the largest acceleration of an arc of constant jerk from the speed v, at a curvature >= 0 [m/s^2].
 
-        The speed of the arc is at most v + a^2 / (2 jerk); each term gets half of a share of the bound.
+        The speed of the arc is at most v + a^2 / (2 jerk); each term may use half of a share of the bound.
         """
         if bend <= 0.0:
             return math.inf

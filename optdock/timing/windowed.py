@@ -1,7 +1,7 @@
 """The windowed method: constant limits in windows of little variation, one ruckig motion per window.
 
-Simple, and within every limit by construction: a window uses the strictest value of every limit, the acceleration is
-zero at every window border, and the border speeds can be reached in the windows on both sides.
+The method is simple, and within every limit by construction: a window uses the strictest value of every limit, the
+acceleration is zero at every window border, and the border speeds can be reached in the windows on both sides.
 """
 
 from __future__ import annotations

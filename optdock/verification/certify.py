@@ -58,11 +58,11 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     the caller has a deadline. The time law is not considered: see `certify_trajectory`.
 
     Args:
-        path: The path to certify, from any source.
+        path: The path to certify; it may come from any source.
         problem: The problem.
-        is_late: Polled after every round of the proof, below a millisecond each for a path of some metres among a
-            hundred obstacles, and between the blocks of long rounds. Once it is True, everything not yet proven is
-            `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
+        is_late: Polled after every round of the proof and between the blocks of long rounds; a round takes less than a
+            millisecond for a path of some metres among a hundred obstacles. Once it is True, everything not yet proven
+            is `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
@@ -155,7 +155,7 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
     limits of the path are not considered: see `certify_path`.
 
     Args:
-        trajectory: The motion to judge.
+        trajectory: The motion to certify.
         limits: Motion limits of the drive.
         zone: Slow zone at the end of the path.
         start_speed: Required initial speed along the travel [m/s]; None: not checked.
@@ -189,7 +189,7 @@ def certify_motion(
     steered from the farthest angle (`DockingProblem.start_wait`), or it violates `rest`.
 
     Args:
-        trajectory: The motion to judge.
+        trajectory: The motion to certify.
         problem: Supplies limits, slow zone and start state.
         is_late: As for `certify_trajectory`.
 

@@ -241,7 +241,7 @@ class _Subdivision:
         return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
 
     def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
-        """Return poses with deep overlaps, and unproven cells, as `run` collects them."""
+        """Return poses with deep overlaps, and unproven cells, in the form used by `run`."""
         robot = self.world.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
@@ -349,7 +349,7 @@ class _Subdivision:
 
 
 def _unknown(s: FloatArray) -> FloatArray:
-    """Return rows of cells without any known bound, as `_Round.settled` does."""
+    """Return rows of cells without any known bound, in the form of `_Round.settled`."""
     return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
 
 

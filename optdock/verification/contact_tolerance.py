@@ -6,10 +6,10 @@ touch each other, are unions of adjacent pieces: a needle between two touching b
 any depth.
 
 Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
-C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres count as
-obstacle. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets
-that share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so
-contact is accepted. A convex footprint, and an obstacle that touches no other, need no check: t itself is the bound.
+C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres are regarded as
+closed. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets that
+share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so contact
+is accepted. A convex footprint, and an obstacle that touches no other one, need no check: t itself is the bound.
 Rounded corners of a core are polygons inside the removed rim, so a core is never too small, up to the precision of the
 offset curves, one hundredth of d.
 """
@@ -53,7 +53,7 @@ def deep_pairs(
 
 
 def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
-    """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 unless deeper than `DEPTH`."""
+    """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 if no overlap exceeds `DEPTH`."""
     reach = footprint.circumscribed_radius
     lower, upper = pose[:2] - reach, pose[:2] + reach
     found = [
@@ -68,7 +68,7 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-    """Return convex pieces of the core of the obstacles that touch another, in a box with a margin."""
+    """Return convex pieces of the core of the obstacles that touch another one, in a box with a margin."""
     low, high = lower - _MARGIN, upper + _MARGIN
     rows = obstacles.rows_in_box(low, high)
     rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]

@@ -104,7 +104,7 @@ def _first_moving(segments: Sequence[Segment]) -> Segment:
 
 
 def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Check that turns in place of any size have a robot with `turns_in_place`, at rest."""
+    """Check that turns in place of any size occur only for a robot with `turns_in_place`, at rest."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, TurnSegment) and not problem.robot.turns_in_place:
             message = f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, but the robot cannot"

@@ -94,7 +94,8 @@ class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
     It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
-    robot afterwards. Created by `prove_motion` only. Pickles are trusted, as Python trusts all pickles.
+    robot afterwards. Created by `prove_motion` only. Pickles are trusted, because unpickling can execute any code in
+    any case.
 
     Raises:
         InvalidValue: If it is constructed, or accessed without a proof.
@@ -139,7 +140,7 @@ class ProvenMotion(_Proven[_Motion]):
 
 @final
 class ProvenWay(_Proven[_Way]):
-    """The remaining path of a moving robot with proven clearance; without time.
+    """The remaining path of a moving robot with proven clearance, without a time law.
 
     Created by `prove_way`, `proven_way` and `unchanged_way` only.
 
@@ -187,7 +188,7 @@ def prove_motion(
     Raises:
         CertificationFailed: If a rule is violated or a proof was interrupted; the message is that of the first
             violation.
-        InvalidValue: If the class of trajectory or problem is another one or a subclass.
+        InvalidValue: If trajectory or problem has another class or a subclass.
     """
     exactly(Trajectory, trajectory, "trajectory")
     exactly(DockingProblem, problem, "problem")
@@ -244,11 +245,11 @@ def prove_way(
         pose: Pose of the robot; None for the start of the path.
         at: Arc length on the path that corresponds to `pose`, in the first gear [m].
         begun: Beginning of the drive if `path` is its remainder; None for the start of the path, so that a robot that
-            is too close to an obstacle only has to leave it.
+            is too close to an obstacle only has to move away from it.
         start_relief: Relief of the rule if `begun` is given, see `ClearanceRule.required_at` [m].
 
     Raises:
-        InvalidValue: If the class of path or problem is another one or a subclass.
+        InvalidValue: If path or problem has another class or a subclass.
     """
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")

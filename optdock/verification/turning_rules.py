@@ -7,8 +7,8 @@ Cells that the bound does not clear are bisected.
 Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
 or a long path does not reduce the precision. The cells of a phase run from event to event (its start, knots of the
 path, a grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is
-decisive. Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of
-curvature within less than the resolution of time is included with its rate.
+used. Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature
+within less than the resolution of time is included with its rate.
 
 A polyline is evaluated three times: with the interpolated curvature between its poses, with that of its steps, and with
 the rate of its oscillation from step to step, which is not visible in the means at the poses.
@@ -97,7 +97,7 @@ class Pieces(NamedTuple):
     """Stretches of a path with a constant curvature rate, Shape (n,) each.
 
     `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: curvature of a
-    polyline's step, NaN on a clothoid, infinite on a turn in place, which is judged separately; `swing`: oscillation
+    polyline's step, NaN on a clothoid, infinite on a turn in place, which is checked separately; `swing`: oscillation
     rate of the curvature of a polyline, otherwise 0.
     """
 
@@ -173,7 +173,7 @@ class Cells(NamedTuple):
         return self._replace(width=half).and_also(self.advanced(half))
 
     def blocks(self) -> Iterator[Cells]:
-        """Yield the cells in groups that are judged at once."""
+        """Yield the cells in groups that are evaluated at once."""
         for start in range(0, self.t.size, _BLOCK):
             yield self.rows(slice(start, start + _BLOCK))
 

@@ -190,7 +190,7 @@ def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: Ce
 
 
 def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds: CellMotion) -> _Advance:
-    """Return the marker over half of each cell, from its poses on with d pose / du = `velocity`."""
+    """Return the marker over half of each cell, starting at its poses with d pose / du = `velocity`."""
     width = 0.5 * bounds.width
     yaw, turning = poses[:, 2], velocity[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)

@@ -1,7 +1,7 @@
 """Nav2's SavitzkyGolaySmoother: every point is replaced by the value of a polynomial fitted to its neighbours.
 
-It is a baseline, and for old parameter files: the curvature is not bounded, and a piece that would collide is left
-unchanged.
+It serves as a baseline and supports old parameter files. The curvature is not bounded, and a piece that would collide
+is left unchanged.
 """
 
 from __future__ import annotations
@@ -61,8 +61,9 @@ def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
 class SavitzkyGolaySmoother(PieceSmoother):
     """Polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
 
-    Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, its end points stay. The
-    time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and collisions.
+    Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, and its end points are
+    fixed. The time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and
+    collisions.
     """
 
     Parameters = SavitzkyGolayParameters

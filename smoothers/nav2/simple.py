@@ -1,6 +1,7 @@
 """Nav2's SimpleSmoother: every point moves towards the middle of its neighbours and back to its original position.
 
-It is a baseline, and for old parameter files: the curvature is not bounded, and obstacles only stop the sweeps.
+It serves as a baseline and supports old parameter files. The curvature is not bounded, and obstacles only stop the
+sweeps.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ class SimpleSmoother(PieceSmoother):
     """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
 
     A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
-    until a sweep changes less than `tolerance` in sum. A sweep that puts a point into an occupied cell is undone and
-    ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately, its end
-    points stay. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
+    until the sum of the changes of a sweep is less than `tolerance`. A sweep that puts a point into an occupied cell is
+    undone and ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately,
+    with fixed end points. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
     """
 
     Parameters = SimpleParameters

@@ -1,9 +1,9 @@
 """Initial guesses: a fit of headings or positions, pure pursuit of the input, or an earlier result.
 
-The fit of headings is the cheapest, and the best start for smooth inputs. It drifts away from inputs whose curvature
-changes within centimetres, such as Reeds-Shepp paths, unlike least squares of positions (`track`, S22). Inputs that
-cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature and curvature
-rate [Coulter1992].
+The fit of headings is the cheapest, and the best start for smooth inputs. This fit drifts away from inputs whose
+curvature changes within centimetres, such as Reeds-Shepp paths, unlike least squares of positions (`track`, S22).
+Inputs that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature
+and curvature rate [Coulter1992].
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """A guess of this call; longer paths have more patience."""
+        """A guess of this call, with more iterations of patience for longer paths."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)

@@ -2,7 +2,7 @@
 
 A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
 and linearized goal and clearance constraints with L1 penalties. Every iterate is rolled out exactly and projected onto
-the goal where possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
+the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
 ([Fletcher1985], [Nocedal2006] ch. 18).
 """
 
@@ -98,7 +98,7 @@ def search(
         guess: First variables.
         pool: Convex programs.
         max_iterations: Largest number of steps.
-        is_late: Called within every iteration; True ends the search without another result.
+        is_late: Called within every iteration; True ends the search without a further result.
     """
     settings = nlp.settings.loop
     penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)

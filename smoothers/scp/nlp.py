@@ -177,7 +177,7 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Return the spans of each gear, by share of length and at least four, and the intervals per span.
+    """Return the spans of each gear, proportional to its length and at least four, and the intervals per span.
 
     Args:
         lengths: Lengths of the gears, Shape (num_gears,) [m].
@@ -212,7 +212,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
-    """Positions and normals at the nodes; headings there are the means of the neighbouring ones."""
+    """Positions and normals at the nodes; the headings at nodes are the means of the neighbouring ones."""
     heading = np.empty(basis.num_nodes)
     heading[basis.left] = traced.headings
     heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]

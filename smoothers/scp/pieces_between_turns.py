@@ -60,7 +60,7 @@ class TurningSolver:
     outcome: SearchOutcome = field(default_factory=SearchOutcome)
 
     def follow_strategy(self, call: Call) -> Incumbent:
-        """Return a certified path; straight pieces are kept if the whole can be certified with them.
+        """Return a certified path; straight pieces are kept if the whole path can be certified with them.
 
         Raises:
             FailedToSmoothPath: If a bound cannot be kept.
@@ -112,7 +112,7 @@ class TurningSolver:
         return found
 
     def _smoothed(self, call: Call, before: Sequence[Segment], to_search: int) -> Incumbent:
-        """One piece, smoothed in its share of the time."""
+        """Smooth one piece in its share of the time."""
         left = (1.0 - _CERTIFICATE_SHARE) * self.deadline.left / to_search
         solver = Solver(
             self.pool, self.deadline.shortened(at_most=self.deadline.elapsed + left), self.cancelled, self.settings
@@ -160,8 +160,8 @@ class TurningSolver:
 def with_turns(path: Path) -> Path:
     """Return the path with large turns without motion in its polylines as turn segments.
 
-    Grid and lattice planners make such steps. A turn at the end of a path is kept as it is: there planners overwrite
-    the heading of the last step with that of the goal.
+    Grid and lattice planners make such steps. A turn at the end of a path is kept unchanged, because planners overwrite
+    the heading of the last pose with that of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:

@@ -163,7 +163,7 @@ def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The first turn that touches an obstacle; turns at ends that differ from the problem's are left out."""
+    """The first turn that touches an obstacle, except at ends of the path that differ from the problem's."""
     begins = path.start.gap_to(problem.start) <= _TOLERANCE
     ends = path.end.gap_to(problem.goal) <= _TOLERANCE
     last = len(path.segments) - 1
@@ -178,7 +178,7 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Return the constraint that a failed search violates: goal, clearance or view; no proof for other inputs.
+    """Return the constraint that a failed search violates: goal, clearance or view; other inputs may succeed.
 
     Args:
         nlp: Program of the search.

@@ -103,9 +103,9 @@ class Given(NamedTuple):
 
 
 class Search(NamedTuple):
-    """A search from a guess, with up to two repairs where its result is not certified.
+    """A search from a guess, with up to two repairs if its result is not certified.
 
-    A repair begins at the refused variables. If they were feasible, it uses three times the buffer and considers four
+    A repair begins at the rejected variables. If they were feasible, it uses three times the buffer and considers four
     times as many obstacles per interval, small ones included; if only the bound between nodes was violated, it uses
     intervals of half the length.
     """
@@ -328,7 +328,7 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Set the program of a row; False where the same program was searched before."""
+        """Set the program of a row; return False if the same program was searched before."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False
@@ -403,7 +403,7 @@ class Solver:
         return refuse_search(self._nlp, closest, self.call.problem, self.call.whole).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
-        """Take a given path if it is certified."""
+        """Accept a given path if it is certified."""
         certificate = self._judged(path, self.deadline.elapsed)
         if certificate.certified:
             cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)

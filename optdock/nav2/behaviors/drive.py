@@ -142,7 +142,7 @@ class _StraightBehavior(Behavior, ABC):
         return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, motion: _Motion, remaining: float) -> float:
-        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
+        """Next speed towards the commanded one that allows a stop within the remaining distance [m/s]."""
         p, highest = self.parameters, abs(motion.command.speed)
         faster = motion.speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)

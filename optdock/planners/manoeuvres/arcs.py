@@ -1,7 +1,7 @@
 """Sequences of circular arcs and straight lines, and trees of arcs that grow from the start or the goal.
 
 An arc has a signed length, negative in reverse, and a curvature d yaw / d length that is positive to the left in either
-gear. Sequences are padded with arcs of length zero to one number of columns.
+gear. Sequences are padded with arcs of length zero to a common number of columns.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class Connections(NamedTuple):
         )
 
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
-        """Return the words cheaper than `most` at other prices, Shape (n,), in ascending order of these."""
+        """Return the words with new prices, Shape (n,), below `most`, in ascending order of the new prices."""
         order = np.argsort(prices, kind="stable")
         return self._replace(prices=prices).rows(order[prices[order] < most])
 
@@ -95,7 +95,7 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """Return every node of the first with every node of the second."""
+    """Return the pairs of every node of the first tree and every node of the second."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
     return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
 

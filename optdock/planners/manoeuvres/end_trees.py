@@ -2,7 +2,7 @@
 
 A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
 some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of
-`docs/theory/search.md`. Chains of short arcs, each as sharp as the wall allows, approximate this.
+`docs/theory/search.md`. This motion is approximated by chains of short arcs, each as sharp as the wall allows.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ class EndTrees:
     ) -> tuple[IntArray, float]:
         """Grow arcs and lines out of the nodes of an end, in several generations if almost all are blocked.
 
-        Returns the rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
+        Returns the rows of the new nodes, empty if all arcs are blocked, and the mean free length of the first arcs
+        [m].
         `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.
         """
         tree, first = end
@@ -168,7 +169,7 @@ class EndTrees:
         return np.array(found[::-1], dtype=np.int64)
 
     def room_before_dock(self, effort: Effort) -> float:
-        """Return the mean free length of the last arcs [m], as `grown` does for the first ones."""
+        """Return the mean free length of the last arcs [m]; `grown` returns that of the first ones."""
         tree = self._from_goal()
         moves = Moves.of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(ROOT, moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)

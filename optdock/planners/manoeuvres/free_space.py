@@ -107,7 +107,7 @@ class FreeSpace:
         return DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
 
     def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
-        """Return required clearance plus the margin, which tapers off towards both ends. Shape (n,) [m]."""
+        """Return the required clearance plus the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
         rule: FloatArray = self.problem.path_clearance.required_at(

@@ -1,4 +1,4 @@
-"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as shots.
+"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as analytic expansions.
 
 The method of [Dolgov2010] searches over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
 and tries from nodes the shortest path to the goal that ignores obstacles. Here the search begins at the tighter end,
@@ -83,7 +83,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     words are tried while they may be cheaper.
 
     Args:
-        exits: The start, to which every node is joined, and other nodes of its tree, one of them per node in turn.
+        exits: The start, to which every node is joined, and other nodes of its tree, of which each node is joined to
+            one, in turn.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.

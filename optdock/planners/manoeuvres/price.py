@@ -186,9 +186,9 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time for setting off, the dock's slow zone and stopping, above full speed [s].
+    """Return a lower bound of the time for starting, the dock's slow zone and stopping, in addition to full speed [s].
 
-    Exact without a bound on jerk if the gears are known and the way is long enough for full speed.
+    The bound is exact without a bound on jerk if the gears are known and the way is long enough for full speed.
     """
     limits, dock, zone = problem.robot.limits, problem.dock, problem.dock.approach
     speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}

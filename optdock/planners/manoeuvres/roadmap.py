@@ -121,7 +121,7 @@ class _LazySearch:
         return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
-        """Yield whole ways of free words with their prices as they are found."""
+        """Yield complete ways of free words with their prices as they are found."""
         labels: dict[int, _Label] = {}
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):
@@ -145,7 +145,7 @@ class _LazySearch:
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
     def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """Push all words out of a vertex, with the price of the way so far plus the remaining route as bound."""
+        """Push all words out of a vertex; the bound is the price of the way so far plus that of the remaining route."""
         some = slice(self._of[vertex], self._of[vertex + 1])
         changes = self._edges.begins[some] * label.gear < 0.0
         prices = label.price + self._edges.prices[some] + self._stop * changes

@@ -1,9 +1,9 @@
-"""Manoeuvres of robots that turn in place, out of turns and straight lines.
+"""Manoeuvres of robots that turn in place, made of turns and straight lines.
 
 The fastest motions of a differential drive with bounded wheel speeds are such sequences on open floor [Balkcom2002].
 Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives straight and
-turns again. If obstacles block that line, it follows a shortest way around them for the disc of turning, shortened by
-lines of sight. The smoother rounds corners with enough room without a stop.
+turns again. If obstacles block that line, it follows a shortest way around them for the disc in which the robot turns,
+shortened by lines of sight. The smoother rounds corners with enough room without a stop.
 """
 
 from __future__ import annotations
@@ -141,10 +141,10 @@ def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: 
 
 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
-    """Return distances from a pose straight on, in either gear, of places suited for a turn. Shape (n,) [m].
+    """Return distances from a pose along its axis, in either gear, of places suited for a turn. Shape (n,) [m].
 
     These are the intersection with the axis of the other end, the foot of the other end on the axis, and the places
-    with most room.
+    with the largest clearance.
     """
     ahead = np.array([math.cos(pose[2]), math.sin(pose[2])])
     across = np.array([-math.sin(other[2]), math.cos(other[2])])
@@ -353,7 +353,7 @@ def _cheapest_free(
 
 
 def _spread(nodes: TreeNodes, count: int) -> list[int]:
-    """Return some of the nodes, from the cheapest to the dearest."""
+    """Return some of the nodes, from the lowest to the highest price."""
     order = np.argsort(nodes.tree.prices[nodes.rows], kind="stable")
     picked = order[np.unique(np.linspace(0.0, max(order.size - 1, 0), min(count, order.size)).astype(np.int64))]
     return [int(row) for row in nodes.rows[picked]]

@@ -86,7 +86,7 @@ class ControllerContract(PluginContract[Controller]):
         return scene_context(scene_problem(goal=_FAR_DOCK))
 
     def exercise(self, plugin: Controller) -> object:
-        """Return the first commands along an S, from a reset on."""
+        """Return the first commands along an S, after a reset."""
         plugin.reset()
         plugin.set_path(s_curve_drive(ORIGIN))
         commands, _ = self._drive(plugin, 10)
@@ -218,7 +218,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
     interface: ClassVar[type[GoalChecker]] = GoalChecker
 
     def exercise(self, plugin: GoalChecker) -> object:
-        """Return the verdicts of all queries, from a reset on."""
+        """Return the verdicts of all queries, after a reset."""
         plugin.reset()
         return tuple(plugin.is_goal_reached(*query) for query in self.queries())
 
@@ -253,7 +253,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
                 self._require_not_reached(GOAL @ Pose2(0.0, 0.0, turn), [], f"turned by {turn:.2f} rad")
 
     def test_tolerances_are_numbers_or_none(self) -> None:
-        """`tolerances`: finite and not negative, or None where the quantity is not measured."""
+        """`tolerances`: finite and not negative, or None if the quantity is not measured."""
         found = self.ready_plugin().tolerances
         require(isinstance(found, Tolerances), f"tolerances are Tolerances, got {type(found).__name__}")
         for name, value in found._asdict().items():
@@ -283,7 +283,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require(self.exercise(checker) == verdicts, "after a reset the verdicts are those of a new checker")
 
     def test_the_origin_of_the_frame_has_no_influence(self) -> None:
-        """`is_goal_reached`: the same verdicts where all poses are moved together."""
+        """`is_goal_reached`: the same verdicts if all poses are moved together."""
         for motion in (Pose2(2.0, -1.0, 0.7), Pose2(0.0, 0.0, 2.0 * math.pi)):
             here, there = self.ready_plugin(), self.ready_plugin()
             for query, moved in zip(self.queries(), self.queries(motion), strict=True):
@@ -440,7 +440,7 @@ class DockTypeContract(PluginContract[DockType]):
     interface: ClassVar[type[DockType]] = DockType
 
     def exercise(self, plugin: DockType) -> object:
-        """Return every result over an approach that ends in contact, from a reset on."""
+        """Return every result over an approach that ends in contact, after a reset."""
         plugin.reset()
         contacts = tuple((plugin.contact(now), plugin.is_charging(now.measurements)) for now in self.approach())
         detections = tuple(tuple(plugin.detections(measurements)) for measurements in self.sightings())
@@ -469,7 +469,7 @@ class DockTypeContract(PluginContract[DockType]):
             yield Measurements(0.2, GOAL @ Pose2(-0.8, 0.0, 0.0), Twist2(0.1), found)
 
     def test_results_have_the_right_types_in_every_cycle(self) -> None:
-        """`contact`, `is_charging` and the properties: for all sensor values, and where a stamp is repeated."""
+        """`contact`, `is_charging` and the properties: for all sensor values, and for repeated stamps."""
         checked, far = CheckedDockType(self.ready_plugin()), Pose2(-3.0, 0.2, 0.1)
         for now in self.approach():
             checked.contact(now)

@@ -30,10 +30,10 @@ class LayerContract(PluginContract[Layer]):
     interface: ClassVar[type[Layer]] = Layer
 
     def feed(self, layer: Layer) -> None:
-        """Give the layer observations within 2 m of the origin; by default none."""
+        """Give the layer observations within 2 m of the origin; by default no observations."""
 
     def exercise(self, plugin: Layer) -> object:
-        """Return the costs that the fed layer writes into a grid of random ones."""
+        """Return the costs that the fed layer writes into a grid of random costs."""
         self.feed(plugin)
         return _written(plugin).tobytes()
 

@@ -116,7 +116,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         require(self.exercise(planner) == before, "after a cancellation it plans as before")
 
     def test_it_fails_by_name(self) -> None:
-        """`create_plan`: PlannerException with a reason where there is no path; no other exception."""
+        """`create_plan`: PlannerException with a reason if there is no path; no other exception."""
         planner, draw = self.ready_plugin(), np.random.default_rng(3)
         odd = [(GOAL, GOAL), (GOAL @ Pose2(1e-9, 0.0, 0.0), GOAL), (Pose2(1e6, -1e6, 9.0), GOAL)]
         odd += [(GOAL @ Pose2(*draw.normal(size=3)), GOAL) for _ in range(12)]
@@ -284,7 +284,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(change <= 1e-6, f"the duration stays {durations[0]} s, changed by {change} s")
 
     def test_infeasible_starts_are_statuses(self) -> None:
-        """`TimingResult`: a status other than OK, with a reason; `limit` and `at_s` where a limit is exceeded."""
+        """`TimingResult`: a status other than OK, with a reason; `limit` and `at_s` if a limit is exceeded."""
         plugin, path, limits = self.ready_plugin(), straight_drive(ORIGIN).path, MotionLimits()
         starts = {
             "1.2 times the speed limit": (1.2 * limits.max_speed, 0.0),

@@ -147,7 +147,7 @@ class PluginContract(ABC, Generic[P]):
         return plugin
 
     def test_it_is_built_in_one_call(self) -> None:
-        """`Plugin`: an instance of its interface, unconfigured once it is constructed; refuses unknown parameters."""
+        """`Plugin`: an instance of its interface, unconfigured after construction; unknown parameters are rejected."""
         plugin = self.make_plugin()
         require(isinstance(plugin, self.interface), f"it is a {self.interface.__name__}")
         require(plugin.state is LifecycleState.UNCONFIGURED, "a new plugin is unconfigured")

@@ -52,7 +52,7 @@ _AT_REST = 1e-9  # [m/s], [rad/s]: rounding errors of a command at rest
 class CycleTimes(NamedTuple):
     """Cycles and missed deadlines of a task, and statistics over the last `_KEPT` cycles [s].
 
-    `late` is the delay of commands, `busy` the duration of measuring and deciding.
+    `late` is the delay of commands, `busy` the duration of measuring and computing.
     """
 
     cycles: int
@@ -279,8 +279,8 @@ class ControlLoop:
 def prefer(policy: int, priority: int) -> None:
     """Set the scheduling of all threads of this process.
 
-    All threads, because a thread without priority that holds the interpreter lock delays the others. Threads and
-    processes that are started later have the default scheduling.
+    All threads are included, because a thread without priority that holds the interpreter lock delays the others.
+    Threads and processes that are started later have the default scheduling.
 
     Raises:
         PermissionError: If the user has no permission.

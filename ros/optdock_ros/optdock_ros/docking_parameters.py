@@ -211,7 +211,7 @@ class Docks:
 
 
 class _Parameters(Document):
-    """Parameters, possibly of several files; a fault names the parameter only."""
+    """Parameters, possibly from several files; error messages name the parameter only."""
 
     def fault(self, keys: Keys, message: str) -> str:
         return printable(f"{'.'.join(map(str, keys))}: {message}")
@@ -243,7 +243,7 @@ class DockingSettings:
     """All parameters of the server, validated.
 
     Attributes:
-        own: Parameters at the top; the blocks follow under their names.
+        own: Parameters at the top; the other attributes are the blocks, by name.
         plugins: Dock types by name.
         dock_parameters: Block `dock` of every dock type.
         docks: Docks by name.

@@ -190,7 +190,7 @@ class GoalQueue:
             current.end(reason)
 
     def join(self, patience: float) -> bool:
-        """Whether the work on all goals returns within `patience` [s].
+        """Wait until the work on all goals has returned, and return whether it did within `patience` [s].
 
         If not, the active goal is aborted, and a new thread replaces the worker thread.
         """

@@ -61,7 +61,7 @@ def cropped(costmap: Costmap, box: Box) -> Costmap:
 
 
 def joined(wide: Costmap, local: Costmap) -> Costmap:
-    """Merge a wide map with the local costmap: the larger cost of both, but the local cost where the map is unknown.
+    """Merge a wide map with the local costmap: the larger of both costs, the local cost where the map is unknown.
 
     Both are in one frame; the grid is that of `local`.
     """
@@ -101,7 +101,7 @@ def _centres(low: FloatArray | tuple[float, float], side: float, columns: int, r
 def _spread(costmap: Costmap, reach: int) -> Costmap:
     """Give every cell the worst cost within `reach` cells; occupied is worse than unknown.
 
-    The grid grows by one more cell, for cells of another grid that extend half a cell beyond it.
+    The grid is extended by one more cell, for cells of another grid that extend half a cell beyond it.
     """
     edge = reach + 1
     padded = np.pad(_RANK[costmap.data], edge, constant_values=int(_RANK[NO_INFORMATION]))

@@ -1,4 +1,4 @@
-"""The way to the staging pose by the action `navigate_to_pose`, as in Nav2's docking server."""
+"""Navigation to the staging pose by the action `navigate_to_pose`, as in Nav2's docking server."""
 
 from __future__ import annotations
 

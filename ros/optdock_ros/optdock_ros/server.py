@@ -289,7 +289,7 @@ def leave() -> None:
 def spin(executor: Executor) -> None:
     """Run an executor until its task is `leave`; exceptions of callbacks are logged.
 
-    The executor must not be shut down before: an executor of rclpy that is shut down between two waits begins another
+    The executor must not be shut down earlier: an executor of rclpy that is shut down between two waits begins another
     wait, which never ends.
     """
     while not _has_left(executor):

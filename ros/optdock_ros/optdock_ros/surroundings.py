@@ -47,7 +47,7 @@ _DIGITS = 4  # decimals: a tenth of a millimetre
 
 
 class SurroundingsError(OptdockError):
-    """A topic has no message, an invalid one or an old one."""
+    """A topic has no message, or an invalid or old one."""
 
 
 class CostmapTopic:

@@ -106,7 +106,7 @@ class DockingResources:
 
 
 class _WatchedPlanning(ThreadPlanning):
-    """Planning in the planning process that stores the motion being driven."""
+    """Planning in another process that also stores the motion being driven."""
 
     def __init__(self, process: PlanningProcess) -> None:
         super().__init__(process.planned)
@@ -231,7 +231,7 @@ class TaskDrive:
             self._goal.changed.set()
 
     def _contact(self, now: float) -> bool | None:
-        """Return the contact by a switch, or until the robot has stopped by stalled joints; None without both."""
+        """Return the contact by a switch or, until the robot has stopped, by stalled joints; None without both."""
         plugin, state = self._plugin, self.executor.state
         switched = plugin.is_switched(self._topics.newest(plugin.contact_topic), now)
         if not plugin.parameters.use_stall_detection:

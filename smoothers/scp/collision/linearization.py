@@ -4,9 +4,9 @@ Separating planes: a row moves the hull point over the obstacle at a tangent coo
 possibly of different nodes. Rows of whole vertices above a fixed plane would also be safe, but would not allow a side
 to roll around a corner.
 
-Covering discs: where the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may
-point to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so discs along
-the centre line agree on the side; they have an exact signed distance to the obstacle.
+Covering discs: if the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may point
+to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so neighbouring discs
+along the centre line are pushed to the same side; they have an exact signed distance to the obstacle.
 """
 
 from __future__ import annotations

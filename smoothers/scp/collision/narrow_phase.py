@@ -6,8 +6,8 @@ g'' is the second derivative of its coordinate along n. The area that the vertex
 
     min over H of (n.v - required - sag) - max over the obstacle of n.q
 
-above the requirement: a lower bound for any n, also between the nodes. g'' is taken at both ends; within the interval
-it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
+above the requirement: a lower bound for any n, also between the nodes. g'' is evaluated at both ends; within the
+interval it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
 
 The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. Hulls of two
 neighbouring nodes are those of [Schulman2014]. Arrays hold one pair per column for contiguous reductions.
@@ -87,8 +87,8 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
     """Requirement of every hull vertex, such that no point of the chord between the two nodes is below the requirement.
 
-    Every part of the rule is convex in the distance, and the smallest one applies; where the part changes within an
-    interval the larger value of both ends is safe. Next to the start only the right end is raised, because the left
+    Every part of the rule is convex in the distance, and the smallest one applies; if the part changes within an
+    interval, the larger value of both ends is safe. Next to the start only the right end is raised, because the left
     pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
@@ -208,7 +208,7 @@ def _closest(hull: Points, outline: Points) -> tuple[IntArray, IntArray]:
 
 
 def _unit(vectors: Points, fallback: Points) -> Points:
-    """Vectors scaled to length 1; the fallback where they are shorter than 1e-9."""
+    """Vectors scaled to length 1; the fallback if they are shorter than 1e-9."""
     length = np.hypot(vectors.x, vectors.y)
     short = length < 1e-9
     if not short.any():
