@@ -45,8 +45,8 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    Reading the file gives the same problem, with equal numbers. The file refers to `map_source` if the same cells are
-    occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
+    Reading the file yields the same problem with identical numbers. The file refers to `map_source` if the same cells
+    are occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
     NAME_map.pgm. Default motion limits of the scenario are not written.
 
     Args:

@@ -117,7 +117,7 @@ class Job(NamedTuple):
 
 
 class PlanResult(NamedTuple):
-    """Result of a job; true unless it failed.
+    """Result of a job; true unless the job failed.
 
     Attributes:
         number: Number of the job.
@@ -140,7 +140,7 @@ class PlanResult(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether the rest of a motion keeps its clearance; true if it does.
+    """Result of a clearance check of the rest of a motion; true if the clearance is kept.
 
     Attributes:
         holds: Whether the rest keeps its clearance.

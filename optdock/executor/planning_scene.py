@@ -37,7 +37,7 @@ FROM_REST: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "sta
 
 
 def contact_reach(costmap: Costmap, margin: float) -> float:
-    """Return the distance from the touching edge within which `with_contact_zone` frees cells, by their centres [m]."""
+    """Return the distance from the touching edge to the farthest cell centres freed by `with_contact_zone` [m]."""
     return max(margin, 1.5 * costmap.resolution)
 
 

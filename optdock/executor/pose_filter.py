@@ -333,8 +333,8 @@ class PoseFilter:
                 applied only if the measurement is accepted.
 
         Returns:
-            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to it and others that agree with it;
-            `forgotten` if it is older than the stored motion or from the future.
+            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to this measurement and others that
+            agree; `forgotten` if it is older than the stored motion or from the future.
         """
         pose, delay = self.pose, float(self.systematic[2])
         if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:

@@ -129,7 +129,7 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
 def edge_normals(vertices: FloatArray) -> FloatArray:
     """Return the outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
 
-    An edge of length zero, as added by padding, has the normal of the edge before it. The normals of a polygon that
+    An edge of length zero, which padding adds, has the normal of the previous edge. The normals of a polygon that
     rounding has reduced to a point are arbitrary.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices

@@ -35,7 +35,7 @@ def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> t
         s: Distance [m].
         v: Speed [m/s].
         a: Acceleration [m/s^2].
-        jerk: [m/s^3].
+        jerk: Jerk [m/s^3].
     """
     gain = t * jerk
     return s + t * (v + t * (0.5 * a + gain / 6.0)), v + t * (a + 0.5 * gain), a + gain
@@ -75,8 +75,8 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
     Args:
         v: Speed along the travel [m/s].
         a: Acceleration along the travel [m/s^2].
-        deceleration: D, the largest [m/s^2].
-        jerk: J, the largest [m/s^3].
+        deceleration: Largest deceleration D [m/s^2].
+        jerk: Largest jerk J [m/s^3].
     """
     if a < -deceleration:
         spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J directly to rest; limited to -D
@@ -93,8 +93,8 @@ def braking_time(speed: float, deceleration: float, jerk: float) -> float:
 
     Args:
         speed: Speed along the travel, >= 0 [m/s].
-        deceleration: The largest [m/s^2].
-        jerk: The largest [m/s^3].
+        deceleration: Largest deceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
     """
     if speed < deceleration**2 / jerk:
         return 2.0 * math.sqrt(speed / jerk)

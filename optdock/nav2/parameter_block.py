@@ -27,7 +27,7 @@ class ParameterBlock:
         document: The file.
         keys: Position of the mapping in the file.
         values: The mapping.
-        faults: Collected error messages; wrong values are added to it.
+        faults: Collected error messages; faults of wrong values are added.
     """
 
     document: Document

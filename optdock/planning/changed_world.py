@@ -44,13 +44,13 @@ class StillHolds:
     """Result of `still_holds`; true if the clearance of the rest of the path is proven.
 
     Args:
-        holds: Whether it is proven.
+        holds: Whether the clearance is proven.
         changed: Differences from the world of the plan's proof: of `obstacles`, `costmap`, `dock`, `clearance`,
             `footprint`, `limits`, `frame`.
         at_s: Place of the first conflict on the plan's path [m]; None: no conflict.
         at_time: Time of that place on the plan's trajectory [s].
         obstacle: The obstacle that is too close; empty if the proof was not completed.
-        clearance: Clearance to it [m].
+        clearance: Clearance to that obstacle [m].
         required: Required clearance there [m].
         reason: The result in a sentence; empty if it holds.
     """

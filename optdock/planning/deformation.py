@@ -296,7 +296,7 @@ class _Program:
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
-        """Return the cheapest change that closes the gap, keeps pushes and bounds, by gears; None if there is none."""
+        """Return the cheapest change of each gear that closes the gap within pushes and bounds; None if none exists."""
         end = segments[-1].poses_at(segments[-1].length)[0]
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:

@@ -275,7 +275,7 @@ class PartialPlan:
     Args:
         raw_path: The planner's path, or None.
         path: The smoothed path; or, after an error of the smoother, its best path, which breaks the bound that the
-            error names and may miss the goal. It is certified only if `certificate` is. None: no path.
+            error names and may miss the goal. It is certified only if `certificate` is true. None: no path.
         certificate: The certificate of `path`, or None.
         timing_ms: Wall-clock milliseconds per stage.
         tried: Every guess and its result.

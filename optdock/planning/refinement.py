@@ -429,7 +429,7 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
     """Check that a result of a plugin, or a part of it, has the type that its interface requires, and return it.
 
     Raises:
-        PluginError: If the type is another one.
+        PluginError: If the value has another type.
     """
     if not isinstance(value, kind):
         promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"

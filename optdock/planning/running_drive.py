@@ -122,7 +122,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state after `lead` seconds; in a turn in place or shortly before a rest, that at the rest."""
+        """Return the state after `lead` seconds, or at the next rest if it is near or the robot turns in place."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -142,7 +142,7 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """Return the time; in a turn in place or shortly before a rest, the time of that rest."""
+        """Return the time, or that of the next rest if it is near or the robot turns in place."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
@@ -197,7 +197,7 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
     Returns the trajectory, and the certificate of its motion, which may list violations.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
-    # A tenth of the certificate's tolerance: the path of a robot that stands.
+    # A tenth of the certificate's tolerance: the path of a robot at rest.
     standing = ClothoidSegment(ClothoidSpline(joint.pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2)))
     still = Trajectory(Path((standing,), frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
     if joint.rest is None or joint.rests:

@@ -140,7 +140,7 @@ class Smoother(Plugin):
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
             InvalidPath: If `path` is not a Path, too short, in another frame than the problem, or leads elsewhere.
-            SmootherTimedOut: If the time was over before any usable result.
+            SmootherTimedOut: If the time ran out before any usable result.
             FailedToSmoothPath: If no result keeps every bound; the message names the violated one.
             SmootherCancelled: If `cancel_checker` returned True.
         """

@@ -88,8 +88,8 @@ class StuckWheel:
 
     Args:
         wheel: A `Wheel` or its value.
-        start: Begin on the plant's clock, which starts at 0 [s].
-        end: End [s].
+        start: Start of the fault on the plant's clock, which starts at 0 [s].
+        end: End of the fault [s].
 
     Raises:
         InvalidValue: If there is no such wheel, or the start is not before the end.
@@ -426,7 +426,7 @@ def check_duration(value: float, name: str) -> None:
     """Check a duration.
 
     Raises:
-        InvalidValue: If it is not finite and > 0.
+        InvalidValue: If the duration is not finite and > 0.
     """
     if not finite_number(value, name) > 0.0:
         raise InvalidValue(f"{name}: must be finite and > 0 s, got {value}")
@@ -436,7 +436,7 @@ def check_not_negative(settings: object, name: str, keys: Iterable[str]) -> None
     """Convert attributes of frozen settings to float and check them.
 
     Raises:
-        InvalidValue: If one is negative or not finite.
+        InvalidValue: If an attribute is negative or not finite.
     """
     for key in keys:
         value = finite_number(getattr(settings, key), f"{name}.{key}")
@@ -449,7 +449,7 @@ def check_seed(value: object, name: str) -> None:
     """Check the seed of a random generator.
 
     Raises:
-        InvalidValue: If it is not a whole number >= 0.
+        InvalidValue: If the seed is not a whole number >= 0.
     """
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise InvalidValue(f"{name}: must be a whole number >= 0, got {value!r}")

@@ -6,8 +6,8 @@ Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
     |d/dt (v^n k)| <= its bound                                                           the turning limits.
 
-`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, turns at L k' v / (1 + (L k)^2); its
-cap jumps where k' does.
+`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, changes at the rate L k' v / (1 + (L
+k)^2); the cap jumps at jumps of k'.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds beyond which no motion
 at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their

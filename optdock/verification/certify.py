@@ -194,7 +194,7 @@ def certify_motion(
         is_late: As for `certify_trajectory`.
 
     Returns:
-        The certificate, as of `certify_trajectory`.
+        The certificate, see `certify_trajectory`.
     """
     limits, zone = problem.robot.limits, problem.dock.approach
     speed, acceleration = problem.start_state(int(trajectory.path.segments[0].direction))
@@ -241,8 +241,8 @@ def _made_once(
 ) -> Verdict:
     """Return the cached verdict of `subject` against equal inputs, or compute it.
 
-    An interrupted proof that certified is valid, but not sharp: it is reused for callers with a deadline. An
-    interrupted proof without a certificate is not cached.
+    An interrupted proof that certified the subject is valid, but not sharp; it is reused for callers with a deadline.
+    An interrupted proof without a certificate is not cached.
     """
     known = memo.recall(subject)
     if known is not None and known.against == against and (known.is_whole or is_late is not never_late):

@@ -45,8 +45,8 @@ def deep_pairs(
 ) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
     """Return bodies and the obstacles that they must not overlap at all within a box, Shape (2,) [m] each.
 
-    If the footprint is not convex, its core and the obstacles; if obstacles touch each other, the footprint and their
-    core.
+    These are the core of the footprint and the obstacles if the footprint is not convex, and the footprint and the core
+    of the obstacles if obstacles touch each other.
     """
     pairs = (footprint.core, obstacles), (footprint.bodies, _obstacle_core(obstacles, lower, upper))
     return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))

@@ -231,7 +231,7 @@ class PieceSmoother(Smoother):
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
             InvalidPath: If `path` is not a Path, has another frame than the problem, or too few distinct poses remain.
-            SmootherTimedOut: If the time was over before the first step. Nav2 also raises after later ones.
+            SmootherTimedOut: If the time ran out before the first step. Nav2 also raises after later ones.
             SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)

@@ -83,8 +83,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     words are tried while they may be cheaper.
 
     Args:
-        exits: The start, to which every node is joined, and other nodes of its tree, of which each node is joined to
-            one, in turn.
+        exits: The start, to which every node is joined, and other nodes of its tree; every node is joined to one of
+            these, in turn.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
