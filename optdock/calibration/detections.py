@@ -42,7 +42,9 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
             rows.append(unknown(name, unit, "the dock was always seen from the same distance", count))
             continue
         low, high = value - off if is_slope else max(value - off, 0.0), value + off
-        if name.startswith("jitter"):  # `off` is that of the square; slip that the motion misses lowers the bound
+        if name.startswith(
+            "jitter"
+        ):  # `off` is that of the square; slip that is missing from the motion lowers the bound
             low, high = max(value**2 - off - _SLIPPED**2, 0.0) ** 0.5, (value**2 + off) ** 0.5
         rows.append(Quantity(name, unit, value, low, high, count, sources))
     wrong = int(np.sum(found.wrong > 0.5))

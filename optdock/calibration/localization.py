@@ -236,9 +236,9 @@ def _spread(
     """Standard deviation of a drifting error: a Gauss-Markov process, by maximum likelihood.
 
     The correlation time and a white part, in addition to the noise of the detections, are also estimated; the dock and
-    the sizes of jumps are unknown. The interval is that of the profile likelihood ([Pawitan2001] ch. 3). A jump before
-    the dock is first detected shifts a whole recording, so the lower bound is that of a model with one more unknown,
-    the standard deviation of an offset of each recording.
+    the sizes of jumps are unknown. The interval is computed from the profile likelihood ([Pawitan2001] ch. 3). A jump
+    before the dock is first detected shifts a whole recording, so the lower bound is that of a model with one more
+    unknown, the standard deviation of an offset of each recording.
     """
     from scipy.optimize import brentq, minimize_scalar
 

@@ -23,7 +23,7 @@ _BETTER = 0.95  # of the least shortfall so far, to count as progress: above the
 
 
 def checked_speed_limit(limit: object, percentage: object) -> float:
-    """Return `limit`, in percent or m/s.
+    """Check a speed limit in percent or m/s, and return it.
 
     Raises:
         InvalidValue: If `limit` is not a finite number >= 0, or `percentage` is not a bool.
@@ -130,12 +130,12 @@ class ProgressCheck:
         if self._following.expired(2.0 if is_held else 0.0, period, patience):
             raise NoValidControl(
                 f"TrackingController: the robot does not follow: for {patience:g} s the reference has waited "
-                f"{abs(error.x):.3f} m ahead; the robot is blocked, or its drive does not answer",
+                f"{abs(error.x):.3f} m ahead; the robot is blocked, or its drive does not respond",
                 where=where,
             )
         if self._arriving.expired(left.shortfall(error) if left else 0.0, period, patience) and left:
             raise NoValidControl(
-                f"TrackingController: cannot come any nearer: {error.x:.3f} m along, {error.y:.3f} m across and "
+                f"TrackingController: cannot get any closer: {error.x:.3f} m along, {error.y:.3f} m across and "
                 f"{error.yaw:.3f} rad are left, accepted are {left.along:g} m, {left.cross:g} m and "
                 f"{left.yaw:g} rad, and nothing has improved for {patience:g} s; plan again from here",
                 where=where,

@@ -98,8 +98,9 @@ class TrackingController(Controller):
     lower under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot
     further than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
 
-    **Law.** See `tracking_law`. The feed-forward is that of the middle of the coming period, `preview` ahead. Without
-    `preview` the delay of the drive is identified, beginning with the first ramp, and kept until `reset`.
+    **Law.** See `tracking_law`. The feed-forward is taken at the middle of the coming period, `preview` ahead of the
+    reference. Without `preview` the delay of the drive is identified, beginning with the first ramp, and kept until
+    `reset`.
 
     **Finish.** At the trajectory's end the same law holds the last pose. If the drive ignores small commands, larger
     ones are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal

@@ -163,7 +163,7 @@ class Situation:
             self.felt = self.dock_type.contact(at_dock)
 
     def contact(self) -> EndingKind | None:
-        """Return how the robot is docked by contact; None without contact or far from the dock."""
+        """Return the kind of docking by contact; None without contact or far from the dock."""
         if self.felt is None:
             self._far_contact_reported = False
             return None

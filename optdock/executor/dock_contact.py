@@ -62,7 +62,7 @@ _ANSWER = 0.3  # [s] in which drive and odometry respond to the last command
 
 
 def stands_docked(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether the robot is docked before the task begins, for docks without a required signal."""
+    """Whether the robot is docked before the task begins, for docks without a required signal."""
     situation, settings, estimate = cycles.situation, cycles.situation.settings, cycles.situation.estimate
     needs_signal = situation.dock_type.is_pressed_on or situation.dock_type.waits_for_charge
     if needs_signal or not estimate.is_near:
@@ -146,7 +146,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
 
 def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether a robot that was stopped on its way into the dock is docked, for instance by its momentum."""
+    """Whether a robot that was stopped on its way into the dock is docked, for instance by its momentum."""
     situation = cycles.situation
     if situation.dock_type.is_pressed_on or situation.is_held:
         return False
@@ -162,7 +162,7 @@ def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
 def _require_certainty(cycles: ControlCycles) -> None:
     """Raise AttemptFailed if the pose at the dock is too uncertain."""
     situation, perception = cycles.situation, cycles.situation.perception
-    kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "it cannot be known whether the robot is docked"
+    kind, unknown = EndingKind.FAILED_TO_DETECT_DOCK, "it is unknown whether the robot is docked"
     if perception.detections.is_contradicted:
         raise AttemptFailed(kind, "the last detections contradict the estimated pose of the dock")
     if situation.estimate.may_have_turned:
@@ -345,7 +345,7 @@ class Nudge:
         while True:
             situation.require_no_interruption()
             is_felt = situation.contact() is not None and motion.linear * situation.estimate.gear > _INSTANT
-            if is_felt and was_felt:  # two cycles, as a switch may flicker before contact
+            if is_felt and was_felt:  # two cycles, because a switch may flicker before contact
                 break
             was_felt = is_felt
             speed = max(map(abs, self._rims(situation.commanded.linear, situation.commanded.angular)))

@@ -261,7 +261,7 @@ class Travel:
             if result is not None:
                 return result
             if cycles.now - since > budget + _PLANNING_PATIENCE:
-                return PlanResult(number, Outcome.FAILED, reason="planning does not answer")
+                return PlanResult(number, Outcome.FAILED, reason="planning does not respond")
 
     def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
         """Return the result of a plan to the first reachable place, or the result for the last place if all fail."""
@@ -304,7 +304,7 @@ class Travel:
         """Drive a motion to its end.
 
         Returns:
-            How the robot is docked; None if it is not known to be docked.
+            The kind of docking; None if the robot is not known to be docked.
 
         Raises:
             Interrupted: If the motion cannot continue.

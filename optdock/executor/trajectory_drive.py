@@ -251,7 +251,7 @@ class TrajectoryDrive:
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     def _contact(self) -> EndingKind | None:
-        """Return how the robot is docked: by contact, or by the goal checker once the robot has settled."""
+        """Return the kind of docking: by contact, or by the goal checker once the robot has settled."""
         situation, settings = self._situation, self._situation.settings
         kind = situation.contact()
         if kind is not None:

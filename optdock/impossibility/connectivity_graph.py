@@ -262,7 +262,7 @@ class ConnectivityGraph:
 class PlaceGraph(ConnectivityGraph):
     """Graph with a node per place of a cell, whose cost is a lower bound of the clearance that a disc lacks there.
 
-    Costs are negative if the disc fits. The cost of unexamined tiles is lower than that of all others.
+    Costs are negative if the disc fits. Unexamined tiles have the lowest cost.
     """
 
     def _label(self, tile: Tile) -> None:

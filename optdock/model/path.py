@@ -207,11 +207,11 @@ class Path(FrozenArrays):
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Return the curvature at `s`; at a cusp that of the next gear. Shape (n,) [1/m]."""
+        """Return the curvature at `s`; at a cusp the value of the next gear. Shape (n,) [1/m]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_at(local), ())
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Return d curvature / ds at `s`; at a cusp that of the next gear. Shape (n,) [1/m^2]."""
+        """Return d curvature / ds at `s`; at a cusp the value of the next gear. Shape (n,) [1/m^2]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
 
     def direction_at(self, s: ArrayLike) -> IntArray:

@@ -85,7 +85,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
         return NoValidPathCouldBeFound("no planner returned a path")
     found, late = furthest(failures), [failure for failure in failures if isinstance(failure.error, TimedOut)]
     for_good = _reason_of_every_guess(failures, work.problem)
-    attempts = f"{len(failures)} attempts failed; that no way exists is not proven"
+    attempts = f"{len(failures)} attempts failed; it is not proven that no path exists"
     if for_good is not None or not (late or is_cut_off):
         error = (for_good or found).error
         if len(failures) > 1:
@@ -168,7 +168,7 @@ def _check_view_at_goal(problem: DockingProblem) -> None:
 
 
 def _clearance_hint(rule: ClearanceRule) -> str:
-    """Return how to write a clearance that lets the robot touch its station."""
+    """Return the hint for a clearance rule with which the robot may touch its station."""
     parts = {"required": rule.required, "at_dock": 0.0}
     if rule.taper != ClearanceRule().taper:
         parts["taper"] = rule.taper

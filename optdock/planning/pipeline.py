@@ -520,7 +520,7 @@ class _Portfolio:
             allowed = share * self.deadline.left
             proof = self.impossibility.proof(allowed, self.work.cancelled, only_disc=only_disc)
         if self.work.cancelled():
-            raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
+            raise PlannerCancelled("cancelled during the search for a proof that no motion exists")
         if proof is not None:
             self._leave()
             raise NoMotionExists(proof.message, proof=proof, where=proof.where)

@@ -182,8 +182,8 @@ class TimeParameterizer(Plugin):
     ) -> TimingResult:
         """Return the motion along `path` under `limits`, at rest at every cusp and at the end.
 
-        A motion with status OK passes `certify_trajectory`. Less time gives slower motions, or TIMED_OUT. Callers pass
-        `start_wait` only if it is positive.
+        A motion with status OK passes `certify_trajectory`. With less time the motion is slower, or the status is
+        TIMED_OUT. Callers pass `start_wait` only if it is positive.
 
         Args:
             path: Path.

@@ -231,7 +231,7 @@ class SimulatedRobot:
         )
 
     def forget(self) -> None:
-        """Clear the record, to bound the memory of long runs; `clearance` starts again."""
+        """Clear the record, to bound the memory of long runs; `clearance` is restarted."""
         self._rows = self._rows[-1:]
         self._commands.clear()
         self._detections.clear()

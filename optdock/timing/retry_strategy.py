@@ -358,7 +358,7 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin
     reason = ""
     if not math.isfinite(rate + acceleration):
         needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
-        reason = f"the path turns in place at s = {begin:.6g} m, and nothing limits that: it takes {needed}"
+        reason = f"the path turns in place at s = {begin:.6g} m, and this is unlimited: set {needed}"
     elif start != MotionState():
         reason = f"the path turns in place at s = {begin:.6g} m, where the robot moves at {start.v:.6g} m/s"
     elif turn.length / rate > LONGEST_MOTION:

@@ -34,7 +34,7 @@ class TurningLimit(NamedTuple):
     bound: float  # its value, > 0 and finite
 
     def ratio(self, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,) as all arguments."""
+        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,), as for all arguments."""
         ratio: FloatArray = np.abs(self.order * a * curvature + v * v * rate) * (1.0 / self.bound)
         return ratio if self.order == 1 else np.cbrt(v * ratio) ** 2
 
@@ -108,7 +108,7 @@ def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
 def turning_ratio(
     limits: tuple[TurningLimit, ...], curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray
 ) -> FloatArray:
-    """Return the largest ratio of all limits; 0 without limits. Shape (n,) as all arguments."""
+    """Return the largest ratio of all limits; 0 without limits. Shape (n,), as for all arguments."""
     largest: FloatArray = np.zeros(v.shape)
     for limit in limits:
         largest = np.maximum(largest, limit.ratio(curvature, rate, v, a))

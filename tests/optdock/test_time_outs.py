@@ -121,7 +121,7 @@ def test_planner_that_gave_up_says_nothing_about_time():
 def test_guesses_that_all_ended_for_good_are_refused_by_the_bound_in_the_way():
     found = refusal(Offers(AHEAD, AHEAD), Says(shut()))
     assert type(found) is FailedToSmoothPath
-    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; that no way exists is not proven)")
+    assert str(found) == ("clearance: 0.01 m from a rock (2 attempts failed; it is not proven that no path exists)")
 
 
 def test_one_guess_that_ran_out_of_time_makes_it_a_time_out():
@@ -204,4 +204,4 @@ class Odd(FailedToSmoothPath):
 def test_error_of_a_class_of_the_smoothers_own_comes_out_as_it_is():
     found = refusal(Offers(AHEAD, AROUND), Says(Odd("this", "that")))
     assert type(found) is Odd
-    assert str(found) == "this and that (2 attempts failed; that no way exists is not proven)"
+    assert str(found) == "this and that (2 attempts failed; it is not proven that no path exists)"

@@ -163,7 +163,7 @@ class _StraightBehavior(Behavior, ABC):
 
 
 class DriveOnHeading(_StraightBehavior):
-    """Drive `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
+    """Drive `target` metres along the heading, forwards or (both negative) backwards, like Nav2's behavior.
 
     Codes: TIMEOUT 721, COLLISION_AHEAD 723, INVALID_INPUT 724, UNKNOWN 720.
 

@@ -271,7 +271,7 @@ class ControlLoop:
     def _put(self, command: Twist2) -> None:
         with self._sending:
             if self._silent:
-                raise RuntimeError("the control loop has been given up")
+                raise RuntimeError("the control loop has been abandoned")
             self._sent, self._sent_at = command, time.monotonic()
             self._send(command)
 

@@ -284,7 +284,7 @@ class OwnDockParameters(SimpleNonChargingDockParameters):
     @model_validator(mode="after")
     def _has_no_contact(self) -> OwnDockParameters:
         if self.contact:
-            raise ValueError("contact is for the dock type to say")
+            raise ValueError("contact is determined by the dock type")
         return self
 
 

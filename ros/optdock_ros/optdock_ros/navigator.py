@@ -59,7 +59,7 @@ class Navigator:
         sent = self._client.send_goal_async(wanted)
         if not _waited(sent.done, min(until, time.monotonic() + _ANSWER), is_over):
             sent.add_done_callback(_cancel_when_accepted)
-            return "it does not answer"
+            return "it does not respond"
         handle = sent.result()
         if handle is None or not handle.accepted:
             return "it does not accept the goal"

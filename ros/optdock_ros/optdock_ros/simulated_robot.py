@@ -288,7 +288,7 @@ class SimulatedRobotNode:
         )
 
     def _publish_costmap(self, frame: str, stamp: float) -> None:
-        """Publish the outline and, as Nav2, the whole window after it has moved, otherwise the changed part."""
+        """Publish the outline and, like Nav2, the whole window after it has moved, otherwise the changed part."""
         values, here = self._world.values, self._odometry
         cell = float(values["costmap.resolution"])
         window = self._surroundings(cell, round(values["costmap.size"] / cell))
@@ -354,7 +354,9 @@ class SimulatedRobotNode:
     def _on_command(self, twist: Twist) -> None:
         command = (twist.linear.x, twist.angular.z)
         if not all(math.isfinite(value) for value in command):
-            self.node.get_logger().error(f"cmd_vel: not finite, {command}: taken for a stop", throttle_duration_sec=1.0)
+            self.node.get_logger().error(
+                f"cmd_vel: not finite, {command}: treated as a stop", throttle_duration_sec=1.0
+            )
             command = (0.0, 0.0)
         with self._lock:
             self._command, self._commanded = Twist2(*command), self._now

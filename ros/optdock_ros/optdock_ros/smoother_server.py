@@ -89,8 +89,8 @@ class SmootherServerParameters(ServerParameters):
     costmap_topic: str = Field("global_costmap/costmap_raw", description="costmap, nav2_msgs/Costmap; empty: none")
     footprint_topic: str = Field("global_costmap/published_footprint", description="outline of the robot; empty: none")
     robot_base_frame: str = Field("base_link", min_length=1, description="the robot's own frame")
-    transform_tolerance: float = Field(0.1, ge=0, description="how old a transform may be [s]")
-    action_server_result_timeout: float = Field(10.0, gt=0, description="how long results are kept [s]")
+    transform_tolerance: float = Field(0.1, ge=0, description="largest age of a transform [s]")
+    action_server_result_timeout: float = Field(10.0, gt=0, description="time for which results are kept [s]")
     costmap_timeout: float = Field(0.0, ge=0, description="oldest costmap that is used; 0: any, as Nav2 [s]")
     smoother_plugins: tuple[str, ...] = Field((_DEFAULT,), description="names of the smoothers")
 
@@ -310,7 +310,7 @@ class SmootherServer(Server[SmootherSettings]):
         """End the goals."""
         self._goals.close("the server was deactivated")
         if not self._goals.join(_JOIN):
-            self.get_logger().error("a smoother does not end its work; its goal is given up")
+            self.get_logger().error("a smoother does not end its work; its goal is aborted")
 
     def tear_down(self) -> None:
         """Destroy everything that was created."""

@@ -46,7 +46,7 @@ class ActivePairs(NamedTuple):
 
 
 def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
-    """Return all near pairs, or the pairs of at most `most` planes.
+    """Return all near pairs, or a selection with at most `most` planes.
 
     While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest:
     the rows of neighbouring intervals are nearly equal and would displace those of other obstacles.

@@ -280,7 +280,7 @@ class TestTheFinish:
             return trajectory.at(max(0.0, now.time)).pose if now.time < ends else aside
 
         error = refusal(controller, held, round((trajectory.duration + 6.0) / PERIOD), checker)
-        assert "cannot come any nearer" in str(error)
+        assert "cannot get any closer" in str(error)
         assert "0.022 m across" in str(error)
         assert error.where["cross"] == pytest.approx(-0.022)
 
