@@ -215,9 +215,9 @@ def occupancy_from_image(image: GreyImage, info: MapInfo) -> OccupancyArray:
     """Return the occupancies of an image, Shape (rows, columns); row 0 is the last row of the image.
 
     With v the grey value, p = (255 - v) / 255, or v / 255 when negated. A cell is occupied if p >= `occupied_thresh`
-    and free if p <= `free_thresh`; between them it is unknown (trinary), or has the rounded 100 (p - free) / (occupied
-    - free) (scale). Transparent pixels are unknown. In the mode raw, grey values 0..100 are occupancies and others
-    unknown.
+    and free if p <= `free_thresh`; between them it is unknown (trinary), or has the value 100 (p - free) / (occupied -
+    free), rounded (scale). Transparent pixels are unknown. In the mode raw, grey values 0..100 are occupancies and
+    others unknown.
     """
     table = _raw_table() if info.mode is MapMode.RAW else _threshold_table(info)
     occupancy = table[image.grey]

@@ -106,8 +106,8 @@ def test_planner_that_ran_out_of_time_makes_it_a_time_out_whatever_the_guesses_f
     found = refusal(Offers(AHEAD, end=PlannerTimedOut("after 27.1 ms")), Says(blocked()))
     assert type(found) is PlannerTimedOut
     assert str(found) == (
-        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; that no way exists is not "
-        "proven); until then FailedToSmoothPath: approach_blocked: on the final straight"
+        "Offers ran out of time; raise time_budget, which is 37 s (2 attempts failed; it is not proven that no "
+        "path exists); until then FailedToSmoothPath: approach_blocked: on the final straight"
     )
     assert found.partial.raw_path.digest == AHEAD.digest
 

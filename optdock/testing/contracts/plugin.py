@@ -174,7 +174,7 @@ class PluginContract(ABC, Generic[P]):
             require(self._outcome(changed) == self._outcome(built), f"{name} = {value} takes effect")
 
     def test_it_works_at_every_stage(self) -> None:
-        """`Plugin`: the same results inactive, active and configured again; unconfigured at most an OptdockError."""
+        """`Plugin`: the same results inactive, active and configured again; unconfigured, or an OptdockError."""
         plugin = self.make_plugin()
         if self.needs_context:
             refused(lambda: self.exercise(plugin), OptdockError, "unconfigured, it fails by name")
