@@ -503,7 +503,7 @@ class _Outside(NamedTuple):
     is_measured: bool
 
     def moved_to(self, reckoned: Pose2) -> Pose2:
-        """Return the pose with dead reckoning at `reckoned`."""
+        """Return the measured pose advanced by dead reckoning to `reckoned`."""
         return self.now @ (self.reckoned.inverse() @ reckoned)
 
 

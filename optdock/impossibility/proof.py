@@ -13,10 +13,10 @@ in the cell, an obstacle is nearer to the footprint than required, or inside it 
 *The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with a cell of the set and is not in
 the set is blocked; every cell at the inner end, the goal or the start, that is not in the set is also blocked; and no
 cell at the other end is in the set. Suppose that a motion keeps the clearance. No cell that holds any of its poses is
-blocked, so it begins in the set and ends outside. At the border of the set it has a pose that is both in a cell of the
-set and in a cell outside; of the cells around that pose, which are joined by faces, one in the set shares a face with
-one that is not: a blocked one, which is a contradiction. Cells may be of different sizes: tiles of a quadtree over the
-plane hold 16 x 16 cells for every heading, each level with cells half as large.
+blocked, so it begins in the set and ends outside. At the border of the set the motion has a pose that is both in a cell
+of the set and in a cell outside. The cells around that pose are joined by faces, so one of them that is in the set
+shares a face with one that is not. The latter cell is blocked, which is a contradiction. Cells may be of different
+sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading, each level with cells half as large.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers

@@ -387,7 +387,7 @@ class Refinement:
 
 @contextlib.contextmanager
 def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """Configure a plugin for the problem; an error that its interface does not name becomes a PluginError.
+    """Configure a plugin for the problem; an error that is not in its interface is converted to a PluginError.
 
     Raises:
         PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.

@@ -52,7 +52,7 @@ _MAX_WIDTH = 0.05  # [s], width of first cells
 _MAX_GRID = 20_000  # first cells; they are wider in a long motion
 _MAX_LEVELS = 22  # of bisection
 _MAX_CELLS = 1_000_000  # added by refinement; some seconds
-_BLOCK = 8_000  # cells judged at once, some milliseconds; the deadline is polled in between
+_BLOCK = 8_000  # cells evaluated at once, some milliseconds; the deadline is polled in between
 _BISECTIONS = 60  # to 1e-18 of a phase
 _STEEPEST = 1e300  # [1/m^2]: larger curvature rates are clipped to this one, which no limit allows
 
