@@ -15,7 +15,7 @@ __all__ = ["is_stopped", "longer_than", "yaw_error"]
 
 
 def yaw_error(query: Pose2, goal: Pose2, *, symmetric: bool = False) -> float:
-    """Return the angle between two headings [rad]; with `symmetric`, to the goal heading or its opposite."""
+    """Return the angle between two headings [rad]; with `symmetric`, to the nearer of the goal and its opposite."""
     return abs(math.remainder(query.yaw - goal.yaw, math.pi if symmetric else 2.0 * math.pi))
 
 

@@ -1,4 +1,4 @@
-"""DockGoalChecker: tolerances along, across and of heading in the frame of the dock, and rest."""
+"""DockGoalChecker: tolerances along, across and in heading in the frame of the dock, and rest."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class _Accepted(NamedTuple):
 
 
 class DockGoalChecker(GoalChecker):
-    """Reached when the robot is at rest in the dock, with its heading.
+    """Goal checker that accepts a robot at rest in the dock, with the dock's heading.
 
     The axis is the heading of the goal, so the shape of the remaining path has no influence. The errors along and
-    across, the heading and (if `stopped`) rest must be accepted in the same call, inclusively. When stateful, an
-    arrival stays until `reset`, also with noise in the measured pose. A tolerance that is not given is that of the
-    dock of the configured problem, else the default of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
+    across, the heading and (if `stopped`) rest must be accepted in the same call. All comparisons are inclusive. When
+    stateful, an accepted arrival stays accepted until `reset`, even with noise in the measured pose. Missing tolerances
+    are those of the dock of the configured problem, or else the defaults of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = DockGoalChecker(along_tolerance=0.01)
@@ -74,7 +74,7 @@ class DockGoalChecker(GoalChecker):
         return self._reached
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
-        """Whether the errors along and across are accepted, or a latched arrival holds; does not latch."""
+        """Whether the errors along and across are accepted, or an arrival is latched; the latch is not changed."""
         p = self.parameters
         if self._is_latched:
             return True
@@ -87,7 +87,7 @@ class DockGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """Along in x, across in y, heading, and the speeds at rest."""
+        """The tolerances along (in x), across (in y) and of the heading, and the speeds at rest."""
         p, accepted = self.parameters, self._accepted
         return Tolerances(
             x=accepted.along,

@@ -6,8 +6,8 @@
     problem = od.DockingProblem(od.Pose2(1.0, 0.2, 0.4), od.Dock(od.Pose2(4.0, 1.0, 0.0)), robot)
     plan = od.plan_dock(problem, time_budget=0.1)
 
-The names are those of `__init__.pyi`; every one is imported on its first use, so that `import optdock` stays cheap. The
-plugins of the packages beside it are found by their entry points, as `plan_dock` finds them.
+The names are those of `__init__.pyi`; each is imported on its first use, so that `import optdock` is fast. Plugins of
+other packages are found by their entry points.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Deadline of a call, shared by all stages that may take long."""
+"""Deadline of a call, shared by all stages that may take a long time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def never_late() -> bool:
 
 
 class _Latch:
-    """A predicate that is not evaluated again after it was true."""
+    """A predicate that is not evaluated again once it has returned True."""
 
     __slots__ = ("_predicate", "was_true")
 
@@ -42,7 +42,7 @@ class Deadline:
 
     Args:
         seconds: Wall-clock allowance [s]; infinite without a deadline.
-        clock: Returns monotonic seconds.
+        clock: Function that returns monotonic seconds.
         stop: Polled together with the clock; True makes the deadline pass immediately.
 
     >>> now = iter([10.0, 10.2, 10.6])
@@ -115,8 +115,8 @@ def garbage_collection_paused() -> Iterator[None]:
 
     A full collection cannot be interrupted and takes time proportional to the number of objects of the process: 35 ms
     with the libraries of this project alone, 250 ms with a million small objects of the caller. On exit the young
-    generations are collected, which takes less than 1 ms after a call of 100 ms. Where calls of several threads
-    overlap, collection is enabled again when the first of them ends.
+    generations are collected, which takes less than 1 ms after a call of 100 ms. If calls of several threads overlap,
+    collection is enabled again when the first of them ends.
     """
     was_enabled = gc.isenabled()
     gc.disable()

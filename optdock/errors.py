@@ -1,6 +1,6 @@
 """Exceptions, named as in Nav2, each with Nav2's action error code.
 
-Every exception that leaves this library derives from `OptdockError`.
+Every exception raised by this library derives from `OptdockError`.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class PlannerTimedOut(PlannerException, TimedOut):
 
 
 class NoValidPathCouldBeFound(PlannerException):
-    """The planner found no path of the type that it generates."""
+    """The planner found no path of the kind that it generates."""
 
     code = 208
 

@@ -1,4 +1,4 @@
-"""`CasadiSmoother`: a certified clothoid spline near the input path, or the bound that cannot be kept."""
+"""`CasadiSmoother`: a certified clothoid spline near the input path, or an error with the bound that cannot be kept."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
 _TAPER = 0.5  # [m] before the goal, over which the required clearance falls to that of the input
 _NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
 # Largest distance of an input from the start or the goal of the problem of the call: [m], or share of its length.
-# Detected docks are within decimetres of their map positions; a path farther away is one for another problem.
+# Detected docks are within decimetres of their map positions; a path farther away belongs to another problem.
 _ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
 
 
@@ -102,14 +102,14 @@ class CasadiSmoother(Smoother):
         """Return a certified clothoid path between the start and the goal of `problem`, near `path`.
 
         If `problem` is given, the result leads from its start to its goal; `path` may begin behind the robot or end at
-        an earlier estimate of the dock. A path that passes the start, or ends next to the goal, by more than 1 m and
-        more than a fifth of its length is refused.
+        an earlier estimate of the dock. A path is rejected if it passes the start, or ends next to the goal, at a
+        distance of more than 1 m and more than a fifth of its length.
 
         Args:
             path: Input, from any source.
             max_time: Wall-clock time for the whole call [s].
-            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
-                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
+            problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
+                with the ends of `path` if they differ; without a configured problem, from the first to the last pose of
                 `path` with the footprint and costmaps of the context and the limits of the parameters. The least
                 clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
                 obstacle is known, and the report has a `warning`.
@@ -166,7 +166,7 @@ class CasadiSmoother(Smoother):
         return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_NO_OBSTACLES))
 
     def _solve(self, call: Call, deadline: Deadline, cancel_checker: Callable[[], bool]) -> SmoothingResult:
-        """Run the strategy, piece by piece where the path turns in place."""
+        """Run the strategy, for each piece between turns in place."""
         pool, robot = pool_of_this_thread(), call.problem.robot
         built = pool.build_time
         if robot.turns_in_place and call.problem.start_speed == 0.0:
@@ -206,7 +206,7 @@ class CasadiSmoother(Smoother):
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
-        # A wall next to the input and a post on it: the push-out is loaded too.
+        # A wall next to the input and a post on it, so that the code of the push-out is also loaded.
         obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
         path = Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal])
@@ -239,7 +239,7 @@ class CasadiSmoother(Smoother):
 
 
 def _check_way(path: Path, problem: DockingProblem) -> None:
-    """Refuse a path that passes the start of the problem, or ends next to its goal, too far away."""
+    """Raise InvalidPath if a path is too far from the start or the goal of the problem."""
     allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.driven)
     off = path.end.distance_to(problem.goal)
     what = f"ends {off:.2f} m from the goal"
@@ -253,10 +253,10 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
-    """Return the configured problem with the ends of `path` where they differ.
+    """Return the configured problem, with the ends of `path` if they differ.
 
-    Another start is at rest with free steering. Another end is no dock: the station is an obstacle, and no gear, final
-    straight or slow approach is required.
+    A different start is at rest with free steering. A different end is not a dock: the station is an obstacle, and no
+    gear, final straight or slow approach is required.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
         problem = problem.starting_at(path.start)
@@ -267,7 +267,7 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 
 
 def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
-    """Return a rule that requires the least clearance of `path`, and permits the clearance of its ends.
+    """Return a rule that requires the least clearance of `path`, and allows the clearance of its ends.
 
     Args:
         path: Path.

@@ -1,4 +1,4 @@
-"""AdaptiveToleranceGoalChecker: a fine radius at once, a coarse one without progress."""
+"""AdaptiveToleranceGoalChecker: a fine radius, and a coarse one for a robot without progress."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class _CoarseVisit:
 class AdaptiveToleranceGoalChecker(GoalChecker):
     """Nav2's AdaptiveToleranceGoalChecker.
 
-    Inside the fine radius the position is accepted at any speed. After the first call inside the coarse radius it is
-    accepted once the robot has crossed the line through the goal perpendicular to its entry, after
+    Inside the fine radius the position is accepted at any speed. After the first call inside the coarse radius the
+    position is accepted once the robot has crossed the line through the goal perpendicular to its entry, after
     `required_stagnation_cycles` stopped calls, or after as many calls without a new least distance. Leaving the coarse
     radius resets this. An accepted position is latched when stateful, until the distance exceeds the radius that
     accepted it plus the buffer (if > 0). The heading is checked in every call. Comparisons are inclusive.

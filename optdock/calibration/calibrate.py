@@ -52,7 +52,7 @@ class Calibration(NamedTuple):
         recordings: Recordings used.
         response: Drive response.
         motion: Smoothed motion; None if there are too few detections.
-        localization: Errors of the localization; None likewise.
+        localization: Errors of the localization; None if there are too few detections.
         tube: Tracking tube.
     """
 
@@ -64,7 +64,7 @@ class Calibration(NamedTuple):
     tube: DrivenTube
 
     def quantity(self, name: str) -> Quantity:
-        """Return the quantity with the name in the report.
+        """Return the quantity with this name in the report.
 
         Raises:
             InvalidValue: If there is no quantity of that name.
@@ -141,7 +141,7 @@ def _check_docks(recordings: Sequence[Recording]) -> None:
 
 
 def _check_drives(recordings: Sequence[Recording]) -> None:
-    """Check that no drive is given twice, as that would make intervals too narrow."""
+    """Check that no drive is given twice, because that would make intervals too narrow."""
     seen: dict[bytes, str] = {}
     for one in recordings:
         key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()

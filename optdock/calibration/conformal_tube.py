@@ -44,7 +44,8 @@ def conformal_tube(deviations: Sequence[tuple[float, float]], radius: float, cov
     """Return the tube in which the next docking stays with probability `coverage`.
 
     The score of a docking is the largest possible displacement of a point of the footprint. A certificate depends only
-    on that width, so the width may be divided between `cross` and `yaw` at will; the ratio of their medians is used.
+    on that width, so the division of the width between `cross` and `yaw` is arbitrary; the ratio of their medians is
+    used.
 
     Args:
         deviations: For each docking: largest distance across the path [m], largest turn off it [rad].

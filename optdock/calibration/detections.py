@@ -1,4 +1,4 @@
-"""Detections: noise as a function of range, share of wrong ones, blind distance."""
+"""Detections: noise as a function of range, share of wrong detections, blind distance."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _NOISE = (  # in the order of the fields of `Noise`, and whether it is a slope o
 )
 _SLIPPED = 0.012  # [s]: 3 mm at 0.25 m/s, of slip that begins or ends within a cell of the smoothed motion
 _LEAST_RANGES = 0.3  # [m]
-_MOST_MISSED = 3  # frames without a detection over the last centimetres that may be chance
+_MOST_MISSED = 3  # frames without a detection over the last centimetres that may be missing by chance
 _NEAR = 0.5  # [m] beyond the nearest detection, where the share of frames with a detection is counted
 _CHANCE = 0.05
-_AS_NEAR = 0.01  # [m]: a detection this near to where the robot stopped means that it was not blind
+_AS_NEAR = 0.01  # [m]: a detection within this distance of the final place means that the detector was not blind there
 
 
 def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
@@ -42,7 +42,9 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
             rows.append(unknown(name, unit, "the dock was always detected from the same distance", count))
             continue
         low, high = value - off if is_slope else max(value - off, 0.0), value + off
-        if name.startswith("jitter"):  # `off` is that of the square; slip that the motion misses lowers the bound
+        if name.startswith(
+            "jitter"
+        ):  # `off` is that of the square; slip that is missing from the motion lowers the bound
             low, high = max(value**2 - off - _SLIPPED**2, 0.0) ** 0.5, (value**2 + off) ** 0.5
         rows.append(Quantity(name, unit, value, low, high, count, sources))
     wrong = int(np.sum(found.wrong > 0.5))
@@ -56,8 +58,8 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
 def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
     """Distance of the docked pose within which there are no detections.
 
-    The upper bound is the range of the nearest detection. The lower bound is the range at which so many frames without
-    a detection have passed that, with the share of frames with a detection farther away, chance is improbable.
+    The upper bound is the range of the nearest detection. The lower bound is the range at which the number of frames
+    without a detection is no longer explained by chance, given the share of frames with a detection farther away.
     """
     name, unit = "blind distance", "m"
     begins = np.cumsum([0, *(len(one.seen.ranges) for one in motion.of)])

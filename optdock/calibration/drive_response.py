@@ -5,8 +5,8 @@ The commanded speed is delayed by the latency and then followed with a time cons
     speed' = (gain * command(t - latency) - speed) / lag,
 
 and the distance travelled between two poses of the odometry is compared with the measured one. The latency of single
-commands is taken as uniformly distributed about its mean. As this smooths the response like the lag, the spread is
-estimated too.
+commands is taken as uniformly distributed about its mean. The spread smooths the response like the lag does, so it is
+also estimated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _WHEELS = (("left", -1.0), ("right", 1.0))
 
 
 class DriveResponse(NamedTuple):
-    """Estimates of the drive, and its response for the picture.
+    """Estimates of the drive, and the data of its response for the picture.
 
     Attributes:
         quantities: Latency and lag, linear and angular; dead bands.
@@ -64,7 +64,7 @@ class _Axis(NamedTuple):
     stamps: FloatArray
     way: FloatArray
     first: IntArray  # rows of `stamps` at the beginning of each span
-    last: IntArray  # and at the end
+    last: IntArray  # rows at the end of each span
 
 
 def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
@@ -180,7 +180,7 @@ def _clusters(axes: list[_Axis]) -> IntArray:
 
 
 def _axis(recording: Recording, name: str, bands: tuple[float, float] = (0.0, 0.0), width: float = 0.0) -> _Axis:
-    """Linear or angular drive; with a track width, wheels stand still below their dead bands [m/s]."""
+    """Linear or angular drive; with a track width, the wheels do not move below their dead bands [m/s]."""
     linear, angular = recording.commands.T
     if width > 0.0:
         rims = [linear + 0.5 * side * width * angular for _, side in _WHEELS]
@@ -208,7 +208,7 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
-    """Dead band of each wheel: the speed below which the wheel stands still that fits best [m/s].
+    """Dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
 
     The interval contains all speeds whose misfit, summed by clusters, is not significantly worse.
 
@@ -242,7 +242,7 @@ def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: 
 def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatArray:
     """Sums of squared residuals for each dead band and cluster, Shape (b, c) [m^2].
 
-    Sums beyond four times the usual ones are cut off, as a wheel may slip or stall.
+    Sums above four times the usual ones are clipped, because a wheel may slip or stall.
     """
     clusters, before = _clusters(axes), np.zeros(0)
     rows: list[FloatArray] = []

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["as_text", "as_yaml", "written_values"]
 
-# Advice for quantities that no key of a file holds.
+# Advice for quantities without a key in a file.
 _USES = {
     "detections late by": "estimated by the executor; subtract it from the stamps in the detector's driver",
     "twist window": "use the odometry's poses (Measurements.odometry), as a twist is delayed by half of it",
@@ -56,7 +56,7 @@ def as_text(calibration: Calibration) -> str:
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Return keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`) where known."""
+    """Return keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`) if known."""
     known = {one.name: one for one in calibration.quantities if one}
     executor = _settings(known)
     values: dict[str, dict[str, object]] = {}
@@ -86,8 +86,8 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
 def _settings(known: dict[str, Quantity]) -> dict[str, object]:
     """Settings of the executor that depend on one quantity each.
 
-    `odometry_sigma` is left out: it is meant for wheels without slip, which the executor models separately, and without
-    slip the odometry is more exact than detections can show.
+    `odometry_sigma` is left out: it describes wheels without slip, which the executor models separately; without slip,
+    the odometry is more accurate than the detections.
     """
     executor: dict[str, object] = {}
     for key, name in _LEARNED.items():

@@ -27,7 +27,7 @@ _RIGHT = 4.0  # standard deviations beyond which a detection is a wrong one
 _BIN = 0.5  # [s]: medians over this time are exact to millimetres, and few localizations are slower
 _SIDE = 2  # bins on either side whose means are compared for a jump
 _GAP = 1.5  # [s] between two bins, beyond which a change may be drift
-_LEAST_JUMP = 0.025  # [m]: AMCL mostly drifts by less in one second; otherwise see `_least_jump`
+_LEAST_JUMP = 0.025  # [m]: the drift of AMCL in one second is mostly smaller; otherwise see `_least_jump`
 _MOST_JUMP = 0.04  # [m]: if smaller jumps cannot be distinguished from drift, jumps of particle filters are not counted
 _TIMES_DRIFT = 3.5  # standard deviations of drift, exceeded by one change of 500; about a hundred are tested
 _BY_CHANCE = 3.5  # standard deviations of a change due to noise of detections
@@ -99,7 +99,7 @@ def docks_in_map(one: Smoothed, delay: float) -> Placed:
 
 
 def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses given in frames, in the parent frame of these, Shape (n, 3)."""
+    """Transform poses given in frames to the parent frame of the frames, Shape (n, 3)."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
     return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))
@@ -239,9 +239,9 @@ def _spread(
 ) -> Quantity:
     """Standard deviation of a drifting error: a Gauss-Markov process, by maximum likelihood.
 
-    The correlation time and a white part, in addition to the noise of the detections, are estimated too; the dock and
-    the sizes of jumps are unknown. The interval is that of the profile likelihood ([Pawitan2001] ch. 3). As a jump
-    before the dock is first detected shifts a whole recording, the lower bound is taken from a model with one more
+    The correlation time and a white part, in addition to the noise of the detections, are also estimated; the dock and
+    the sizes of jumps are unknown. The interval is computed from the profile likelihood ([Pawitan2001] ch. 3). A jump
+    before the dock is first detected shifts a whole recording, so the lower bound is that of a model with one more
     unknown, the standard deviation of an offset of each recording.
     """
     from scipy.optimize import brentq, minimize_scalar
@@ -256,7 +256,7 @@ def _spread(
             return process.profile(math.exp(logarithm), offsets=offsets)
 
         best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-        # Student's quantile replaces the normal one, as recordings are few.
+        # Student's quantile replaces the normal one, because recordings are few.
         level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
         if profile(limit) < level:
             return at, limit

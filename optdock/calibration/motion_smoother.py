@@ -41,8 +41,8 @@ __all__ = [
 
 _CELL = 0.2  # [s]: slip is rarely shorter
 _LEAST_WAY = 1e-3  # [m] in a cell, below which the robot is at rest without slip
-_LEAST_DETECTIONS = 8  # twice as many numbers as one recording has unknowns
-_LEVER = 0.2  # [m]: half of a usual track width, by which turns count as distance travelled by the wheels
+_LEAST_DETECTIONS = 8  # detections: twice as many values as one recording has unknowns
+_LEVER = 0.2  # [m]: half of a usual track width, converts turns to distance travelled by the wheels
 _CAUCHY = 2.5  # standard deviations beyond which the weight of a detection decreases
 _EVALUATIONS = 40  # limit for the problem of one recording, which is nearly linear
 _PRIOR = readonly(np.array([0.1, 0.5, 0.2, 0.5]))  # weak: scale [1], drift [rad/m], turn scale [1], delay [s]
@@ -172,7 +172,7 @@ class DetectionNoise(NamedTuple):
     Attributes:
         noise: Standard deviations.
         covariance: Covariance of position, position slope, yaw, yaw slope and the square of the jitter, Shape (5, 5).
-        wrong: Probability that each detection is a wrong one, Shape (n,).
+        wrong: Probability that each detection is wrong, Shape (n,).
     """
 
     noise: Noise
@@ -185,7 +185,8 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
     The density of a detection is a mixture: right detections have standard deviations that grow with the range and, by
     the jitter of the stamps, with the speed; wrong ones have large standard deviations. The covariance is clustered by
-    stretches of one second, as slip that the smoothed motion misses is common to all detections of a stretch.
+    stretches of one second, because slip that is missing from the smoothed motion is common to all detections of a
+    stretch.
     """
     from scipy.optimize import minimize
 

@@ -21,7 +21,7 @@ __all__ = ["odometry_age", "odometry_quantities", "twist_window"]
 
 _LEAST_TRIP, _LEAST_TURN = 0.3, 0.3  # [m], [rad] in total: over less, an error of 10 % is not visible
 
-_STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima where the speed hardly changes
+_STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima at nearly constant speed
 _LONGEST = 1.0  # [s]: a twist that is older is useless for control
 _LEAST_CHANGE = 0.05  # [m/s]: means over different windows are equal if the speed changes by less
 _ROUGH = 0.1  # of the time between two poses
@@ -34,7 +34,7 @@ _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a
 def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
     """Return the scales of distances and turns, the turn per metre and the delay of the detections.
 
-    With a track width also the errors of the wheels' radii and of the track width.
+    With a track width, also return the errors of the wheels' radii and of the track width.
 
     Args:
         motion: Smoothed recordings.
@@ -84,7 +84,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
     ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
     if not ages:
         return unknown(name, unit, "no control cycle is recorded with the pose of the odometry that it used")
-    # Means over 50 cycles are independent, as messages delay each other for a few cycles only.
+    # Means over 50 cycles are independent, because messages delay each other for a few cycles only.
     blocks = [np.mean(part) for one in ages for part in np.array_split(one, max(1, len(one) // 50))]
     if len(blocks) < 2:
         return unknown(name, unit, "the recordings are shorter than 100 cycles")
@@ -121,7 +121,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 class _Increments:
     """Distance and yaw of one recording by its poses, and the integrals of its twists.
 
-    Integrals over a span are compared, as increments over a short window are mostly jitter of the stamps.
+    Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -149,6 +149,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """Cluster indices of the residuals; each part has a linear and an angular one at every time."""
+    """Cluster indices of the residuals; each part has a linear and an angular residual at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

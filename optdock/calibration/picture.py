@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["save_calibration_picture"]
 
-_SHOWN = 15.0  # [s] of the response of the drive: curves of more are too dense
+_SHOWN = 15.0  # [s] of the response of the drive: longer curves are too dense
 _PAUSE = 1.5  # [s]: errors farther apart are not joined by a line
 
 

@@ -71,7 +71,7 @@ class OdometryPath(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One drive. Stamps are on the clock of its measurements [s], poses are rows of x, y [m], yaw [rad].
+    """One drive. Stamps are on the clock of the measurements [s], poses are rows of x, y [m], yaw [rad].
 
     Attributes:
         source: File name.
@@ -157,7 +157,7 @@ def read_recording(source: str | Path) -> ReadFile:
 
 
 def _format_of(source: Path) -> str:
-    """Format named in the first line or in the whole of a JSON file; empty if there is none."""
+    """Name of the format, from the first line or the whole of a JSON file; empty if there is none."""
     text = read_text(source, MostBytes.LOG)
     for part in (text.partition("\n")[0], text):
         try:
@@ -240,8 +240,8 @@ def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]
 def _log_localization(measured: list[Measurements]) -> FloatArray:
     """Stamps and poses of the localization, each estimate once.
 
-    Unstamped poses of every cycle are the odometry moved by a correction, as looked up from transforms; each change of
-    the correction is an estimate.
+    Unstamped poses of every cycle are the odometry moved by a correction, obtained from transforms; each change of the
+    correction is an estimate.
     """
     newest = {one.pose_stamp: one.pose for one in measured if one.pose is not None and one.pose_stamp is not None}
     if newest:
@@ -265,7 +265,7 @@ def _is_same(one: Pose2, other: Pose2) -> bool:
 
 
 def _log_detections(log: DockingLog, measured: list[Measurements]) -> FloatArray:
-    """Detections as the dock type returned them to the executor, each once, in the order of their stamps."""
+    """Detections returned by the dock type to the executor, each once, in the order of their stamps."""
     choice = log.task.dock_type
     if choice is not None:
         kind = CheckedDockType(create_plugin(DockType, choice.name, choice.parameters))
@@ -294,7 +294,7 @@ def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
 
 
 def _recording_of_bag(source: Path) -> Recording:
-    """The drive in a recording of ROS 2; detections must be in the robot's frame, as `optdock bag` writes them."""
+    """The drive in a recording of ROS 2; detections must be in the robot's frame, as written by `optdock bag`."""
     with open_bag(source) as bag:
         odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
         cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")

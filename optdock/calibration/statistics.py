@@ -175,7 +175,7 @@ def fit(
         )
         return found.x, residuals(found.x), size
 
-    # The scale at the guess is meaningless; from the second solution on it changes by at most a tenth.
+    # The scale at the guess is meaningless; after the second solution it changes by at most a tenth.
     values, left, size = solved(solved(solved(start)[0])[0])
     weights = 1.0 / np.sqrt(1.0 + (left / size) ** 2)
     slopes = _central_slopes(residuals, values, _STEP * steps)

@@ -26,8 +26,8 @@ def certify(
     """Check a plan file from any source: prove it, or list every broken rule.
 
     The path is proven or refuted. The motion is proven if the file has its phases; samples alone can be refuted but not
-    proven. Other values are compared with the values computed here, or listed as not judged. Exit status 0: path and
-    motion are certified, as far as the file has them, and no value is false; 4: the file is a refusal with a valid
+    proven. Other values are compared with the values computed here, or listed as not checked. Exit status 0: the path
+    and, if the file has one, the motion are certified, and no value is false; 4: the file is a refusal with a valid
     proof that no motion exists; 2: the file contradicts itself; otherwise 3.
     """
     with reported(verbose=verbose):

@@ -65,7 +65,7 @@ class _Console(logging.Formatter):
 
 
 class _Once(logging.Filter):
-    """Filter that passes every warning once, as a file may be read twice."""
+    """Filter that passes every warning once, because a file may be read twice."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,7 +132,7 @@ def spare(source: Path | None, *targets: Path | None) -> None:
     """Check that no output file is the input file or another output file.
 
     Raises:
-        InvalidValue: If one is; devices such as /dev/null may be named several times.
+        InvalidValue: If a file is named twice; devices such as /dev/null may be named several times.
     """
     files = [target for target in targets if target is not None and (target.is_file() or not target.exists())]
     for i, file in enumerate(files):
@@ -153,7 +153,7 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
     """Check that a given value is finite and > 0.
 
     Raises:
-        InvalidValue: If it is not.
+        InvalidValue: If the value is not finite and > 0.
     """
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise InvalidValue(f"{option}: must be finite and > 0 {unit}, got {value}")
@@ -163,7 +163,7 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
 def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
     """A progress bar with the estimated time left on stderr, on terminals only and after two seconds.
 
-    It advances by one at every call of the function it yields, which takes the name of the finished item.
+    The yielded function advances the bar by one; its argument is the name of the finished item.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -39,9 +39,9 @@ def nav2(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Write a scenario of a docking from Nav2's parameters, map and dock database.
 
-    The scenario refers to the map if its cells block the same as the global costmap of the parameters; otherwise a map
-    is written next to it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml --docks
-    docks.yaml --dock home --start 3.5,1.5,0.1 -o home.yaml
+    The scenario refers to the map if the same cells are occupied as in the global costmap of the parameters; otherwise
+    a map is written next to it. For example: optdock import nav2 --nav2-params nav2_params.yaml --map depot.yaml
+    --docks docks.yaml --dock home --start 3.5,1.5,0.1 -o home.yaml
     """
     with reported(verbose=verbose):
         import dataclasses
@@ -109,7 +109,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
     """Extract map, planned path and driven poses of a docking from a recording, for optdock certify.
 
     The last path, the last costmap and the driven poses are written in the frame of the costmap. To find collisions:
-    optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; likewise
+    optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; the same for
     failed/drive.json
     """
     with reported(verbose=verbose):

@@ -44,7 +44,7 @@ class WorldDeviations(NamedTuple):
         position_noise: Standard deviation of the measured x and y [m]; the default is typical of a docking sensor.
         yaw_noise: Standard deviation of the measured yaw [rad].
         lag: Time constant with which speed and yaw rate, or the steering of a car, follow their commands [s].
-        latency: Delay of the commands [s], taken to the nearest quarter of the control period.
+        latency: Delay of the commands [s], rounded to the nearest quarter of the control period.
     """
 
     position_noise: float = 0.001
@@ -181,7 +181,7 @@ def _refuse_fault(run: Run, left: str) -> None:
     """Report on stderr that a run did not dock, collided, or left the proven region.
 
     Raises:
-        Exit: If it did.
+        Exit: If the run failed in one of these ways.
     """
     faults = [*([run.fault] if run.fault else []), *([f"left the proven range: {left}"] if left else [])]
     for fault in faults:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 
-# Default plugins of the sections; of several planners the first, whose parameters may be given.
+# Default plugins of the sections; only the first planner, because only its parameters may be given.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
     "planner": DEFAULT_PLANNERS[0],
     "smoother": DEFAULT_SMOOTHER,
@@ -59,7 +59,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
-    """Return the planner that is named, or the default planners, the first with the given parameters.
+    """Return the named planner, or the default planners, the first one with the given parameters.
 
     Args:
         choice: Result of `plugin_choice`.

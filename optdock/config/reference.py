@@ -46,7 +46,7 @@ class KeyReference(NamedTuple):
         type: Notation of the value.
         unit: SI unit, or empty.
         rule: Allowed values.
-        default: Default in YAML; empty without one.
+        default: Default in YAML; empty without a default.
         required: Whether the key must be given.
         absent: Meaning of a missing key.
         description: Description.
@@ -88,7 +88,7 @@ def plugin_reference(kind: str, name: str) -> tuple[KeyReference, ...]:
 def scenario_schema() -> Schema:
     """Return a JSON schema (draft 2020-12) of scenario files with the parameters of every installed plugin.
 
-    Additional keywords: `x-unit`; `x-finite` if infinity is refused; `x-absent`, the meaning of a missing key;
+    Additional keywords: `x-unit`; `x-finite` if infinity is rejected; `x-absent`, the meaning of a missing key;
     `x-form`, the notation of a value. Rules on several keys (such as `at_dock <= required`) and on geometry are checked
     by `load_scenario` only.
     """

@@ -135,7 +135,7 @@ def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Docum
     """The problem, checked for rules between its parts.
 
     Raises:
-        InvalidFile: If one is broken.
+        InvalidFile: If such a rule is broken.
     """
     try:
         return problem_of(document, costmap)

@@ -1,8 +1,8 @@
 """Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
 The constructors of the values check their rules; the models call them key by key, so that every fault is reported. The
-scenario reference and the JSON schema of `optdock.config.reference` are made of the descriptions of the keys (`_key`),
-which have their unit in brackets.
+scenario reference and the JSON schema of `optdock.config.reference` are generated from the descriptions of the keys
+(`_key`), which end with the unit in brackets.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _key(
         absent: Meaning of a missing key, if not the default.
         above: Exclusive lower bound of the constructor.
         least: Inclusive lower bound of the constructor.
-        finite: Whether infinity, `.inf` in YAML, is refused.
+        finite: Whether infinity, `.inf` in YAML, is rejected.
     """
     values = {"exclusiveMinimum": above, "minimum": least, "x-absent": absent or None, "x-finite": finite or None}
     extra: Any = {name: value for name, value in values.items() if value is not None}
@@ -434,7 +434,7 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """The start curvature of the path [1/m]: as given, else free at rest (None) and 0 in motion."""
+        """The start curvature of the path [1/m]: the given one, or else free at rest (None) and 0 in motion."""
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
@@ -541,7 +541,7 @@ def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     model: type[BaseModel] | None = ScenarioDocument
     for part in key:
         field = model.model_fields.get(str(part)) if model else None
-        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional one
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional mapping
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return tuple(model.model_fields) if model else ()
 

@@ -45,9 +45,9 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    The file reads back as the same problem, number by number. The file refers to `map_source` if its cells block the
-    same as the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and NAME_map.pgm.
-    Default motion limits of the scenario are not written.
+    Reading the file yields the same problem with identical numbers. The file refers to `map_source` if the same cells
+    are occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
+    NAME_map.pgm. Default motion limits of the scenario are not written.
 
     Args:
         target: The file.
@@ -61,7 +61,7 @@ def save_scenario(
 
     Raises:
         InvalidFile: If a file cannot be written.
-        InvalidValue: If a scenario file cannot hold the problem: free unknown cells, or tolerances of the dock.
+        InvalidValue: If a scenario file cannot represent the problem: free unknown cells, or tolerances of the dock.
     """
     target, problem = Path(target), scenario.problem
     _check_supported(problem)
@@ -177,7 +177,7 @@ def _start(problem: DockingProblem) -> dict[str, object]:
 
 
 def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
-    """Section of a plugin; of several planners, the parameters of the first without its name."""
+    """Section of a plugin; for several planners, the parameters of the first one without its name."""
     if isinstance(choice, tuple):
         return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
     return {"plugin": choice.name, **choice.parameters}

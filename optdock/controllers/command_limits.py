@@ -1,4 +1,4 @@
-"""Limits on commands: the command nearest to the wanted one that the drive can follow from the last, jerk included.
+"""Limits on commands: the command nearest to the wanted one that can follow the last one, with limits up to the jerk.
 
 The speed is a second-order limiter. A reachable command passes unchanged, so a feed-forward within the limits has no
 lag; otherwise the acceleration changes by no more than the jerk, and decreases early enough that the speed reaches the
@@ -6,11 +6,12 @@ wanted one without overshoot: relative to the feed-forward, over a difference d,
 sqrt(2 jerk d).
 
 A limit that speed and turn share (wheels, lateral acceleration, yaw rate of steered wheels) is checked over the time in
-which a rising acceleration comes down at the largest jerk, while the turn decreases. A command is accepted only if both
-together stay within the limit until then, so that a next command exists. The speed gives way first, then the turn.
+which a positive acceleration decreases to zero at the largest jerk, while the turn decreases. A command is accepted
+only if both together stay within the limit until then, so that a next command exists. The speed is reduced first, then
+the turn.
 
-The lateral jerk is bounded by the rate of the turn alone. The limits above have priority, and so does braking in a
-bend, whose lateral jerk no turn compensates without leaving the bend.
+The lateral jerk is bounded by the rate of the turn alone. The limits above have priority. Braking in a bend also has
+priority, because its lateral jerk can only be compensated by leaving the bend.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ if TYPE_CHECKING:
 __all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
-_ROUNDING = 1e-15  # [m/s]: a difference to the wanted command that counts as none
+_ROUNDING = 1e-15  # [m/s]: a smaller difference to the wanted command counts as zero
 _CREEPING = 0.005  # [m/s]: the curvature of a slower command is too inaccurate for the angle of steered wheels
 _SAME_ARC = 1.5  # ratio of the speed to the wanted one beyond which the curvature of the wanted command is meaningless
 _EXACT = 1.0 + 1e-12  # rounding of a motion at its limits
-_NO_JERK = 1e-6  # of the limit: rounding of the jerk that the target leaves
+_NO_JERK = 1e-6  # of the limit: rounding of the jerk that the target does not use
 _HALVINGS = 40  # of a bisection, to rounding
 _EQUAL = 0.99  # of a period: jitter of a clock
 _SLOWER = 1.2  # times the usual period: bound on late calls
@@ -42,7 +43,7 @@ _QUARTER = 1.57  # [rad]: largest steering angle
 
 
 class CommandLimiter:
-    """Limits each command by the last one.
+    """Limiter of each command by the previous one.
 
     Attributes:
         command: The last command.
@@ -64,7 +65,7 @@ class CommandLimiter:
         self.curvature: float | None = command.angular / command.linear if moving else None
 
     def stop(self, period: float = 0.0) -> None:
-        """Restart from rest, as after an emergency stop, which keeps no jerk limit.
+        """Restart from rest, for instance after an emergency stop, which has no jerk limit.
 
         Args:
             period: Time for which the command has been zero [s]; 0: unknown.
@@ -99,12 +100,12 @@ class CommandLimiter:
 
         Args:
             wanted: Sum of feed-forward and feedback.
-            feed_forward: Feed-forward, whose rate of change the command converges to.
+            feed_forward: Feed-forward; the rate of change of the command converges to that of the feed-forward.
             period: Time since the last command [s], > 0.
             limits: Limits of the robot.
             drive: Kind of drive.
-            in_place: Whether a differential drive may turn tighter than its smallest radius: where the reference turns
-                in place, or is at its end.
+            in_place: Whether a differential drive may turn tighter than its smallest radius: if the reference turns in
+                place, or is at its end.
             room: Distance in which the robot must be able to stop [m].
         """
         free = in_place and drive is Drive.DIFFERENTIAL
@@ -167,16 +168,16 @@ class CommandLimiter:
 
         found = _largest(fits, min(least, forward * slope), forward * slope)
         if speed > 0.0:
-            step = limits.max_jerk * period  # a rest within a period needs as much more
+            step = limits.max_jerk * period  # additional deceleration for a rest within the period
             most = forward * self.acceleration + limits.max_jerk * self._between(period)
             usual = min(period, self._usual)
             found = max(found, min(-_fastest(speed, limits.max_jerk, period, usual) - step, most))
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced to the limits that it shares with the turn, as far as the jerk allows."""
+        """Return the acceleration, reduced to the limits that it shares with the turn if the jerk allows it."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
-        speed = forward * self.command.linear  # negative: it decreases towards rest
+        speed = forward * self.command.linear  # negative: the speed decreases towards rest
         top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
         most = min(rise, _rise_to(top - speed, limits.max_jerk, period))
         if turn.steered and turn.least != 0.0:
@@ -250,8 +251,8 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
     """Whether a command is within the limits that speed and turn share, now and while both decrease fastest.
 
-    `speed` and `rise`, the acceleration at the end of the period, count in the direction of the rise; `amount` is the
-    size of the turn.
+    `speed` and `rise`, the acceleration at the end of the period, are positive in the direction of the rise; `amount`
+    is the size of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     shared: tuple[tuple[int, float, float, float], ...]
@@ -304,7 +305,7 @@ def _rise_to(gap: float, jerk: float, period: float) -> float:
 
 
 def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest value in [low, high] that fits, by bisection; `low` where none does."""
+    """Return the largest value in [low, high] that fits, by bisection; `low` if no value fits."""
     if high <= low or fits(high):
         return max(low, high)
     for _ in range(_HALVINGS):
@@ -326,8 +327,8 @@ def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     """Return the largest deceleration of the coming period.
 
-    From rest on it is an acceleration in the other direction, with a limit a of its own. While the deceleration
-    decreases from b to a, the speed changes by (b^2 - a^2) / (2 jerk).
+    After rest it is an acceleration in the other direction, with its own limit a. While the deceleration decreases from
+    b to a, the speed changes by (b^2 - a^2) / (2 jerk).
     """
     most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
     until_rest = speed / most
@@ -345,10 +346,10 @@ def smooth_slope(
     periods: tuple[float, float, float],
     target_jerk: tuple[float, float] = (0.0, math.inf),
 ) -> float:
-    """Return the slope of the next period, of a value that is to reach a moving target and stay with it.
+    """Return the slope in the next period of a value that has to reach and follow a moving target.
 
-    The slope relative to the target must come down at the part of `jerk` that the target's own jerk leaves, or is so
-    small that the value arrives no later than that jerk ends.
+    The slope relative to the target must decrease by the part of `jerk` that the target's own jerk does not use, or is
+    so small that the value arrives no later than that jerk ends.
 
     Args:
         missing: Difference of target and value before the period.
@@ -405,7 +406,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` that keeps the lateral jerk, no larger than it and the last one."""
+    """Return the yaw rate nearest to `angular` within the lateral jerk, no larger than both it and the last one."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period

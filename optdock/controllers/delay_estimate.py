@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ControlClock", "DelayEstimate"]
 
-_FIRST = 0.005  # [s]: assumed before the first call, so that its command is admissible at 200 Hz too
+_FIRST = 0.005  # [s]: assumed before the first call, so that its command is also admissible at 200 Hz
 _LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
 _MOST_GROWTH = 2.0  # bound on one late call in the filtered period
 _SMOOTHING = 0.2  # weight of the newest period in the filtered one
@@ -33,13 +33,13 @@ _SLEW = 0.5  # [s/s]: largest change of the estimate, so that the feed-forward d
 
 
 class ControlClock:
-    """Measures the period of the calls from their stamps.
+    """Period of the calls, measured from their stamps.
 
     Attributes:
         now: Stamp of the last call [s]; None before the first.
         elapsed: Time between the last two calls [s], at most half a second.
         period: Filtered period, the estimate of the coming one [s].
-        learnt: Whether the last call was the first that gave a period.
+        learnt: Whether the last call was the first one with a measured period.
         silent: Whether the last call was the first, or came after more than half a second.
     """
 
@@ -60,7 +60,7 @@ class ControlClock:
             period: Fixed period [s]; None: measured.
 
         Raises:
-            NoValidControl: If the clock went back. Calls are refused until the clock has caught up or is reset.
+            NoValidControl: If the clock went back. Calls are rejected until the clock has caught up or is reset.
             InvalidValue: If the stamp is not a finite number.
         """
         stamp = context.clock() if stamp is None else finite_number(stamp, f"{context.name}: stamp")
@@ -89,7 +89,7 @@ class ControlClock:
 
 
 class DelayEstimate:
-    """Estimates the drive's delay with a bank of models, from commands and measured speeds.
+    """Estimator of the drive's delay by a bank of models, from commands and measured speeds.
 
     Every model is a latency followed by a first-order lag; the feed-forward needs only their sum. The period may vary.
 
@@ -97,7 +97,7 @@ class DelayEstimate:
         delay: Known delay [s].
 
     Attributes:
-        delay: Latency plus lag of the best model [s]; the known delay until there is evidence.
+        delay: Latency plus lag of the best model [s]; the known delay until the data determine it.
     """
 
     def __init__(self, delay: float = 0.0) -> None:

@@ -39,7 +39,7 @@ class Obstruction(NamedTuple):
 
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
-    """Return poses from `pose` on along arcs, each a velocity and its duration [s]. Shape (n, 3)."""
+    """Return poses along successive arcs from `pose`, each a velocity and its duration [s]. Shape (n, 3)."""
     radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
     for twist, duration in phases:
         reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
@@ -52,7 +52,7 @@ def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, 
 
 
 class LookAhead:
-    """Finds obstacles along motions; caches those around the robot until they change."""
+    """Search for obstacles along motions, with a cache of those around the robot until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 __all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks", "rate_for_turning", "waiting_rate"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
-_STEADY = 1e-3  # [1/s]: a slower change of the rate counts as none
-_AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
+_STEADY = 1e-3  # [1/s]: a slower change of the rate counts as zero
+_AT_START = 0.05  # [m]: a robot within this distance of the start begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
-_LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can come down
+_LOOK_AHEAD = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which the rate can decrease
 _SAMPLES = 400  # for the nearest point
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 
@@ -97,10 +97,10 @@ def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
 class TrajectoryReference:
     """The present set-point: `trajectory` at time `time`, which advances by `rate` seconds per second.
 
-    The commands are ahead of the reference by a preview that compensates the delay of the drive. Where the preview or
-    the rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate
-    and every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
-    `rate^2 * acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
+    The commands are ahead of the reference by a preview that compensates the delay of the drive. If the preview or the
+    rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate and
+    every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum `rate^2 *
+    acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -136,7 +136,7 @@ class TrajectoryReference:
         return np.array([pose.as_array() for pose in poses])
 
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
-        """Let `trajectory` take over `lead` seconds from now, instead of those that were to take over later.
+        """Let `trajectory` take over `lead` seconds from now, and cancel later takeovers.
 
         The place of the change is fixed by the present rate: a later change of the rate moves the instant, so that the
         reference does not jump. A standing reference waits.
@@ -213,7 +213,7 @@ class TrajectoryReference:
         return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
 
     def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
-        """Return poses over the next `distance` [m] of the path, offset as `pose` is from `now`; None beyond the path.
+        """Return poses over the next `distance` [m] of the path, offset by `pose` relative to `now`; None beyond it.
 
         Shape (n, 3).
         """
@@ -240,7 +240,7 @@ class TrajectoryReference:
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
-        """Begin at the trajectory's start, or at the nearest point of the first gear when the robot is not there.
+        """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
 
         The first rate makes the reference no faster than the robot at `linear` m/s; from rest the reference begins late
         by the drive's `delay` [s], so that no command is left out.
@@ -263,7 +263,7 @@ class TrajectoryReference:
 
         `now` is the last result of `state`.
         """
-        if self.time < 0.0:  # before the beginning the rate does not matter
+        if self.time < 0.0:  # before the start of the trajectory the rate has no effect
             if target_rate == 0.0:
                 self.rate = 0.0
                 return
@@ -337,7 +337,8 @@ def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, floa
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 
-    They occur at the borders of the phases; the speed's also where the acceleration vanishes within a phase.
+    They occur at the borders of the phases; the largest speed may also occur at a zero of the acceleration within a
+    phase.
     """
     law = trajectory.time_law
     middle = law.phase_middles(0.5 * (law.times[:-1] + law.times[1:]))
@@ -369,7 +370,7 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
         reference: The moving reference.
         reserve: Share of `max_yaw_acceleration` left to feedback [1].
         limits: Limits of the robot.
-        drive: Kind of drive; steered wheels get a reserve in every limit.
+        drive: Kind of drive; for steered wheels there is a reserve in every limit.
     """
     most = _STEERED_RATE if drive is Drive.ACKERMANN else 1.0
     kept = (1.0 - reserve) * limits.max_yaw_acceleration
@@ -380,5 +381,5 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
 
 
 def waiting_rate(lag: float, slow_down_lag: float, stop_lag: float) -> float:
-    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 from `stop_lag` on [m], linear between."""
+    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear between."""
     return min(1.0, max(0.0, (stop_lag - lag) / max(1e-9, stop_lag - slow_down_lag)))

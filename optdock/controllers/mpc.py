@@ -95,7 +95,7 @@ class MpcStatus(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """Commands of a solved cycle at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
+    """Commands of a cycle solved at `stamp`, Shape (n, 2), with the times at which each begins, Shape (n,) [s]."""
 
     stamp: float
     times: FloatArray
@@ -103,16 +103,17 @@ class _Plan(NamedTuple):
 
 
 class MpcController(TrackingController):
-    """Follows a trajectory by model predictive control: a TrackingController with another law.
+    """Controller that follows a trajectory by model predictive control: a TrackingController with another law.
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as braking
     takes, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go weighs the
-    rest of the trajectory, so that an error is corrected before the dock as far as possible. Latency and lag, given or
-    identified, are part of the model. Errors across and in heading are kept within the robot's tube,
-    `Robot.tracking`, if it has one and the limits allow it.
+    rest of the trajectory, so that errors are corrected before the dock if possible. Latency and lag, given or
+    identified, are part of the model. Errors across and in heading are kept within the robot's tube, `Robot.tracking`,
+    if it has one and the limits allow it.
 
-    `status` reports a jerk limit that no commands keep (the reference jumped), a tube that is left, and a program
-    without a solution; then the commands found before continue, and after them NoValidControl is raised.
+    `status` reports a jerk limit that no commands keep (the reference jumped), a robot outside the tube, and a program
+    without a solution; in the last case the commands of the previous cycle continue, and after them NoValidControl is
+    raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
@@ -146,7 +147,7 @@ class MpcController(TrackingController):
         self._prepare()
 
     def reset(self) -> None:
-        """Discard the path and the identified delay; the speed limit stays."""
+        """Discard the path and the identified delay; the speed limit is kept."""
         super().reset()
         self._to_go.clear()
         self._given.clear()
@@ -236,7 +237,7 @@ class MpcController(TrackingController):
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
-        # The horizon has neither the braking of a cancel nor steered wheels that turn at rest.
+        # The model of the horizon contains neither the braking of a cancel nor steered wheels that turn at rest.
         turning = self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished
         if self._cancelled or turning:
             self._nominal = self._limiter.allowed = None
@@ -317,7 +318,7 @@ class MpcController(TrackingController):
         return shifted
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """Return the bounds of the commands after the last one."""
+        """Return the bounds of the commands that follow the last one."""
         n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
         v, rise, fall = nominal[:, 0], limits.max_acceleration, limits.max_deceleration
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
@@ -362,7 +363,7 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Passes the program's commands, which keep all limits, and limits those that the finish has changed.
+    """Limiter that passes the program's commands, which keep all limits, and limits those changed by the finish.
 
     Attributes:
         allowed: The program's command of this cycle.
@@ -389,7 +390,7 @@ class _ProgramLimiter(CommandLimiter):
         command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
         if is_first or allowed is None or wanted.linear != allowed.linear:
             return command
-        if wanted.angular in (allowed.angular, 0.0):  # the finish leaves out a turn of almost nothing
+        if wanted.angular in (allowed.angular, 0.0):  # the finish leaves out a negligible turn
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
             self.acceleration = (command.linear - before.linear) / period
             if abs(command.linear) > _AT_REST:

@@ -29,7 +29,7 @@ __all__ = ["Prediction", "ReferenceArcs", "arcs_between", "predicted", "riccati_
 
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
-_SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as none
+_SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as zero
 _MOST_ITERATIONS = 300  # of the active set, some 3 ms; a warm start takes 20
 
 
@@ -134,7 +134,7 @@ def riccati_back(arcs: ReferenceArcs, stage: FloatArray, effort: FloatArray, fin
 
 
 class MpcWeights(NamedTuple):
-    """Weights of the cost, per second; `final` counts once."""
+    """Weights of the cost, per second; `final` is added once."""
 
     errors: FloatArray  # errors along, across [1/m^2] and in yaw [1/rad^2], Shape (3,)
     effort: FloatArray  # deviations of speed and yaw rate from the nominal commands, Shape (2,)
@@ -204,7 +204,7 @@ class TrackingProgram:
         self._effort = np.zeros((2 * steps, 2 * steps))
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
-        """Return the optimal commands; None if there are none within the iterations."""
+        """Return the optimal commands; None if none are found within the iterations."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
@@ -227,7 +227,8 @@ class TrackingProgram:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
         A command is the mean over its step, so two of them are half of both steps apart. Their difference is the mean
-        of the acceleration over a triangle around the border; the jerk counts between the centroids of these triangles.
+        of the acceleration over a triangle around the border; the jerk is measured between the centroids of these
+        triangles.
         """
         n, program = self._steps, self._program
         self._h = h.copy()

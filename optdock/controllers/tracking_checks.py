@@ -23,7 +23,7 @@ _BETTER = 0.95  # of the least shortfall so far, to count as progress: above the
 
 
 def checked_speed_limit(limit: object, percentage: object) -> float:
-    """Return `limit`, in percent or m/s.
+    """Check a speed limit in percent or m/s, and return it.
 
     Raises:
         InvalidValue: If `limit` is not a finite number >= 0, or `percentage` is not a bool.
@@ -36,10 +36,10 @@ def checked_speed_limit(limit: object, percentage: object) -> float:
 
 
 def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Trajectory:
-    """Return `task`, the path or trajectory to follow.
+    """Check `task`, the path or trajectory to follow, and return it.
 
-    The frame must be the one of the configured problem, as far as both are known. A certified trajectory must have been
-    certified for the configured problem; only its start may differ, as a new plan in motion begins at the robot.
+    The frame must be the one of the configured problem if both are known. A certified trajectory must have been
+    certified for the configured problem; only its start may differ, because a new plan in motion begins at the robot.
     Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:
@@ -75,12 +75,12 @@ class AcceptedErrors(NamedTuple):
     yaw: float
 
     def shortfall(self, error: Pose2) -> float:
-        """Return the largest error in units of the accepted one; at most 1 where all are accepted."""
+        """Return the largest error in units of the accepted one; at most 1 if all errors are accepted."""
         return max(abs(error.x) / self.along, abs(error.y) / self.cross, abs(error.yaw) / self.yaw)
 
 
 def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) -> AcceptedErrors:
-    """Return the tolerances of the goal checker, and of the problem's dock where it has none."""
+    """Return the tolerances of the goal checker, and those of the problem's dock for the missing ones."""
     asked = goal_checker.tolerances if goal_checker else None
     dock = context.problem.dock.tolerances if context.problem else DockTolerances()
     given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
@@ -106,7 +106,7 @@ class _StallTimer:
 
 
 class ProgressCheck:
-    """Detects a robot that does not follow its reference, or does not come nearer to the goal at the end."""
+    """Detector of a robot that does not follow its reference, or does not approach the goal at the end."""
 
     def __init__(self) -> None:
         self._following, self._arriving = _StallTimer(), _StallTimer()

@@ -45,12 +45,12 @@ if TYPE_CHECKING:
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
-_CREEP = 1e-6  # [m/s]: moves no drive, but its curvature turns steered wheels
+_CREEP = 1e-6  # [m/s]: too slow to move the robot, but its curvature turns steered wheels
 _TURN_LEVER = 0.5  # [m]: turns in place identify the delay by the speed of a point at this distance
 _ROOM = 2e-4  # [m] beyond the next rest: rounding of a motion at full braking
 _NOTHING = 5e-5  # [m/s], [rad/s]: smaller commands at the end are zero
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
-_SEEN_NOISE = 2.0  # standard deviations of a pose across that count as noise of a depth
+_SEEN_NOISE = 2.0  # standard deviations of a pose across the path that are regarded as noise of a depth
 _PEAK_MARGIN = 1.2  # without a configured robot: limits over the peaks of the trajectory, room for feedback
 
 
@@ -99,30 +99,32 @@ class TrackingControllerParameters(PluginParameters):
 
 
 class TrackingController(Controller):
-    """Follows a trajectory in time, in both gears, and corrects the remaining error at its end.
+    """Controller that follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
-    **Time.** Every call advances the reference by the time since the last one, as the stamps say, or by `period` if
-    given, times a rate in [0, 1]. Any call rate from 10 to 200 Hz works, also a varying one. The rate is 1, lower under
-    a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot further than
-    `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
+    **Time.** Every call advances the reference by the time since the last one, measured by the stamps, or by `period`
+    if given, times a rate in [0, 1]. Any constant or varying call rate from 10 to 200 Hz is possible. The rate is 1,
+    lower under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot
+    further than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
 
-    **Law.** See `tracking_law`. The feed-forward is that of the middle of the coming period, `preview` ahead. Without
-    `preview` the delay of the drive is identified from the first ramp on, and kept until `reset`.
+    **Law.** See `tracking_law`. The feed-forward is taken at the middle of the coming period, `preview` ahead of the
+    reference. Without `preview` the delay of the drive is identified, beginning with the first ramp, and kept until
+    `reset`.
 
-    **Finish.** At the trajectory's end the same law holds the last pose. A drive that ignores small commands gets
-    larger ones, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal checker
-    accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
-    NoValidControl, as does a robot that does not follow.
+    **Finish.** At the trajectory's end the same law holds the last pose. If the drive ignores small commands, larger
+    ones are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal
+    checker accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
+    NoValidControl. A robot that does not follow the reference also raises NoValidControl.
 
     **Collisions.** A command after which the robot could not stop before it touches something raises NoValidControl.
     The checked motion is the commands under way in the drive, one period of the new command, and braking, along its arc
     or along the path. Contact with the station, and with obstacles that the trajectory touches at its start or end, is
-    intended: `collision_tolerance` is allowed there. A robot inside an obstacle may move unless it goes deeper.
+    intended: `collision_tolerance` is allowed there. A robot that overlaps an obstacle may move if the depth does not
+        increase.
     Obstacles come from the context: the problem, and the costmaps at the time of the call; without both there is no
     check.
 
-    **Limits.** Those of the context's robot; without one the defaults of `MotionLimits`, widened to 1.2 times the
-    peaks of the trajectory. Commands are admissible for the drive and keep its acceleration limits.
+    **Limits.** The limits are those of the context's robot, or without a robot the defaults of `MotionLimits`, widened
+    to 1.2 times the peaks of the trajectory. Commands are admissible for the drive and keep its acceleration limits.
 
     Args:
         **parameters: Fields of `TrackingControllerParameters`.
@@ -150,7 +152,7 @@ class TrackingController(Controller):
         self._start_attempt()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
-        """Follow a trajectory, or a path after timing it, from the next call on.
+        """Follow a trajectory, or a path after timing it, beginning with the next call.
 
         A path is timed from the speed of the last command, so that the robot need not stop for a new path.
 
@@ -158,8 +160,8 @@ class TrackingController(Controller):
             path: Path or trajectory to follow.
             start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until then the reference
                 continues on the previous trajectory, or waits at the start if there is none. The new trajectory should
-                begin at the state of the reference at that time. None: starts with the next call, from where the robot
-                is.
+                begin at the state of the reference at that time. None: the trajectory starts with the next call, at the
+                robot's place.
 
         Raises:
             ControllerInvalidPath: If it is neither a path nor a trajectory, is in another frame than the configured
@@ -185,7 +187,7 @@ class TrackingController(Controller):
         Args:
             pose: Measured pose.
             velocity: Measured body velocity, the start of the first command and the response to the last one.
-            goal_checker: Its position tolerance may widen `finish_tolerance`.
+            goal_checker: Goal checker whose position tolerance may widen `finish_tolerance`.
             stamp: Time of the measured pose [s], on any monotonic clock; None: now, on the context's clock.
 
         Raises:
@@ -246,7 +248,7 @@ class TrackingController(Controller):
     def _room(self, reference: TrajectoryReference, now: ReferenceState, lag: float) -> float:
         """Return the distance to the next rest when the command takes effect [m]; infinite at the end.
 
-        The present lag adds to it, less what the commands under way make up.
+        The present lag is added, less the part that the commands under way correct.
         """
         ahead = now.ahead
         if self._last is None or reference.finished or self._cancelled or ahead.gear == 0.0 or ahead.gear != now.gear:
@@ -305,7 +307,7 @@ class TrackingController(Controller):
         )
 
     def reset(self) -> None:
-        """Discard the path and the identified delay; the speed limit stays."""
+        """Discard the path and the identified delay; the speed limit is kept."""
         self._reference = self._starts_at = None
         self._clock = ControlClock()
         self._delay = DelayEstimate()
@@ -419,7 +421,7 @@ def _at_least(value: float, least: float) -> float:
 
 
 def _limited_rate(speed_limit: tuple[float, bool] | None, trajectory: Trajectory) -> float:
-    """Return the rate under a speed limit, in percent where the second value is True."""
+    """Return the rate under a speed limit, which is in percent if the second value is True."""
     if speed_limit is None:
         return 1.0
     limit, percentage = speed_limit

@@ -7,7 +7,7 @@ rate w_r, [Samson1993], [Kanayama1990], [DeLuca2001]:
     w = w_r + k_y v_r sinc(theta) y + k_theta theta
 
 V = k_y (x^2 + y^2) / 2 + theta^2 / 2 gives V' = -k_y k_x x^2 - k_theta theta^2 <= 0 for either sign of v_r, so the law
-is stable in both gears, and y converges where v_r does not vanish (continuous time, commands not saturated).
+is stable in both gears, and y converges while v_r does not vanish (continuous time, commands not saturated).
 Linearized, the lateral error obeys s^2 + k_theta s + k_y v_r^2. With k_y = 1 / L^2 and k_theta = 2 zeta |v_r| / L the
 error decays over the distance L at every speed.
 
@@ -39,14 +39,14 @@ __all__ = [
 ]
 
 # Share of the phase margin that a delay may take: 0.4 leaves 46 of 76 degrees across at a damping of 1, and 54 of 90
-# along. Textbooks ask for 30 to 60 degrees.
+# along. Textbooks recommend 30 to 60 degrees.
 _SHARE = 0.4
 _SAME_ROOTS = 1e-6  # half the difference of the two exponents below which their quotient is rounding
 
 CREEPING = 1e-3  # [m/s]: the curvature of a slower reference is undefined
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _QUICKEST_TURN = 4.0  # [1/s], largest heading gain before the end, within the bound of the delay
-_AT_END = 0.78  # of the distance that the delay asks for, near the end: a phase margin of 37 degrees
+_AT_END = 0.78  # of the distance that the delay requires, near the end: a phase margin of 37 degrees
 _ERROR_SMOOTHING = 0.2  # [s], time constant of the error filter
 _SCATTER_SMOOTHING = 1.0  # [s], time constant of the variance filter
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: bound on what one sample adds to the variance
@@ -63,7 +63,7 @@ class Gains(NamedTuple):
     """Gains of the law.
 
     `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], which turns
-    the robot where the reference stands.
+    the robot if the reference is at rest.
     """
 
     along: float
@@ -103,8 +103,8 @@ def left_after(
 ) -> tuple[float, float]:
     """Return the lateral offset [m] and slope [rad] that the law leaves after a distance (E5).
 
-    With the offset y and slope y', y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L where that
-    is more (at least critically damped).
+    With the offset y and slope y', y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L if that is
+    larger (at least critically damped).
 
     Args:
         distance: Distance to drive [m], >= 0.
@@ -138,7 +138,7 @@ def tracking_command(error: Pose2, reference: Twist2, gains: Gains) -> Twist2:
 
 
 class FeedbackGains:
-    """Gains scheduled by the drive's delay and by the distance to the end; estimates the noise of the poses.
+    """Gain schedule by the drive's delay and the distance to the end, with an estimate of the noise of the poses.
 
     Attributes:
         scatter: Variance of a measured pose across the robot [m^2].
@@ -173,11 +173,11 @@ class FeedbackGains:
         delay: float,
         finished: bool,
     ) -> Gains:
-        """Return `usual` within the bounds of the delay, and other gains where those would leave too much at the end.
+        """Return `usual` within the bounds of the delay, or other gains if those would leave too large an error.
 
-        The lateral and heading errors count in units of the accepted ones, smoothed and beyond their own noise, which
-        higher gains would amplify. A lateral error is removed by turning the robot: where the distance left is too
-        short to turn back, the heading is corrected and the lateral error stays.
+        The lateral and heading errors are measured in units of the accepted ones; they are smoothed, and reduced by
+        their own noise, which higher gains would amplify. A lateral error is removed by turning the robot: if the
+        remaining distance is too short to turn back, the heading is corrected and the lateral error remains.
 
         Args:
             usual: Gains of the parameters.

@@ -1,4 +1,4 @@
-"""Validation of what drivers and dock types deliver: invalid measurements are dropped, invalid answers are errors."""
+"""Validation of measurements, which are dropped if invalid, and of a dock type's values, which raise an error."""
 
 from __future__ import annotations
 
@@ -96,10 +96,10 @@ _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
 
 
 class CheckedDockType:
-    """A dock type whose answers are validated; exceptions of the dock type are passed on.
+    """A dock type whose return values are validated; exceptions of the dock type are passed on.
 
     Raises:
-        PluginError: From every method and property, if the answer violates the contract of `DockType`.
+        PluginError: From every method and property, if the value violates the contract of `DockType`.
     """
 
     def __init__(self, dock_type: DockType) -> None:

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 __all__ = ["REST_PATIENCE", "STOP", "ControlCycles", "Cycles", "Situation", "Target"]
 
-REST_PATIENCE = 2.0  # [s]: wait no longer for an odometry that does not reach zero
+REST_PATIENCE = 2.0  # [s]: longest wait for the odometry to reach zero
 _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry, with the noise of encoders
-# [m], [s] for which odometry replaces the localization while the dock is detected: with an error of the wheels of 1 %,
-# 1 cm is a fifth of a usual clearance, and the last metre before a dock takes less time.
+# [m], [s] for which odometry replaces the localization while the dock is detected: with a wheel error of 1 % the error
+# is 1 cm, a fifth of a usual clearance, and the last metre before a dock takes less time.
 _UNLOCATED = 1.0, 10.0
 _LOCATED = 0.01  # [m]: standard deviation up to which odometry may replace the localization
 _DOCKED_BY = {Contact.SIGNAL: EndingKind.DOCKED_BY_SIGNAL, Contact.STALL: EndingKind.DOCKED_BY_STALL}
@@ -40,7 +40,7 @@ STOP = None
 
 
 class Situation:
-    """The present state of robot, dock and surroundings, derived from the measurements.
+    """Present state of robot, dock and surroundings, derived from the measurements.
 
     Attributes:
         estimate: Robot relative to the dock.
@@ -163,7 +163,7 @@ class Situation:
             self.felt = self.dock_type.contact(at_dock)
 
     def contact(self) -> EndingKind | None:
-        """Return how the robot is docked by contact; None without contact or far from the dock."""
+        """Return the kind of docking by contact; None without contact or far from the dock."""
         if self.felt is None:
             self._far_contact_reported = False
             return None
@@ -183,8 +183,8 @@ class ControlCycles:
 
     Attributes:
         state: State of the executor.
-        cancelled: Set it to cancel the task.
-        is_ending: Set it for the last stop, which neither cancellation nor timeout ends.
+        cancelled: Set to True to cancel the task.
+        is_ending: Set to True for the last stop, which neither cancellation nor timeout ends.
         deviation: Robot relative to the nearest pose of the path; None while no path is driven.
         began: Time at which the task began [s].
         period: Duration of the last cycle [s].

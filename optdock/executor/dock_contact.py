@@ -1,4 +1,4 @@
-"""At the dock: detect it at rest, confirm that the robot is docked, press, back out, and nudge the robot into place.
+"""Actions at the dock: detect it at rest, confirm that the robot is docked, press, back out, correct small errors.
 
 The motions here are short, straight or in place, and not planned; each is checked against the obstacles by time of
 impact before it is driven.
@@ -33,36 +33,36 @@ _INSTANT = 1e-9  # [s], and as a negligible share [1]
 # Detections at rest.
 # [s] for a detection in the dock: at 10 Hz with half of the detections lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
-_HIDDEN_FOR = 2.5  # [s] for a person in front of a dock that was detected from close by to walk on
+_HIDDEN_FOR = 2.5  # [s] time for a person to walk away from in front of a dock that was detected from close by
 # Margins to the tolerances in standard deviations: for a robot whose dock was detected in place, and for one whose last
 # detection is from before.
 _SURE_SEEN, _SURE_UNSEEN = 2.0, 1.0
 _UNSURE_WAY = 0.04  # [m] within which two detections are required: a single one may be wrong without being rejected
-_UNSEEN_WAY = 0.015  # [m]: over a shorter distance, wheel slip turns no robot by a degree
+_UNSEEN_WAY = 0.015  # [m]: over a shorter distance, wheel slip does not turn a robot by a degree
 
 # Contact and backing out.
 _CLEAR_OF_CONTACT = 0.005  # [m] from which a path is planned; closer, noise could turn contact into overlap
 _BACK_OUT_SPEED = 0.1  # [m/s]: above the dead band of either wheel, so that the robot does not turn in contact
 _BACK_OUT_HORIZON = 0.5  # [s] over which backing out must be free of collisions
-_CREEP = 1e-6  # [m/s]: moves no drive, but steers the wheels to the commanded curvature
+_CREEP = 1e-6  # [m/s]: does not move the robot, but steers the wheels to the commanded curvature
 
 # Nudging.
 _ALIGNED, _NOISE = 0.3, 1.0  # share of the tolerance, standard deviations: smaller heading errors are not corrected
-_SHORT = 0.5  # share of the tolerance: most robots that wrongly passed as docked were estimated so far before the dock
-_CROSS_SHARE = 0.4  # share of the tolerance: with a larger lateral error another approach is better
+_SHORT = 0.5  # share of the tolerance: most robots that wrongly counted as docked had an estimated distance above it
+_CROSS_SHARE = 0.4  # share of the tolerance: another approach is better for a larger lateral error
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
 _WHEELS_WITHIN = 0.9  # of the radius of the inscribed circle, for a robot without a track width
 # [m/s] of a wheel: half a millimetre in a period at 20 Hz, and above the dead bands of usual drives.
 _SLOWEST_NUDGE, _FASTEST_NUDGE = 0.012, 0.12
-_MOST_NUDGES = 10  # each one extends the estimate of what the dead bands leave out
+_MOST_NUDGES = 10  # each one improves the estimate of the motion lost in the dead bands
 _LEAST_FREE = 0.3  # share of a nudge that must be free of collisions
-_DEAD_BAND = 0.004  # [m] left out of a nudge from which on a dead band is assumed
+_DEAD_BAND = 0.004  # [m] missing from a nudge: with more, a dead band is assumed
 _MOST_LEFT_OUT = 0.05  # [m]: largest compensation of a dead band
 _ANSWER = 0.3  # [s] in which drive and odometry respond to the last command
 
 
 def stands_docked(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether the robot is docked before the task begins, for docks that need no signal."""
+    """Whether the robot is docked before the task begins, for docks without a required signal."""
     situation, settings, estimate = cycles.situation, cycles.situation.settings, cycles.situation.estimate
     needs_signal = situation.dock_type.is_pressed_on or situation.dock_type.waits_for_charge
     if needs_signal or not estimate.is_near:
@@ -119,7 +119,7 @@ def wait_for_detection(cycles: ControlCycles) -> Cycles:
 
 
 def confirm(cycles: ControlCycles) -> Cycles:
-    """Confirm at rest that the robot is docked; only the detector shows a wheel slip over the last centimetres.
+    """Confirm at rest that the robot is docked; wheel slip over the last centimetres is only visible in the detections.
 
     Raises:
         Interrupted: If the robot is outside of the tolerances.
@@ -146,7 +146,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
 
 def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Return whether a robot that was stopped on its way into the dock is docked, for instance by rolling on."""
+    """Whether a robot that was stopped on its way into the dock is docked, for instance by its momentum."""
     situation = cycles.situation
     if situation.dock_type.is_pressed_on or situation.is_held:
         return False
@@ -210,7 +210,7 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
 
     Args:
         cycles: Cycles of the task.
-        least: Distance to drive at least, if it is free [m].
+        least: Least distance to drive, if it is free of obstacles [m].
     """
     situation = cycles.situation
     direction, footprint = -situation.estimate.gear, situation.problem.robot.footprint
@@ -229,7 +229,7 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
         if driven >= farthest - braking or cycles.now - begun > limit:
             break
         twist = Twist2(direction * _BACK_OUT_SPEED)
-        # Estimates, yielding bumpers and late commands may all show as overlap.
+        # Errors of the estimates, compliant bumpers and late commands may all appear as overlap.
         overlap = situation.estimate.reach_of_contact
         if free_motion(footprint, near, robot, twist, _BACK_OUT_HORIZON, overlap=overlap).free < _BACK_OUT_HORIZON:
             cycles.report("backing out is blocked", f"after {driven:.3f} m")
@@ -289,10 +289,10 @@ class Nudge:
         return True
 
     def _once(self) -> Generator[Target, None, bool]:
-        """Make one motion of `run`; return False if none is to be made.
+        """Make one motion of `run`; return False if no motion is needed.
 
         The distance lost to the dead band of a wheel is added to the next motion. A drive with dead bands moves one
-        wheel at a time, because the wheel with the smaller dead band would else move alone and turn the robot.
+        wheel at a time, because otherwise the wheel with the smaller dead band would move alone and turn the robot.
         """
         situation, perception = self._cycles.situation, self._cycles.situation.perception
         footprint = situation.problem.robot.footprint
@@ -300,7 +300,8 @@ class Nudge:
         has_dead_band = float(self._left_out.max()) > _DEAD_BAND
         if missing == Twist2() or (has_dead_band and situation.estimate.is_within_tolerances(_SURE_SEEN)):
             return False
-        # The heading first: the distance is then straight, and the limits of both do not mix.
+        # The heading is corrected first: the distance is then driven straight, and the limits of the two motions stay
+        # separate.
         way = 0.0 if missing.angular and not has_dead_band else missing.linear
         left, right = self._rims(way, missing.angular)
         if has_dead_band:
@@ -344,7 +345,7 @@ class Nudge:
         while True:
             situation.require_no_interruption()
             is_felt = situation.contact() is not None and motion.linear * situation.estimate.gear > _INSTANT
-            if is_felt and was_felt:  # two cycles, as a switch may flicker before contact
+            if is_felt and was_felt:  # two cycles, because a switch may flicker before contact
                 break
             was_felt = is_felt
             speed = max(map(abs, self._rims(situation.commanded.linear, situation.commanded.angular)))

@@ -1,4 +1,4 @@
-"""The robot relative to the dock: errors, uncertainty, and what a path or the feedback can still correct."""
+"""The robot relative to the dock: errors, uncertainty, and the errors that a path or the feedback can still correct."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _STORED_OFFSET = 0.15  # [m] to the side that an approach must be able to correc
 # Standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in 400 is off
 # by more than one further standard deviation.
 _CERTAINTY = 2.0
-_BLINK = 1.0  # [s] without a detection that have no consequence
+_BLINK = 1.0  # [s]: shorter times without a detection have no effect
 _HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: one gap in 250 at 10 Hz, half of it lost
 LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
 _NEAR = 0.25  # [m]: distance of a detection from close by
 NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
-LAST_LOOK = 0.2  # [m] before the dock in which an uncertain robot drives on, as a detection may still come
+LAST_LOOK = 0.2  # [m] before the dock within which an uncertain robot continues, because a detection may follow
 
 
 def reachable_offset(distance: float, limits: MotionLimits) -> float:
@@ -181,7 +181,7 @@ class DockEstimate:
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether the estimates leave open if the robot is within the tolerances of the dock."""
+        """Whether the estimates are too uncertain to decide if the robot is within the tolerances of the dock."""
         if self.may_have_turned or self.perception.detections.is_contradicted or not self.will_know(0.0):
             return True
         return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self.errors())
@@ -193,13 +193,13 @@ class DockEstimate:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the required number of detections was accepted and no newer ones contradict them."""
+        """Whether the required number of detections was accepted and not contradicted by newer ones."""
         detections = self.perception.detections
         return detections.count >= self.settings.least_detections and not detections.is_contradicted
 
     @property
     def is_known(self) -> bool:
-        """Whether the dock is known well enough to be driven to."""
+        """Whether the pose of the dock is accurate enough to drive to it."""
         accepted = self.problem.dock.tolerances
         (place, turn), most = self.perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
@@ -207,7 +207,7 @@ class DockEstimate:
 
     @property
     def is_found(self) -> bool:
-        """Whether the dock is known well enough for an approach, whose second half corrects the remaining error."""
+        """Whether the pose of the dock is accurate enough for an approach, which corrects errors in its second half."""
         if self.is_known:
             return True
         place, turn = (_CERTAINTY * sigma for sigma in self.perception.sigma)

@@ -48,10 +48,10 @@ _FEEDBACK = {
 # Settings that are parameters of the default `SimpleDock`; any other dock type has its own.
 _SIMPLE_DOCK_SETTINGS = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
 _STILL = 1e-8  # [m/s], [rad/s]: rounding of a completed stop, below the effect of any jerk limit
-_TURNING = 0.005  # [m/s]: at lower target speeds, a robot that turns turns in place
+_TURNING = 0.005  # [m/s]: a robot that turns at a lower target speed counts as turning in place
 _MOST_REPEATS = 25  # cycles with the same stamp: measurements at 10 Hz at the fastest control rate, and a reserve
 _LATE = 1.5  # factor on the usual period above which a cycle is late
-_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, so that no command changes too fast
+_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, to limit changes of commands
 
 
 class DockingExecutor:
@@ -62,10 +62,10 @@ class DockingExecutor:
         settings: Settings; None: the defaults.
         task: `dock` or `undock`.
         controller: Name, name with parameters, or plugin that is not configured.
-        goal_checker: Decides whether the robot is docked; of the same forms as `controller`.
+        goal_checker: Goal checker that decides whether the robot is docked; of the same forms as `controller`.
         dock_type: Kind of dock, of the same forms as `controller`; None: a `SimpleDock` with parameters from the
             settings.
-        planning: Runs planning jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
+        planning: Planning that runs the jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
         log: Log to write; None: no log.
         last_command: Last command before the task, for a robot in motion; None: the first measured velocity.
 
@@ -153,7 +153,7 @@ class DockingExecutor:
                 self._log.cancel()
 
     def step(self, measurements: Measurements) -> Step:
-        """Run one control cycle; no measurements raise an exception.
+        """Run one control cycle; invalid measurements raise no exception.
 
         Args:
             measurements: Measurements since the last cycle, with stamps at any rate from 10 to 200 Hz. Fields of a
@@ -198,7 +198,7 @@ class DockingExecutor:
         return found
 
     def _with_dock_detections(self, measurements: Measurements) -> Measurements:
-        """Keep the detections that the dock type selects; none if it raises an exception."""
+        """Keep the detections that the dock type selects, or no detections if it raises an exception."""
         failure = ""
         try:
             chosen = self._dock_type.detections(measurements)
@@ -219,7 +219,7 @@ class DockingExecutor:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
     def _tick(self, stamp: float) -> tuple[float, float]:
-        """Time since the last cycle on a monotonic clock without leaps, and time over which commands may change [s]."""
+        """Return the time since the last cycle on a clock without jumps, and the time for changes of commands [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1

@@ -1,4 +1,4 @@
-"""Settings of the executor: times, distances, sensors; with Nav2's names and values where Nav2 has them."""
+"""Settings of the executor: times, distances, sensors; with Nav2's names and values if they exist."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Docking logs, format `optdock-log/1`: one JSON value per line, written as the task runs, and read back bit for bit.
 
 The first line contains the task: the problem as a scenario, its costmap, settings and plugins. Every cycle follows with
-the results of planning, the measurements, the command and the events. A crash cuts off the last line at most.
+the results of planning, the measurements, the command and the events. A crash truncates at most the last line.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ __all__ = ["LOG_FORMAT", "Cycle", "DockingLog", "LogWriter", "LoggedPlanning", "
 
 LOG_FORMAT = "optdock-log/1"
 _SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan, in addition to its exact curves and phases
-_MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; as many empty lists take 150 MB
+_MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; this number of empty lists takes 150 MB
 
 
 class Task(NamedTuple):
-    """The task of a log; without a dock type, the settings describe it."""
+    """The task of a log; without a dock type, the dock is described by the settings."""
 
     problem: DockingProblem
     settings: ExecutorSettings
@@ -118,17 +118,18 @@ class DockingLog:
 
 
 class LogWriter(AbstractContextManager["LogWriter"]):
-    """Writes a log, line by line; a context manager.
+    """Writer of a log, line by line; a context manager.
 
     Args:
         target: The file; an existing one is replaced.
-        flush: Flush every cycle, so that a crash of the program loses none.
+        flush: Flush every cycle, so that no cycle is lost in a crash of the program.
 
     Raises:
         InvalidFile: If the file cannot be written.
 
     Attributes:
-        failure: Reason for which writing has ended; empty without a failure. A full disk must not stop a robot.
+        failure: Reason for which writing has ended; empty without a failure. The robot continues, for instance when the
+            disk is full.
     """
 
     def __init__(self, target: str | Path, *, flush: bool = True) -> None:

@@ -29,9 +29,9 @@ __all__ = ["DockDetections", "Perception", "covariance_from_dock"]
 _MISSED = 0.5  # [s] without a measurement after which the log reports it
 _STALE = 1.0  # [s]: older detections are not used
 _VAGUE = 1.0  # [m], [rad]: detections with a larger standard deviation are not used
-_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: keeps the covariance regular; no detector is better
-# [s]: detections stamped farther ahead of the clock are not used; those less far ahead get the present stamp, unless
-# the difference is below `AHEAD`, the rounding of stamps.
+_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: keeps the covariance regular; smaller than the noise of any detector
+# [s]: detections stamped farther ahead of the clock are not used; a smaller lead above `AHEAD`, the rounding of stamps,
+# is replaced by the present stamp.
 _CLOCKS_APART = 0.25
 _LATE = 0.04  # [s]: an estimated delay of the detections above which the log reports it
 # Near the dock, wheel slip after a gap in the detections is added to the covariance, because too few detections follow
@@ -117,7 +117,7 @@ class Perception:
     def unseen_turn(self) -> float:
         """Rotation of the localization against the odometry since the last detection [rad].
 
-        Wheel slip turns the robot without a trace in the odometry; the localization shows it.
+        A rotation by wheel slip is not visible in the odometry, but in the localization.
         """
         return normalize_angle(self.dock.yaw - self.detections.seen_yaw) if self.sees_dock else 0.0
 
@@ -167,7 +167,7 @@ class Perception:
         self.measurements, self.stamp = measurements, stamp
         odometry = measurements.odometry
         if self.has_twist and (odometry is None or odometry.stamp != self._odometry_stamp):
-            self._twist_at = stamp  # a repeated odometry message gives no new information, nor does its twist
+            self._twist_at = stamp  # a repeated odometry message, twist included, has no new information
         self._odometry_stamp = None if odometry is None else odometry.stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp
@@ -180,7 +180,7 @@ class Perception:
         self._report_lost()
 
     def _locate(self, measurements: Measurements) -> bool:
-        """Update the robot in the map; False while its pose has never been measured."""
+        """Update the robot in the map; return False if its pose has never been measured."""
         robot, stamp, pose = self._robot, self.stamp, measurements.pose
         measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
         if self._reckoning is None:
@@ -196,7 +196,7 @@ class Perception:
         self.way += math.hypot(step.x, step.y)
         self.forward += step.x
         self.turned += step.yaw
-        if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
+        if pose is not None and measured_at > self._pose_used:  # otherwise the pose was delivered twice, or too late
             self._pose_used, self._way_located = measured_at, self.way
             robot.correct(measured_at, pose, self._noise)
             self._check_jump()
@@ -255,7 +255,8 @@ class DockDetections:
         filter: Pose of the robot in the frame of the dock.
         count: Number of accepted detections.
         rejected: Number of rejected detections.
-        seen_from: Smallest distance from the docked pose at which the dock was detected [m]; infinite before.
+        seen_from: Smallest distance from the docked pose at which the dock was detected [m]; infinite before the first
+            detection.
         seen_yaw: Yaw of the dock in the fixed frame at the last detection [rad].
         too_far: Distance of the last detection that was too far from the stored dock [m]; 0 without one.
     """

@@ -64,7 +64,7 @@ class DrivenMotion:
         start_relief: From the certificate, see `Tube` [m].
 
     Raises:
-        InvalidValue: If `plan` is no `DockPlan`, or contains another motion.
+        InvalidValue: If `plan` is not a `DockPlan`, or contains another motion.
     """
 
     trajectory: Trajectory
@@ -101,7 +101,7 @@ class Job(NamedTuple):
         pose: Measured pose of the robot.
         lead: Time from `time` until the new motion takes over [s].
         moved: Displacement of the running motion as a whole, because the estimated dock has moved since it was planned;
-            None: none.
+            None: no displacement.
     """
 
     number: int
@@ -117,14 +117,14 @@ class Job(NamedTuple):
 
 
 class PlanResult(NamedTuple):
-    """Result of a job; true unless it failed.
+    """Result of a job; true unless the job failed.
 
     Attributes:
         number: Number of the job.
         outcome: Outcome.
-        motion: New motion; None without one.
+        motion: New motion; None if there is none.
         starts_at: Time of the takeover on the running motion's own clock [s].
-        reason: Why there is no new motion, with the name of the error.
+        reason: Reason why there is no new motion, with the name of the error.
         code: Nav2's code of that error.
     """
 
@@ -140,12 +140,12 @@ class PlanResult(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Whether the rest of a motion keeps its clearance; true if it does.
+    """Result of a clearance check of the rest of a motion; true if the clearance is kept.
 
     Attributes:
-        holds: The same.
+        holds: Whether the rest keeps its clearance.
         reason: The obstacle and its place.
-        at_time: Time at which the motion would reach it, on its own clock [s].
+        at_time: Time at which the motion would reach the obstacle, on its own clock [s].
     """
 
     holds: bool
@@ -157,7 +157,7 @@ class Verdict(NamedTuple):
 
 
 class Planning(Protocol):
-    """Runs the jobs of an executor, one at a time."""
+    """Interface that runs the planning jobs of an executor, one at a time."""
 
     def submit(self, job: Job) -> None:
         """Start a job; the result of the job before is dropped."""
@@ -166,7 +166,7 @@ class Planning(Protocol):
         """Return the result of the last job once; None before and after."""
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """Return whether a motion keeps its clearance to the obstacles of a costmap from a time on [s]."""
+        """Return whether a motion keeps its clearance to the obstacles of a costmap after a time [s]."""
         if motion.plan is None:
             return Verdict(holds=True)
         found = still_holds(motion.plan, costmap, from_time)
@@ -174,7 +174,7 @@ class Planning(Protocol):
 
     def close(self) -> None:
         """Release all resources; by default there are none."""
-        return  # not abstract
+        return  # optional for subclasses, therefore not abstract
 
 
 def planned(job: Job) -> PlanResult:
@@ -242,7 +242,7 @@ class ThreadPlanning(Planning):
     A running job is not interrupted: its budget bounds it, and the next job begins after it.
 
     Args:
-        plan: Runs a job; `PlanningProcess.planned` runs it in another process.
+        plan: Function that runs a job; `PlanningProcess.planned` runs it in another process.
     """
 
     def __init__(self, plan: Callable[[Job], PlanResult] = planned) -> None:
@@ -281,11 +281,11 @@ class Planned(NamedTuple):
     """A recorded result of planning.
 
     Attributes:
-        result: Result of a job, without its motion; None for a verdict.
-        trajectory: Trajectory of the motion; None without one.
+        result: Result of a job, without its motion; None for a recorded verdict.
+        trajectory: Trajectory of the motion; None without a motion.
         start: Start of the motion's problem.
         start_relief: Start relief of the motion.
-        verdict: Recorded answer of `still_holds`, instead of a result.
+        verdict: Recorded result of `still_holds`; None for a job.
     """
 
     result: PlanResult | None = None
@@ -296,7 +296,7 @@ class Planned(NamedTuple):
 
 
 class RecordedPlanning(Planning):
-    """Planning from a log: every result is delivered in the cycle in which it was recorded; none is certified."""
+    """Planning from a log: every result is delivered in the cycle in which it was recorded, without a certificate."""
 
     def __init__(self) -> None:
         self._results: deque[Planned] = deque()
@@ -314,7 +314,7 @@ class RecordedPlanning(Planning):
                 self._results.append(one)
 
     def submit(self, job: Job) -> None:
-        """Keep the job, whose problem completes the recorded motion."""
+        """Store the job, whose problem completes the recorded motion."""
         self._job = job
 
     def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
@@ -341,7 +341,7 @@ class RecordedPlanning(Planning):
 
 
 class PlanRequests:
-    """Numbers the jobs of a task and drops the results of outdated ones.
+    """Jobs of a task by number; results of outdated jobs are dropped.
 
     Attributes:
         pending: Whether a result is expected.
@@ -367,7 +367,7 @@ class PlanRequests:
         """Return the result of the last job once at a time [s]; None before and after.
 
         Raises:
-            TaskFailed: If a new motion is not certified; recorded motions are exempt, as they drive no robot.
+            TaskFailed: If a new motion is not certified; recorded motions are exempt, because they drive no robot.
         """
         result = self._planning.poll(now)
         if result is None or not self.pending or result.number != self._number:

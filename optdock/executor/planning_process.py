@@ -31,7 +31,7 @@ __all__ = ["PlanningProcess"]
 logger = logging.getLogger(__name__)
 
 _SENT = 16  # sent objects that a side keeps for references from the other side
-_RECEIVED = 8  # received objects that a side refers to: fewer, as the other side may have sent more meanwhile
+_RECEIVED = 8  # received objects that a side refers to: fewer, because the other side may have sent more meanwhile
 _WARM_UP_TIME = 120.0  # [s]: loading libraries from a cold disk on a slow computer
 _END_TIME = 2.0  # [s] until a process that does not terminate is killed
 _MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the process is replaced
@@ -40,7 +40,7 @@ _MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the proces
 class PlanningProcess:
     """A planning process: started at once, warm after some seconds, and replaced if it dies.
 
-    It ends with `close`, or with the parent process.
+    The process ends when `close` is called or the parent process ends.
     """
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class PlanningProcess:
             return False
 
     def planned(self, job: Job) -> PlanResult:
-        """Run a job within about its budget; a process that dies or does not answer is replaced, and the job fails."""
+        """Run a job within about its budget; if the process dies or hangs, it is replaced and the job fails."""
         with self._lock:
             if self._closed:
                 return PlanResult(job.number, Outcome.FAILED, reason="the planning process has been closed")
@@ -80,7 +80,7 @@ class PlanningProcess:
         """End the process; a running job fails."""
         self._closed = True
         with contextlib.suppress(ValueError):  # while it is being replaced
-            self._worker.process.terminate()  # without the lock, which the waiting thread holds
+            self._worker.process.terminate()  # without acquiring the lock, which the waiting thread holds
         with self._lock:
             self._worker.end()
 
@@ -164,14 +164,14 @@ def _work(line: Connection) -> None:
             assert isinstance(job, Job)
             try:
                 result = planned(job)
-            except Exception as error:  # after any exception of a plugin the next job may succeed
+            except Exception as error:  # the next job may succeed after any exception of a plugin
                 logger.exception("a job fails")
                 result = PlanResult(job.number, Outcome.FAILED, reason=f"{type(error).__name__}: {error}")
             line.send_bytes(shared.dumps(result))
 
 
 class _Shared:
-    """Pickling that sends every costmap and motion once, and a reference to it afterwards."""
+    """Pickler that sends every costmap and motion once, and afterwards a reference to it."""
 
     def __init__(self, side: str) -> None:
         self._side, self._count = side, 0

@@ -1,6 +1,6 @@
 """Obstacles around the robot, staging poses, and the planning problems built from the newest estimates.
 
-A costmap shows the station a cell or two too large, so that the docked robot would collide with the part that it must
+The station is one or two cells too large in a costmap, so the docked robot would collide with the part that it must
 touch. The cells at the touching edge of the docked robot, the contact zone, are freed before planning.
 """
 
@@ -37,15 +37,15 @@ FROM_REST: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "sta
 
 
 def contact_reach(costmap: Costmap, margin: float) -> float:
-    """Return the distance from the touching edge within which `with_contact_zone` frees cells, by their centres [m]."""
+    """Return the distance from the touching edge to the farthest cell centres freed by `with_contact_zone` [m]."""
     return max(margin, 1.5 * costmap.resolution)
 
 
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
     """Return the costmap with the cells at the touching edge of the docked robot freed.
 
-    Cells are freed within the margin, or a cell and a half, of that edge and nowhere else, so that obstacles in the way
-    of the robot are kept.
+    Only cells within the margin, or a cell and a half, of that edge are freed, so that obstacles in the way of the
+    robot are kept.
 
     Args:
         costmap: Costmap in the frame of the dock.

@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 __all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
-AHEAD = 0.01  # [s]: rounding and jitter of stamps; later stamps are those of another clock
+AHEAD = 0.01  # [s]: rounding and jitter of stamps; stamps further ahead come from another clock
 # A larger difference of the odometry's pose to the integrated twists means that its frame has restarted: far above the
 # error of the twists, plus the distance of a fast robot while twists are missing.
 _LEAP = 0.3, 0.5  # [m], [rad]
 _FASTEST = 3.0, 6.0  # [m/s], [rad/s]
-_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose, which then is not filled in by the driver
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose: the driver does not fill in the pose
 
 
 class DeadReckoning:
     """Pose of the robot by odometry, relative to its first pose.
 
     Poses of the odometry are joined by their increments, so that a restart of its frame has no effect. Twists are
-    integrated from the newest pose until now, or throughout without poses.
+    integrated from the newest pose until now, or without poses over the whole time.
 
     Args:
         stamp: Stamp of the first reading [s].
@@ -58,7 +58,7 @@ class DeadReckoning:
         self.restarts = 0
         self._stamp, self._twist = stamp, twist
         self._known, self._at_known = odometry, _ORIGIN  # newest pose of the odometry, and the robot then
-        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # since then, by the twists
+        self._since: list[tuple[float, Pose2]] = [(stamp, _ORIGIN)]  # motion since then, by the twists
         self._idle = _ORIGIN  # motion by the twists since the odometry's pose changed
 
     def advance(self, stamp: float, twist: Twist2, odometry: OdometryPose | None = None) -> Pose2:
@@ -179,7 +179,7 @@ _DOUBT = 3.0  # factor on the prior of the systematic errors after innovations w
 
 
 class PoseFilter:
-    """Pose of the robot in a fixed frame, from dead reckoning and measured poses at any rates.
+    """Filter of the robot's pose in a fixed frame, from dead reckoning and measured poses at any rates.
 
     Args:
         errors: Errors of the odometry.
@@ -333,8 +333,8 @@ class PoseFilter:
                 applied only if the measurement is accepted.
 
         Returns:
-            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to it and others that agree with it;
-            `forgotten` if it is older than the stored motion or from the future.
+            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to this measurement and others that
+            agree; `forgotten` if it is older than the stored motion or from the future.
         """
         pose, delay = self.pose, float(self.systematic[2])
         if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
@@ -368,7 +368,7 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Add an alternative pose, to which a single measurement moves the estimate.
+        """Add an alternative pose; a single measurement that agrees with it moves the estimate there.
 
         Args:
             pose: Alternative present pose.
@@ -427,7 +427,7 @@ class PoseFilter:
         return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
 
     def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
-        """Keep a measurement outside the gate, and move the estimate if enough of them agree."""
+        """Store a measurement outside the gate, and move the estimate if enough of them agree."""
         now = measured @ (then.inverse() @ self.pose)
         one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
         self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]
@@ -503,7 +503,7 @@ class _Outside(NamedTuple):
     is_measured: bool
 
     def moved_to(self, reckoned: Pose2) -> Pose2:
-        """Return the pose with dead reckoning at `reckoned`."""
+        """Return the measured pose advanced by dead reckoning to `reckoned`."""
         return self.now @ (self.reckoned.inverse() @ reckoned)
 
 

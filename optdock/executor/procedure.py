@@ -1,7 +1,7 @@
-"""How a robot docks and undocks: the attempts, their plans and drives; each `yield` is one control cycle.
+"""Docking and undocking procedure: the attempts, their plans and drives; each `yield` is one control cycle.
 
-An early end of a motion, an attempt or the task is an exception, caught where the procedure can respond. Every wait and
-every motion has a timeout.
+An early end of a motion, an attempt or the task is an exception, which is caught by the part that can respond. Every
+wait and every motion has a timeout.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class Procedure:
         return EndingKind.UNDOCKED, ""
 
     def _perceive_from_somewhere(self) -> Cycles:
-        """Detect the dock from here, else from a staging pose, for docking in reverse also from one turned round.
+        """Detect the dock from the present pose or a staging pose; for docking in reverse, also from one turned round.
 
         A front camera cannot detect a dock that is entered in reverse; odometry leads from the turned pose into it.
         """
@@ -189,7 +189,7 @@ class Procedure:
                 yield from wait_for_detection(cycles)
 
     def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
-        """Plan into the dock; without a path since a time [s], wait for the obstacle, or raise NoWay."""
+        """Plan into the dock; without a path since a time [s], wait for the obstacle to go, or raise NoWay."""
         yield from self.cycles.locate()
         result = yield from self._travel.planned(self._situation.scene.to_dock())
         if result.motion is None:
@@ -206,7 +206,7 @@ class Procedure:
             return (yield from press(self.cycles))
         yield from self.cycles.stop()
         if docked is EndingKind.DOCKED_BY_SIGNAL and not situation.has_signal:
-            # The feedback was driving back when the signal came.
+            # The feedback was driving back when the signal was received.
             self.cycles.report("contact lost again", situation.estimate.where)
             docked = yield from press(self.cycles)
         if not situation.dock_type.is_pressed_on:
@@ -240,7 +240,7 @@ class Procedure:
 
 
 class Travel:
-    """Plans from rest and drives of a task."""
+    """Functions of a task that plan from rest and drive motions."""
 
     def __init__(
         self, cycles: ControlCycles, controller: Controller, goal_checker: GoalChecker, planning: Planning
@@ -261,10 +261,10 @@ class Travel:
             if result is not None:
                 return result
             if cycles.now - since > budget + _PLANNING_PATIENCE:
-                return PlanResult(number, Outcome.FAILED, reason="planning does not answer")
+                return PlanResult(number, Outcome.FAILED, reason="planning does not respond")
 
     def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
-        """Return the result of a plan to the first reachable place, else that of the last place."""
+        """Return the result of a plan to the first reachable place, or the result for the last place if all fail."""
         *others, last = places
         for number, place in enumerate(others, start=1):
             result = yield from self.planned(self._situation.scene.to(place))
@@ -274,7 +274,7 @@ class Travel:
         return (yield from self.planned(self._situation.scene.to(last)))
 
     def staging_pose_on_a_path(self) -> Generator[Target, None, Pose2 | None]:
-        """Return the first staging pose with a plan to it and one from there into the dock; None without one."""
+        """Return the first staging pose with plans to it and from there into the dock; None if there is none."""
         scene = self._situation.scene
         for place in self._situation.staging.poses():
             if (yield from self.planned(scene.to(place))).motion is None:
@@ -304,7 +304,7 @@ class Travel:
         """Drive a motion to its end.
 
         Returns:
-            How the robot is docked; None if it is not known to be docked.
+            The kind of docking; None if the robot is not known to be docked.
 
         Raises:
             Interrupted: If the motion cannot continue.
@@ -334,7 +334,8 @@ class Travel:
         """Drive to the first reachable place; plan again after interruptions.
 
         Args:
-            places: Returns poses in the fixed frame, the preferred one first, for the present estimate of the dock.
+            places: Function that returns poses in the fixed frame, the preferred one first, for the present estimate of
+                the dock.
             state: Task state of the drive.
             failure: Kind of ending if the robot does not arrive.
 

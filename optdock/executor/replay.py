@@ -76,5 +76,5 @@ def replay(log: DockingLog) -> Replay:
 
 
 def _is_same(first: Twist2, second: Twist2) -> bool:
-    """Whether two commands are equal to the last bit: 0.0 and -0.0 are not."""
+    """Whether two commands are equal to the last bit; 0.0 and -0.0 are different."""
     return (first.linear.hex(), first.angular.hex()) == (second.linear.hex(), second.angular.hex())

@@ -80,7 +80,7 @@ class SimpleDock(DockType):
         self._stalled_since: float | None = None
 
     def contact(self, now: AtDock) -> Contact | None:
-        """Return a signal at any place, a stall only near the dock, as obstacles stop robots elsewhere."""
+        """Return a signal at any place, but a stall only near the dock, because obstacles stop robots elsewhere."""
         p = self.parameters
         if not self._is_stalled(now):
             self._stalled_since = None
@@ -108,7 +108,7 @@ class SimpleDock(DockType):
         return self._is_charged(measurements)
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return the poses of the parameters, for any gear; else one on the axis of the dock."""
+        """Return the poses of the parameters, for any gear; without them, one pose on the axis of the dock."""
         p = self.parameters
         if p.staging_poses:
             return tuple(Pose2(*pose) for pose in p.staging_poses)

@@ -112,7 +112,7 @@ class Ending(NamedTuple):
 
     Attributes:
         kind: Kind of the ending.
-        reason: Explanation; empty if none is needed.
+        reason: Explanation; empty if no explanation is needed.
         num_retries: Number of approaches after the first one.
         stamp: Time [s].
     """
@@ -162,7 +162,7 @@ class Step(NamedTuple):
     Attributes:
         command: Velocity command to send, within the limits of the robot.
         state: State of the executor.
-        feedback: The same as feedback of Nav2's action.
+        feedback: The state as feedback of Nav2's action.
         ending: Ending of the task; None while the task runs.
         events: Events of this cycle.
         deviation: Pose of the robot relative to the nearest pose of the path; None while no path is driven.

@@ -64,12 +64,12 @@ _STALE_STOP = 0.3  # [s] before an obstacle's braking distance until which a new
 # A plan from rest after an obstacle has gone.
 _FROM_REST_BUDGET = 0.2  # [s]; usual plans take 30 to 90 ms
 _SHORTER, _STOPPING = 0.8, 1.0  # share of the remaining duration; [s] for the stop and a plan
-_AROUND = 1.0  # [m] around the straight line to the goal in which obstacles count
+_AROUND = 1.0  # [m] around the straight line to the goal in which obstacles are considered
 _PAUSE = 3.0  # factor on the usual pause between two plans
 
 # The tube.
-_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, causes no plan: noise is sufficient for it
-_LAST_REPLAN = 0.15  # [m] before the dock; nearer, no path moves a robot sideways by more than a millimetre
+_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, does not start a plan, because noise can cause it
+_LAST_REPLAN = 0.15  # [m] before the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
@@ -110,7 +110,7 @@ class TrajectoryDrive:
         self._costmap = motion.problem.costmap
         self._shorter_way = ShorterWay(situation, motion.problem.costmap)
         self._is_from_rest = False  # whether the last job plans from rest
-        self._blocked = math.inf, ""  # time on the motion's clock at which it meets a new obstacle, and the obstacle
+        self._blocked = math.inf, ""  # time on the motion's clock at which it reaches a new obstacle, and the obstacle
         self._checked_at, self._error_text = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
         self._finished_since: float | None = None
@@ -213,7 +213,7 @@ class TrajectoryDrive:
             raise Interrupted("detection missing", reason)
 
     def _share_while_hidden(self) -> float:
-        """Share of the planned speed at which corrections stay possible for as long as a hidden dock is awaited."""
+        """Share of the planned speed at which corrections stay possible during the wait for a hidden dock."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
@@ -230,7 +230,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """The pose for the controller: in an approach relative to the dock, which may have moved since the plan."""
+        """The pose for the controller; in an approach, relative to the dock, which may have moved since the plan."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 
@@ -245,13 +245,13 @@ class TrajectoryDrive:
     def _reference(self) -> tuple[float, float]:
         """Time of the reference on the trajectory's own clock [s], and its rate.
 
-        For a controller without a reference in time, the time at which the plan passes the place of the robot.
+        For a controller without a reference in time, this is the time at which the plan passes the place of the robot.
         """
         progress = getattr(self._controller, "progress", None)
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     def _contact(self) -> EndingKind | None:
-        """How the robot is docked: by contact, or by the goal checker once the robot has settled."""
+        """Return the kind of docking: by contact, or by the goal checker once the robot has settled."""
         situation, settings = self._situation, self._situation.settings
         kind = situation.contact()
         if kind is not None:
@@ -309,7 +309,7 @@ class TrajectoryDrive:
         self._requests.forget()
 
     def _replan(self) -> None:
-        """Take over the result of the last job, or submit a job if a plan is worth it."""
+        """Take over the result of the last job, or submit a job if a new plan is useful."""
         situation, settings = self._situation, self._situation.settings
         if self._requests.pending:
             result = self._requests.result(situation.now)
@@ -350,7 +350,8 @@ class TrajectoryDrive:
                 rate=rate,
                 pose=situation.perception.robot,
                 lead=budget + _LEAD,
-                # The controller gets poses relative to the dock, so the motion is driven where the dock is now.
+                # The poses passed to the controller are relative to the dock, so the motion ends at the present
+                # estimate of the dock.
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )
@@ -461,7 +462,7 @@ class TubeMonitor:
         radius = self._robot.footprint.circumscribed_radius
         moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
         width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # relative to this place; another one may be nearer
+        if moved > width:  # relative to this place; another place may be nearer
             found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
             moved, width = float(found.displacement[0]), float(found.width[0])
         is_outside = moved > width
@@ -527,7 +528,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return the job that plans from the place of a stop; `here` is the problem except for start and costmap."""
+        """Return the job that plans from the place of a stop; start and costmap of the problem `here` are replaced."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)
@@ -538,7 +539,7 @@ class ShorterWay:
         return Job(0, situation.now, problem, _FROM_REST_BUDGET)
 
     def require_none(self, result: PlanResult, motion: DrivenMotion, time: float) -> None:
-        """Check that the motion is not to be replaced by the result of the job.
+        """Check that the result of the job is not a reason to stop the motion.
 
         Raises:
             Interrupted: If the result is so much shorter that the robot should stop for it.
@@ -549,7 +550,7 @@ class ShorterWay:
             raise Interrupted(SHORTER_WAY, reason)
 
     def _is_better(self, duration: float, motion: DrivenMotion, time: float) -> bool:
-        """Whether a plan from rest of this duration [s] is worth a stop."""
+        """Whether a plan from rest of this duration [s] justifies a stop."""
         left = motion.trajectory.duration - time
         return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
 

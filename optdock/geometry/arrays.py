@@ -30,19 +30,19 @@ _DIGEST_BYTES = 8  # a collision of two problems has probability 2^-64; digests 
 def readonly(array: _Array) -> _Array:
     """Return a copy of an array in memory that cannot be made writable again.
 
-    The memory belongs to a `bytes` object, so NumPy refuses `setflags(write=True)` on the copy and on its views.
+    The memory belongs to a `bytes` object, so NumPy rejects `setflags(write=True)` on the copy and on its views.
     """
-    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # same order, so that results round alike
+    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # same order, so that results round equally
     order: Literal["C", "F"] = "F" if by_columns else "C"
     copied: _Array = np.ndarray(array.shape, array.dtype, array.tobytes(order), order=order)
     return copied
 
 
 class FrozenArrays:
-    """Base class of frozen dataclasses that hold arrays: the arrays are read-only, copies are the object itself.
+    """Base class of frozen dataclasses with arrays: the arrays are read-only, and copying returns the object itself.
 
-    A dataclass with a `__post_init__` of its own must make its arrays `readonly` there. Arrays restored by pickle are
-    made `readonly` again.
+    A dataclass that defines `__post_init__` must make its arrays `readonly` there. Arrays restored by pickle are made
+    `readonly` again.
     """
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ def frozen(value: _Value) -> _Value:
     if isinstance(value, np.ndarray):
         return readonly(value)
     if isinstance(value, tuple):
-        make: Callable[[Iterable[object]], _Value] = getattr(value, "_make", type(value))  # a named tuple stays one
+        make: Callable[[Iterable[object]], _Value] = getattr(value, "_make", type(value))  # keeps a named tuple
         return make(frozen(one) for one in value)
     return value
 
@@ -99,7 +99,8 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
 def digest(*parts: ArrayLike | str) -> str:
     """Return a hexadecimal digest of numbers, arrays and strings, in this order and with these shapes.
 
-    Equal digests mean numbers that are equal to the last bit; -0.0 and integers have the digests of 0.0 and of floats.
+    Equal digests mean numbers that are equal to the last bit; -0.0 has the digest of 0.0, and an integer that of the
+    float.
     """
     found = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in parts:

@@ -1,6 +1,6 @@
 """Strict checks of constructor arguments: numbers, enumeration members and classes.
 
-A lenient check would let a quoted number or a misspelled gear silently disable a rule later.
+Without strict checks a quoted number or a misspelled gear could silently disable a rule later.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
     """Return the value if it is an instance of this class.
 
     Raises:
-        InvalidValue: If it is not.
+        InvalidValue: If the value is of another class.
     """
     if isinstance(value, kind):
         return value
@@ -134,7 +134,7 @@ def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
     """Return the value if its class is `kind` and not a subclass, which could override methods that proofs rely on.
 
     Raises:
-        InvalidValue: If it is of another class.
+        InvalidValue: If the value is of another class or a subclass.
     """
     if type(value) is kind:
         return value

@@ -128,7 +128,7 @@ class ClothoidSpline(FrozenArrays):
 
     @functools.cached_property
     def curvature_rates(self) -> FloatArray:
-        """D curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
+        """Curvature rate d curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
         return readonly(np.diff(self.curvature) / np.diff(self.knots))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:

@@ -32,7 +32,7 @@ _RADIUS_SIDES = 32  # of the polygon around a circle; its corners exceed the rad
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Footprint(FrozenArrays):
-    """A simple polygon around the robot in its own frame (x forward, y left).
+    """A simple polygon around the robot in the robot's frame (x forward, y left).
 
     Args:
         vertices: Shape (n, 2) [m], either orientation, n >= 3.

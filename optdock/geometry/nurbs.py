@@ -70,8 +70,8 @@ class Nurbs(FrozenArrays):
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:
         """Return the direction of travel in (-pi, pi]. Shape (m,) [rad].
 
-        Where the first derivative is zero, the direction is that of the second derivative, reversed at u = 1; NaN where
-        both are zero.
+        If the first derivative is zero, the direction is that of the second derivative, reversed at u = 1; NaN if both
+        are zero.
         """
         heading = self._derivatives(u, 1)[1]
         still = ~np.any(heading, axis=1)

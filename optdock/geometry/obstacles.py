@@ -100,10 +100,10 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def of(cls, obstacles: ObstacleSet | Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
-        """Return the set itself, or the set of simple polygons as `from_polygons` makes it.
+        """Return the set itself, or the set of simple polygons made by `from_polygons`.
 
         Raises:
-            InvalidValue: If the argument is neither, or a polygon is invalid; the message names the polygon.
+            InvalidValue: If the argument is neither of them, or a polygon is invalid; the message names the polygon.
         """
         if isinstance(obstacles, cls):
             return obstacles
@@ -205,7 +205,7 @@ class ObstacleSet(FrozenArrays):
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
-        """Return the polygons of `rows`, in this order, as `separation` takes them."""
+        """Return the polygons of `rows`, in this order, in the form required by `separation`."""
         return ConvexPieces(*self._columns[:, :, rows])
 
     @functools.cached_property

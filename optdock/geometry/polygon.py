@@ -129,8 +129,8 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
 def edge_normals(vertices: FloatArray) -> FloatArray:
     """Return the outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
 
-    An edge of length zero, as padding makes, takes the normal of the edge before it. A polygon that rounding has
-    reduced to a point has arbitrary normals.
+    An edge of length zero, which padding adds, has the normal of the previous edge. The normals of a polygon that
+    rounding has reduced to a point are arbitrary.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices
     size = np.max(np.abs(edges), axis=-1)

@@ -244,7 +244,7 @@ def displacement(off: Number, turn: Number, radius: float) -> Number:
 
     Args:
         off: Distance between the positions, a number or an array [m].
-        turn: Angle between the headings, also beyond a whole turn [rad].
+        turn: Angle between the headings, may exceed a whole turn [rad].
         radius: Radius of the body [m].
     """
     moved: Number = off + 2.0 * radius * np.abs(np.sin(0.5 * turn))

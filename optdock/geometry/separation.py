@@ -5,9 +5,10 @@ best axis attains it ([Ericson2005] ch. 5.2). For polygons the best axis is an e
 between two vertices, so the maximum over these axes is the exact distance and its axis proves it.
 
 If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
-`min_A n.a' - max_B n.b <= n.a - max_B n.b`, so an edge whose bound is below a known gap cannot win. Vertex directions
-are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one maximum,
-and no edge normal lies between it and the better of its two neighbours, so both have the same nearest vertices.
+`min_A n.a' - max_B n.b <= n.a - max_B n.b`, so an edge whose bound is below a known gap cannot be the best one. Vertex
+directions are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one
+maximum, and no edge normal lies between it and the better of its two neighbours, so both have the same nearest
+vertices.
 """
 
 from __future__ import annotations
@@ -217,5 +218,5 @@ def _along_nearest_vertices(
     x, y = dx[best, pair] * scale, dy[best, pair] * scale
     low = (x * at.x + y * at.y).min(axis=0)
     high = (x * pieces.x + y * pieces.y).max(axis=0)
-    # Coinciding vertices define no axis and must never win against the edge normals.
+    # Coinciding vertices define no axis and must never be preferred to the edge normals.
     return _Along(np.where(length > 1e-12, low - high, -np.inf), x, y)

@@ -43,7 +43,7 @@ NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight
 
 
 def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; everything it rests on is computed again.
+    """Check a proof from any source for `problem`; all its data are computed again.
 
     Args:
         proof: Proof to be checked.

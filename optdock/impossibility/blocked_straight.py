@@ -48,7 +48,7 @@ class BlockedPose:
         gear: Gear in which the dock is entered, 1 or -1.
         before: Distance before the dock [m].
         x: Position of the robot's origin [m].
-        y: Likewise [m].
+        y: Position of the robot's origin [m].
         yaw: Heading [rad].
         clearance: Clearance of the robot, negative for an overlap [m].
         required: The least clearance that any certificate requires there [m].
@@ -97,7 +97,7 @@ class BlockedStraight:
 
     @property
     def where(self) -> dict[str, object]:
-        """The details of the error: the least blocked pose, its obstacle, clearance and required clearance."""
+        """Details of the error: the pose with the least violation, its obstacle, clearance and required clearance."""
         least = min(self.poses, key=lambda pose: pose.required - pose.clearance)
         measured = {"clearance": least.clearance, "required": least.required}
         pose = [least.x, least.y, least.yaw]
@@ -105,7 +105,7 @@ class BlockedStraight:
 
     @property
     def bottleneck(self) -> None:
-        """None: the poses hold the place."""
+        """None: the proof gives blocked poses instead of a bottleneck."""
         return
 
     def as_dict(self) -> dict[str, object]:
@@ -158,7 +158,7 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
 
 
 def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; everything it rests on is measured again.
+    """Check a proof from any source for `problem`; all distances are measured again.
 
     Args:
         proof: Proof to be checked.

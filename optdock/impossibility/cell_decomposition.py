@@ -1,10 +1,10 @@
 """Search for a proof that no motion exists: approximate cell decomposition ([Brooks1985], [Zhang2008]).
 
 `proof` defines such proofs. Tiles of cells are refined until no route from start to goal is left, an open route is
-found, or the time is up:
+found, or the time has run out:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
-2. An examined tile has blocked cells, cells that look open, and narrow ones. Connected cells of one kind are one node
+2. An examined tile has blocked cells, cells that appear open, and narrow ones. Connected cells of one kind are one node
    of a graph.
 3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These are split.
 
@@ -59,7 +59,7 @@ _LARGEST = 6  # levels of unexamined tiles above level 0
 _GATHERED = 250_000  # distances per vectorized read, less than a millisecond
 _NODES, _AROUND = 129, 6.0  # lattice of the first check; border around start and goal in radii of the largest disc
 _STEP = 0.004  # [s]: longest time between two checks of the clock, on an idle machine
-_FEWEST_HEADINGS = 8  # of level 0
+_FEWEST_HEADINGS = 8  # of cells of level 0
 _SHARP = 0.25  # tolerance of the margin of the widest route, in halves of a cell
 _ROUNDS_OF_DISC = 10  # refinements for the bottleneck of a disc
 _CLOSE = 0.01  # [m]: half a cell; accuracy of the narrowest place of a disc
@@ -79,7 +79,7 @@ def prove_impossible(
     Args:
         problem: The planning problem.
         time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
-        cancel_checker: Polled as often; True ends the search.
+        cancel_checker: Polled every few milliseconds; True ends the search.
 
     Returns:
         The proof; or None: there may be a motion, or the time was too short. `check_impossibility` checks the proof.
@@ -115,11 +115,11 @@ class ImpossibilitySearch:
 
         Args:
             time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
-            cancel_checker: Polled as often; True interrupts the search.
-            only_disc: Stop if the largest disc alone proves nothing.
+            cancel_checker: Polled every few milliseconds; True interrupts the search.
+            only_disc: Stop if there is no proof with the largest disc alone.
 
         Returns:
-            The proof, with the bottleneck as far as the time allows; None if there is none, or none yet.
+            The proof, with the bottleneck as accurate as the time allows; None if no proof was found, or not yet.
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
@@ -154,8 +154,8 @@ class _Obstacles:
     def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
         """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
 
-        Rows run along y. Every node is measured against a point of an obstacle near the lattice node that is its
-        nearest one at an obstacle; obstacles beyond the last node are ignored.
+        Rows run along y. The distance of a node is measured to an obstacle point next to the nearest lattice node at an
+        obstacle; obstacles beyond the last node are ignored.
         """
         from scipy import ndimage
 
@@ -188,7 +188,7 @@ class _Obstacles:
         piece = np.repeat(np.arange(met.size), number)
         row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
         (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
-        # A normal along y admits a whole row, or nothing of it.
+        # An edge with its normal along y admits all or none of a row.
         room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
         steep, is_along = step * nx[piece], nx[piece] == 0.0
         bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
@@ -234,7 +234,7 @@ class _Search:
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
     def _grid(self) -> CellGrid:
-        """Return tiles that cover both ends, and obstacles as far as they may matter."""
+        """Return tiles that cover both ends, and the obstacles near enough to matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -253,7 +253,7 @@ class _Search:
         self.deadline.look()
 
     def looks_open(self, deadline: Deadline) -> bool:
-        """Whether free nodes of one coarse lattice join start and goal for a disc: a heuristic, no proof."""
+        """Whether free nodes of one coarse lattice join start and goal for a disc; a heuristic, not a proof."""
         from scipy import ndimage
 
         self.deadline = deadline
@@ -289,7 +289,7 @@ class _Search:
         return proof
 
     def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
-        """Examine tiles, or their quarters, as far as they can be split; return whether any could."""
+        """Examine tiles, or their quarters, if they can be split; return whether any tile could be split."""
         keys = {key for key in keys if graph.tiles[key].level < FINEST}
         new: list[Tile] = []
         for key in sorted(keys):
@@ -303,7 +303,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """Return the proof once no route is left: around the goal, or around the start if the goal is in the open."""
+        """Return the proof once no route is left: around the goal, or around the start if the goal is not enclosed."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
@@ -382,7 +382,7 @@ class _Search:
             narrow = [node for node in route if graph.cost[node] > OPEN]
             if not narrow:
                 return
-            some = narrow[:: -(-len(narrow) // _PLACES)]  # coarse cells may look as narrow as the narrowest
+            some = narrow[:: -(-len(narrow) // _PLACES)]  # coarse cells may appear as narrow as the narrowest place
             yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
@@ -396,7 +396,7 @@ class _Search:
             low, high = low - half, high + half
 
     def _widest(self, tiles: list[Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
-        """Bracket and bisect the margin: return one that leaves a route and one that leaves none [m]."""
+        """Bracket and bisect the margin: return one with a route and one without [m]."""
         step = high - low
         while self._by_margin(tiles, high, high).route():
             low, high = high, high + step
@@ -414,7 +414,7 @@ class _Search:
         return graph
 
     def _seen(self, level: int, column: int, row: int) -> Tile:
-        """Examine a tile, once."""
+        """Examine a tile if it was not examined yet."""
         self.deadline.look()
         known = self.known.get((level, column, row))
         if known is not None:
@@ -517,7 +517,7 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """Return the names of the obstacle nearest to the robot at a pose, and the nearest one on its other side."""
+        """Return the names of the obstacle nearest to the robot at a pose and of the nearest one on the other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])

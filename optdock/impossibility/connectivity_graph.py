@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 OPEN = 1e-6  # cost of an open node, or one outside: of two open routes the shorter one is taken
-ROOM = 1e3  # [m] of clearance: more than any place has
+ROOM = 1e3  # [m] of clearance: larger than the clearance of any place
 FINEST = 4  # level of the finest tiles
 
 
@@ -80,7 +80,7 @@ class Tile(NamedTuple):
     margin: NDArray[np.float32] | None = None
 
     def split(self) -> list[tuple[int, int, int]]:
-        """Return level, column and row of its quarters."""
+        """Return level, column and row of the quarters of the tile."""
         return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
 
 
@@ -90,7 +90,7 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Return the kinds of cells: those that look open, and others that are not blocked. Unexamined tiles are narrow."""
+    """Return the cells that appear open, and the other cells that are not blocked. Unexamined tiles are narrow."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.blocked is None or tile.margin is None:
@@ -123,7 +123,7 @@ class ConnectivityGraph:
 
     def __init__(self, grid: CellGrid, ends: list[FloatArray], kinds: Kinds) -> None:
         self.grid, self.ends, self.kinds = grid, ends, kinds
-        self.tiles: list[Tile] = []  # also such as were removed
+        self.tiles: list[Tile] = []  # including removed ones
         self.labels: list[IntArray] = []
         self.tile_at = np.full((2 ** (grid.above + FINEST),) * 2, -1, dtype=np.int64)
         self.cost, self.tile_of = [OPEN] * 3, [-1] * 3
@@ -260,9 +260,9 @@ class ConnectivityGraph:
 
 
 class PlaceGraph(ConnectivityGraph):
-    """Graph with a node per place of a cell, whose cost is a lower bound of what a disc misses there.
+    """Graph with a node per place of a cell, whose cost is a lower bound of the clearance that a disc lacks there.
 
-    Costs are negative if the disc fits. Unexamined tiles cost less than any other.
+    Costs are negative if the disc fits. Unexamined tiles have the lowest cost.
     """
 
     def _label(self, tile: Tile) -> None:
@@ -280,14 +280,14 @@ class PlaceGraph(ConnectivityGraph):
         self.joints[key, key] = _met_within(labels, kinds=2)
 
     def route(self) -> list[int]:
-        """Return the nodes of the route whose dearest node is cheapest, by a minimum spanning tree ([Hu1961])."""
+        """Return the nodes of the route with the lowest maximum node cost, by a minimum spanning tree ([Hu1961])."""
         from scipy import sparse
         from scipy.sparse import csgraph
 
         cost = np.maximum(np.array(self.cost), -ROOM)
         cost[: GOAL + 1] = -ROOM
         first, second = self._all_joints().T
-        dear = np.maximum(cost[first], cost[second]) + 2.0 * ROOM  # zero would be no joint
+        dear = np.maximum(cost[first], cost[second]) + 2.0 * ROOM
         tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
         before = csgraph.breadth_first_order(tree, START, directed=False)[1]
         route = [GOAL]

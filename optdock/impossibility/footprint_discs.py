@@ -52,7 +52,7 @@ def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     """Return the discs of a footprint, computed once.
 
-    `look` is called every few milliseconds; its exceptions are passed on, and nothing is kept.
+    `look` is called every few milliseconds; its exceptions are passed on, and no result is cached then.
     """
     kept = _bodies(footprint)
     if not kept:
@@ -76,7 +76,7 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     points = np.vstack((points, 0.0 * points[:1]))
     radius = _depth(points, outline, look)
     points, radius = points[radius > 0.0], radius[radius > 0.0]
-    if radius.size == 0:  # a sliver between all of them
+    if radius.size == 0:  # a sliver of the outline between all discs
         points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
         radius = _depth(points, outline, look)
     largest = radius.max()
@@ -120,7 +120,7 @@ def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]
 
 
 def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
-    """Return the depth of points in a polygon, Shape (n,) [m]; not above 0 outside."""
+    """Return the depth of points in a polygon, Shape (n,) [m]; at most 0 for points outside."""
     found, step = np.empty(len(points)), max(1, _ROWS // len(outline))
     start, end = outline, np.roll(outline, -1, axis=0)
     edge = end - start

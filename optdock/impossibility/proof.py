@@ -1,26 +1,26 @@
 """A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
 
 **Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start to the
-goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in place,
-however curved. The converse does not hold: without a proof there may or may not be a motion.
+goal keeps the clearance that the problem requires, along any path of any curvature, with or without reversing or
+turning in place. The converse does not hold: without a proof a motion may or may not exist.
 
-*Cells.* Poses are cut into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are those of one point of the
-robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has an obstacle nearer
-than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than e = sqrt(2) h + 2 |p|
-sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it an obstacle lies nearer to
-the footprint than required, or inside it if no clearance is required.
+*Cells.* The poses are divided into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are the position of
+one point of the robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has
+an obstacle nearer than r + c - e at the middle of the cell. Here e = sqrt(2) h + 2 |p| sin(a / 2) is the largest motion
+of the disc's centre within the cell, and c is the least clearance required of any pose in it. Therefore, at every pose
+in the cell, an obstacle is nearer to the footprint than required, or inside it if no clearance is required.
 
 *The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with a cell of the set and is not in
-the set is blocked; so is every cell at the inner end, the goal or the start, that is not in the set; and no cell at the
-other end is in the set. Let a motion keep the clearance. No cell that holds any of its poses is blocked, so it begins
-in the set and ends outside. Where it leaves the set it has a pose in a cell of the set and in one outside; of the cells
-around that pose, which are joined by faces, one in the set shares a face with one that is not: a blocked one, which is
-a contradiction. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every
-heading, each level with cells half as large.
+the set is blocked; every cell at the inner end, the goal or the start, that is not in the set is also blocked; and no
+cell at the other end is in the set. Suppose that a motion keeps the clearance. No cell that holds any of its poses is
+blocked, so it begins in the set and ends outside. At the border of the set the motion has a pose that is both in a cell
+of the set and in a cell outside. The cells around that pose are joined by faces, so one of them that is in the set
+shares a face with one that is not. The latter cell is blocked, which is a contradiction. Cells may be of different
+sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading, each level with cells half as large.
 
-*Certified paths.* A certificate accepts a micrometre less than required, and two micrometres of depth at a contact. A
-cell is blocked only with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as well. Near the
-start the weakest relief counts that a certificate may grant.
+*Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
+micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
+rounding. Near the start the weakest clearance rule that a certificate may apply is used.
 
 The checker examines the rim again, by exact distances.
 """
@@ -79,10 +79,10 @@ class Bottleneck:
 
     Args:
         x: Position of the robot's origin [m].
-        y: Likewise [m].
+        y: Position of the robot's origin [m].
         yaw: Heading [rad].
         missing_width: Width that is missing for the robot with the required clearance on both sides [m].
-        missing_without_clearance: Width that is missing for the body alone [m]; not above 0 if the body fits.
+        missing_without_clearance: Width that is missing for the body alone [m]; at most 0 if the body fits.
         accuracy: Largest error of the two widths [m].
         between: Names of the nearest obstacles on both sides, one or two.
     """
@@ -99,7 +99,7 @@ class Bottleneck:
 
     @property
     def body_fits(self) -> bool:
-        """Whether the body fits, up to a millimetre, and the body with the required clearance does not."""
+        """Whether the body fits, up to a millimetre, but not the body with the required clearance."""
         return self.missing_without_clearance <= 0.001 < self.missing_width
 
     def __str__(self) -> str:
@@ -120,16 +120,16 @@ class ImpossibilityProof(FrozenArrays):
     """Cells around one end of a problem whose rim is blocked, and the bottleneck of the widest way out.
 
     Args:
-        end: The end that they surround, `goal` or `start`.
+        end: The end that the cells surround, `goal` or `start`.
         origin: Lower left corner of the tile (0, 0) of every level [m].
-        cell: Half the side of a cell of level 0 [m]; of level k it is 2^-k of that.
-        headings: Number of headings of level 0; of level k 2^k times as many.
+        cell: Half the side of a cell of level 0 [m]; multiplied by 2^-k for level k.
+        headings: Number of headings of level 0; multiplied by 2^k for level k.
         centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
         tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
         inside: Cells of each tile that are in the set, Shape (headings, rows, columns).
         whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
-        bottleneck: The bottleneck; None if an end itself is blocked, or the time was up.
+        bottleneck: The bottleneck; None if an end itself is blocked, or the time ran out.
         problem: Digests of the problem.
     """
 
@@ -177,7 +177,7 @@ class ImpossibilityProof(FrozenArrays):
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """Return plain values for a plan file; the cells as bits, packed by zlib, in base 64."""
+        """Return plain values for a plan file; the cells are bits, compressed by zlib, in base 64."""
         bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
         return {
             "end": self.end,
@@ -265,7 +265,7 @@ def least_required(
     Args:
         problem: The planning problem.
         x: Places of the robot's origin, any shape [m].
-        y: Likewise.
+        y: Places of the robot's origin, same shape [m].
         reach: Radius around each place [m].
         start_clearance: Clearance of the start pose [m].
     """
@@ -281,7 +281,8 @@ def least_required(
 class ImpossibilityVerdict(NamedTuple):
     """Verdict on a proof; true if it holds.
 
-    `proven`: whether it holds. `reason`: why not, empty if it does. `cells`: number of checked cells of the rim.
+    `proven`: whether the proof holds. `reason`: its fault, empty if it holds. `cells`: number of checked cells of the
+    rim.
     """
 
     proven: bool
@@ -293,7 +294,7 @@ class ImpossibilityVerdict(NamedTuple):
 
 
 def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; everything it rests on is computed again.
+    """Check a proof from any source for `problem`; all its data are computed again.
 
     Args:
         proof: Proof to be checked.
@@ -320,7 +321,7 @@ def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> Impossibi
 
 
 def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
-    """Return the fault of a proof that shows without examining cells; empty if there is none."""
+    """Return a fault of a proof that can be found without examining cells; empty if there is none."""
     import shapely
 
     every = np.concatenate((proof.tiles, proof.whole))
@@ -408,7 +409,7 @@ class _Rim:
         return found, bool(is_in.all(axis=2).any(axis=0).all())
 
     def _is_closed_at_sides(self) -> bool:
-        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set become rim."""
+        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set join the rim."""
         for axis in (0, 1):
             lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
             low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]

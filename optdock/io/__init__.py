@@ -1,1 +1,1 @@
-"""Readers and writers of files: maps, plan files, YAML with line numbers, and faults in one language."""
+"""Readers and writers of files: maps, plan files, YAML with line numbers, and error messages of one form."""

@@ -34,7 +34,7 @@ class MostBytes(IntEnum):
     CSV = 200_000  # the largest case of the competition has 10 kB
     LOG = 64_000_000  # a docking of a minute has 1 MB, with a costmap in every cycle 10
     IMAGE = 80_000_000  # a map of `map_image.MAX_PIXELS` as raw grey values of 16 bit has 67 MB
-    RECORDING = 1_000_000_000_000  # of bags only the index and the requested topics are read
+    RECORDING = 1_000_000_000_000  # only the index and the requested topics of a bag are read
 
 
 # JSON values, counted by separators. A plan of 50,000 samples has 1.1 million numbers; two million take 150 MB. An
@@ -85,8 +85,8 @@ def read_bytes(path: Path, most: int) -> bytes:
         InvalidFile: If the file cannot be read, is not regular, or is larger.
     """
     with _named_errors(path):
-        # Opening a device may have side effects and opening a pipe blocks, so the path is checked first, and the opened
-        # file again, as the path may have changed in between.
+        # Opening a device may have side effects and opening a pipe blocks, so the path is checked first. The opened
+        # file is checked again, because the path may have changed in between.
         _check(path, path.stat(), most)
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY), "rb") as stream:
             _check(path, os.fstat(stream.fileno()), most)
@@ -156,7 +156,7 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return an object; repeated keys are refused, as parsers differ in the value they keep."""
+    """Return an object; repeated keys are rejected, because parsers differ in the value they keep."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:
@@ -200,6 +200,6 @@ def _check_size(path: Path, size: int, most: int) -> None:
 
 
 def _name(path: Path) -> str:
-    """The name on one line; only the end of a long name."""
+    """The name on one line; of a long name only the end."""
     text = printable(str(path))
     return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

@@ -41,7 +41,7 @@ _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, OverflowError, IndexError
 
 
 class GreyImage(NamedTuple):
-    """Grey values of an image as map_server reads them.
+    """Grey values of an image, read as by map_server.
 
     Attributes:
         grey: Shape (height, width), 0 black to 255 white; row 0 is the top.
@@ -68,7 +68,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # `_check_size` limits the size; damage is an error or harmless
+            warnings.simplefilter("ignore")  # `_check_size` limits the size; damage raises an error or is harmless
             image = Image.open(stream, formats=_FORMATS)
             _check_size(path, image.width, image.height)
             maxval = _largest_value(image, stream)
@@ -91,7 +91,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
 def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
     """Return the largest possible value of the file; that of a PGM may differ from 255 and 65535.
 
-    Pillow refuses larger values in a plain PGM but reads those of a raw PGM as white, so they are checked here.
+    Pillow rejects larger values in a plain PGM but reads those of a raw PGM as white, so they are checked here.
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
     if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:

@@ -101,8 +101,8 @@ class MapInfo(BaseModel):
         resolution: Side of a pixel [m].
         origin: Lower left corner of the lower left pixel, x and y [m].
         negate: Whether white is occupied and black free.
-        occupied_thresh: Occupancy probability from which a cell is occupied.
-        free_thresh: Occupancy probability up to which a cell is free.
+        occupied_thresh: Smallest occupancy probability of an occupied cell.
+        free_thresh: Largest occupancy probability of a free cell.
         mode: Conversion of grey values to occupancies.
     """
 
@@ -137,7 +137,7 @@ def load_map(path: str | Path) -> OccupancyGrid:
     _refuse_picture(Path(path))
     document = load_yaml(path)
     if not isinstance(document.value, Mapping):
-        # Only the type is printed, as the file may be any file with confidential content.
+        # Only the type is printed, because the file may be any file with confidential content.
         kind = "a list" if isinstance(document.value, list) else "text or a number"
         raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {kind}"))
     faults: list[Fault] = []
@@ -184,7 +184,7 @@ def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
 
 
 def _refuse_picture(path: Path) -> None:
-    """Refuse an image given instead of the YAML file, and name the YAML file."""
+    """Raise an error that names the YAML file if an image is given instead."""
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
         named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
@@ -200,7 +200,7 @@ def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:
 
 
 def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
-    """Return the image, also if another key is wrong, so that all faults are reported."""
+    """Return the image, even if another key is wrong, so that all faults are reported."""
     name = document.value.get("image") if isinstance(document.value, Mapping) else None
     if not (isinstance(name, str) and name):
         return None
@@ -214,9 +214,10 @@ def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
 def occupancy_from_image(image: GreyImage, info: MapInfo) -> OccupancyArray:
     """Return the occupancies of an image, Shape (rows, columns); row 0 is the last row of the image.
 
-    With v the grey value, p = (255 - v) / 255, or v / 255 when negated: occupied from `occupied_thresh` on, free up to
-    `free_thresh`; between them unknown (trinary) or 100 (p - free) / (occupied - free) rounded (scale). Transparent
-    pixels are unknown. Raw takes grey values 0..100 as they are, others are unknown.
+    With v the grey value, p = (255 - v) / 255, or v / 255 when negated. A cell is occupied if p >= `occupied_thresh`
+    and free if p <= `free_thresh`; between them it is unknown (trinary), or has the value 100 (p - free) / (occupied -
+    free), rounded (scale). Transparent pixels are unknown. In the mode raw, grey values 0..100 are occupancies and
+    others unknown.
     """
     table = _raw_table() if info.mode is MapMode.RAW else _threshold_table(info)
     occupancy = table[image.grey]

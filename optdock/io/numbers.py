@@ -1,6 +1,7 @@
 """Checks of numbers in files and options: type, and values that indicate another unit (degrees, millimetres, km/h).
 
-Files and options use SI units; a yaw of 90 or a footprint of 800 is refused on input. Values inside the library are not
+Files and options use SI units; a yaw of 90 or a footprint of 800 is rejected on input. Values inside the library are
+not
 bounded: the yaw along a path may exceed a full turn.
 """
 
@@ -19,7 +20,7 @@ __all__ = ["MOST_POLYGONS", "check_outline", "check_speed", "check_vertices", "c
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value of a file is a number in the range of float; NaN and infinity count, booleans do not.
+    """Whether a value of a file is a number in the range of float; NaN and infinity are numbers, booleans are not.
 
     >>> is_number(3), is_number(True), is_number(10**400)
     (True, False, False)
@@ -39,7 +40,7 @@ _ROUNDING = 1e-3  # [rad]: a full turn may be written as 6.2832 or 6.284
 
 
 def unit_fault(value: float, unit: str) -> str:
-    """Return why a number in `rad`, `m/s` or `m` (of an outline) is implausible, or an empty string.
+    """Return the reason why a number in `rad`, `m/s` or `m` (of an outline) is implausible, or an empty string.
 
     >>> unit_fault(90.0, "rad")
     '90 is beyond 2 pi; degrees? write radians, 1.5708'
@@ -58,7 +59,7 @@ def check_yaw(yaw: float) -> None:
     """Check that a yaw [rad] is within a full turn.
 
     Raises:
-        InvalidValue: If it is not; the message suggests degrees.
+        InvalidValue: If the yaw exceeds a full turn; the message suggests degrees.
     """
     _refuse("yaw", yaw, "rad")
 
@@ -67,7 +68,7 @@ def check_speed(speed: float) -> None:
     """Check that a speed [m/s] is plausible; infinity means unlimited.
 
     Raises:
-        InvalidValue: If it exceeds 50 m/s; the message suggests other units.
+        InvalidValue: If the speed exceeds 50 m/s; the message suggests other units.
     """
     _refuse("speed", speed, "m/s")
 
@@ -85,7 +86,7 @@ def check_vertices(value: object) -> None:
     """Check the number of vertices of an obstacle or outline.
 
     Raises:
-        InvalidValue: If there are more than 300.
+        InvalidValue: If there are more than 300 vertices.
     """
     if isinstance(value, list) and len(value) > _MOST_VERTICES:
         raise InvalidValue(f"must have at most {_MOST_VERTICES} vertices, got {len(value)}")

@@ -1,7 +1,7 @@
 """Paths as columns of numbers in plan files.
 
-Samples alone are read as a polyline. Exact curves in addition to the samples (`segments`) are the path, and the samples
-must lie on it. If a program has rounded the numbers of the curves, so that they miss their samples, the samples are
+Samples alone are read as a polyline. If exact curves (`segments`) are given in addition, they define the path, and the
+samples must lie on it. If the numbers of the curves were rounded, so that they miss their samples, the samples are
 used.
 """
 
@@ -35,7 +35,7 @@ _ROUNDED = 1e-4  # [m, rad]: largest deviation of rounded curves from their samp
 _STILL = 1e-9  # [m]: shorter steps carry no direction
 _CURVATURE = 0.01  # [1/m] and relative: tolerance of sampled curvatures
 _ENOUGH = 3  # steps needed to determine the unit of yaws
-_ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
+_ALIGNED = 0.05  # largest sine of the angle between motion and heading of a rolling robot
 
 
 def _no_boolean(value: object) -> object:
@@ -202,7 +202,7 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
-    if columns.segments:  # compared with the length of the curves
+    if columns.segments:  # otherwise the length is compared with that of the curves
         return
     turn = np.abs(wrap_angles(np.diff(poses[:, 2])))
     # A step of a polyline is at most a half circle; a turn in place may count its radians as length.
@@ -215,7 +215,7 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def _check_radians(poses: FloatArray, name: str) -> None:
-    """Refuse yaws beyond 2 pi that are aligned with the motion only in degrees."""
+    """Reject yaws beyond 2 pi that are aligned with the motion only if read as degrees."""
     step = np.diff(poses[:, :2], axis=0)
     moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
     if np.count_nonzero(moving) < _ENOUGH or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
@@ -255,7 +255,7 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
-    """Check the curvature of samples against the quotients of turn and chord of the steps around them.
+    """Check the curvature of samples against the ratios of turn and chord of the steps around them.
 
     The range of the two steps before and the two after a sample is widened by its size and by the rounding. Samples
     near a turn in place are not checked. The check applies to drivable paths only; raw paths may have corners between

@@ -393,7 +393,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
 
 
 def _built(document: D | None, build: Callable[[D], T], faults: list[str]) -> T | None:
-    """Return the result of `build`; an error is added to `faults`, so that other parts are checked as well."""
+    """Return the result of `build`; its error is added to `faults`, so that other parts are also checked."""
     try:
         return None if document is None else build(document)
     except (InvalidFile, InvalidValue, InvalidPath) as error:

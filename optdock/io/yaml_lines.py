@@ -1,7 +1,7 @@
 """YAML with line numbers for messages.
 
-Aliases and merge keys let a few bytes of YAML expand to a very large document, so the values are counted before any is
-constructed: first as written, then as expanded.
+Aliases and merge keys can expand a few bytes of YAML to a very large document, so the values are counted before the
+first one is constructed: first as written, then as expanded.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_LINE = 400  # characters of a message about one value
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
-    """PyYAML's safe loader that reads 1e-3 and 1.5e3 as numbers, as YAML 1.2 and Nav2's parser do."""
+    """PyYAML's safe loader, which also reads 1e-3 and 1.5e3 as numbers, like YAML 1.2 and Nav2's parser."""
 
 
 _Loader.add_implicit_resolver(
@@ -116,7 +116,7 @@ def load_yaml(path: str | Path) -> Document:
 
 
 def listed(source: str, lines: Sequence[str]) -> str:
-    """Join the lines of a message; of more than twenty lines, the first and the number of the others.
+    """Join the lines of a message; if there are more than twenty, the first ones and the number of the others.
 
     Args:
         source: Name of the file for the last line.

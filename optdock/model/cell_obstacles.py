@@ -88,7 +88,7 @@ def added_obstacles(
 
     Args:
         costmap: The new costmap.
-        known: The earlier costmap; None, or another grid, means that nothing was known.
+        known: The earlier costmap; None, or one with another grid, means that no obstacle was known.
         places: Shape (n, 2) [m].
         reach: Cells farther than this from all places are omitted [m].
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles in both costmaps.
@@ -130,7 +130,7 @@ def is_same_grid(first: Costmap, second: Costmap) -> bool:
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
-    """Return disjoint rectangles that cover exactly the true cells: merged row runs or merged column runs, the fewer.
+    """Return disjoint rectangles that cover exactly the true cells: the fewer of merged row and column runs.
 
     Args:
         occupied: Shape (rows, columns).
@@ -190,7 +190,7 @@ def _border(costmap: Costmap) -> ObstacleSet:
     """Return four half-planes around the map that overlap beyond its corners.
 
     Each is a rectangle whose far sides lie beyond every point that a footprint can reach at any pose. The large extent
-    costs no precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
+    does not reduce the precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
     """
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
     left, low = min(x0 - 1.0, -_BORDER_END), min(y0 - 1.0, -_BORDER_END)

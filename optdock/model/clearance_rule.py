@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 __all__ = ["ClearanceRule"]
 
-# Slope at which the required clearance grows with the distance from a start that violates it, from the start on or,
-# under the weaker rule, from `DockingProblem.start_run` on.
+# Slope at which the required clearance grows with the distance from a start that violates it: beyond the start or,
+# under the weaker rule, beyond `DockingProblem.start_run`.
 START_RELIEF_SLOPE = 0.5
 
 
-# [m]: the weaker rule allows this much less clearance than at the start, at most half of it, to turn away from a wall.
-# With it a robot of 0.9 m leaves a wall at 1 cm without a cusp.
+# [m]: the weaker rule allows a clearance lower than that of the start by this amount, at most by half, to turn away
+# from a wall. With it a robot of 0.9 m leaves a wall at 1 cm without a cusp.
 START_SLACK = 0.005
 
 
@@ -35,9 +35,9 @@ class ClearanceRule:
         required: Clearance away from the goal [m].
         at_dock: Clearance at the goal [m].
         taper: Distance over which the clearance grows linearly from `at_dock` to `required` [m].
-        dock_run: Distance from the goal within which `at_dock` suffices [m]; the growth starts there. For docks next to
-            an
-            obstacle: a robot along a wall cannot turn away without its tail or nose approaching the wall.
+        dock_run: Distance from the goal within which `at_dock` suffices [m]; the growth starts there. It is needed for
+            docks next to an obstacle, because a robot along a wall cannot turn away unless its tail or nose approaches
+            the wall.
         at_start: As `at_dock`, for a start that violates `required`, such as a start in a dock. None: such a robot may
             approach the obstacle by at most `START_SLACK` [m].
 
@@ -82,7 +82,7 @@ class ClearanceRule:
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose [m].
             start_relief: 0 for the strict rule; otherwise the distance from the start within which the weaker rule
-                requires hardly more than the start has, e.g. for a robot along a wall [m].
+                requires little more than the clearance of the start, e.g. for a robot along a wall [m].
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
 
@@ -97,7 +97,7 @@ class ClearanceRule:
 
     @staticmethod
     def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """Return the start clearance, growing with the distance; beyond `start_relief` from a lower value."""
+        """Return a requirement that grows from the start clearance, or beyond `start_relief` from a lower value."""
         kept = max(0.0, start_clearance)
         least = kept if start_relief == 0.0 else _relieved(kept)
         return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)

@@ -1,7 +1,7 @@
 """Motion under piecewise constant jerk: states, braking, and the time law of a trajectory.
 
 This is the only implementation in the library: `constant_jerk` within a phase, `border_states` over many phases. The
-reference implementations in `experiments` evaluate it independently on purpose.
+reference implementations in `experiments` deliberately evaluate it independently.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Number = TypeVar("Number", float, FloatArray)
 def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
     """Return distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
 
-    s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
+    The distance is s + v t + a t^2 / 2 + j t^3 / 6; speed and acceleration are its derivatives.
 
     Args:
         t: Time since the state [s].
         s: Distance [m].
         v: Speed [m/s].
         a: Acceleration [m/s^2].
-        jerk: [m/s^3].
+        jerk: Jerk [m/s^3].
     """
     gain = t * jerk
     return s + t * (v + t * (0.5 * a + gain / 6.0)), v + t * (a + 0.5 * gain), a + gain
@@ -70,16 +70,16 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
 
     The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
     to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most the deceleration, and the remaining speed
-    is braked off at b. A deceleration beyond D is reduced first.
+    is reduced at b. A deceleration beyond D is reduced first.
 
     Args:
         v: Speed along the travel [m/s].
         a: Acceleration along the travel [m/s^2].
-        deceleration: D, the largest [m/s^2].
-        jerk: J, the largest [m/s^3].
+        deceleration: Largest deceleration D [m/s^2].
+        jerk: Largest jerk J [m/s^3].
     """
     if a < -deceleration:
-        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J directly to rest; limited to -D
         phases = ((-deceleration - a) / jerk, jerk), (spare / deceleration, 0.0), (deceleration / jerk, jerk)
     else:
         brake = min(deceleration, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
@@ -93,8 +93,8 @@ def braking_time(speed: float, deceleration: float, jerk: float) -> float:
 
     Args:
         speed: Speed along the travel, >= 0 [m/s].
-        deceleration: The largest [m/s^2].
-        jerk: The largest [m/s^3].
+        deceleration: Largest deceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
     """
     if speed < deceleration**2 / jerk:
         return 2.0 * math.sqrt(speed / jerk)

@@ -165,7 +165,7 @@ class Costmap:
         return costs
 
     def occupancy(self) -> OccupancyArray:
-        """Return the occupancies as Nav2 publishes them, Shape (rows, columns), -1 (unknown) or 0..100."""
+        """Return the occupancies that Nav2 publishes for the costs, Shape (rows, columns), -1 (unknown) or 0..100."""
         return occupancy_from_costs(self.data)
 
 

@@ -102,7 +102,7 @@ def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None
 
 
 def occupancy_from_costs(costs: CostArray) -> OccupancyArray:
-    """Return the occupancies as Nav2 publishes them: 1..252 to 1..98, 253 to 99, 254 to 100, 255 to -1. Any shape."""
+    """Return the occupancies that Nav2 publishes: 1..252 to 1..98, 253 to 99, 254 to 100, 255 to -1. Any shape."""
     scale = np.arange(256)
     table = np.where(scale == FREE_SPACE, 0, 1 + (97 * (scale - 1)) // 251)
     table[[INSCRIBED, LETHAL, NO_INFORMATION]] = (_OCCUPANCY_INSCRIBED, 100, OCCUPANCY_UNKNOWN)

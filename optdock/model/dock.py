@@ -69,13 +69,13 @@ class Dock:
             start.
         final_straight: Length of the straight run at the end [m].
         approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
-        approach_distance: Length of the slow zone at the end of the path [m]; 0 for none.
+        approach_distance: Length of the slow zone at the end of the path [m]; 0 for no zone.
         tolerances: Tolerances of the docked pose.
         marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The
             orientation of the marker is not modelled.
-        visible_distance: The marker must be in the view of `Robot.camera` from this distance before the end of the path
-            on [m], or from the start of a shorter path on; 0 for nowhere.
-        blind_distance: Length of the last part of the path where the marker need not be visible [m].
+        visible_distance: Length of the last part of the path [m], or the whole of a shorter path, on which the marker
+            must be in the view of `Robot.camera`; 0 for no requirement.
+        blind_distance: Length of the last part of the path on which the marker may be invisible [m].
 
     Raises:
         InvalidValue: If final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the

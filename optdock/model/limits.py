@@ -1,7 +1,7 @@
 """Motion limits of the robot's drive.
 
 `LIMITS` is the single table of the bounds in `MotionLimits`: certificates, sample checks, scenario files, their
-reference and the plots take names, units and quantities from it.
+reference and the plots use its names, units and quantities.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class MotionLimits:
         max_curvature_rate: |d curvature / ds| [1/m^2].
         wheelbase: Distance between the axles of a robot with steered wheels [m]; required by the two limits below.
         max_steering_angle: |atan(wheelbase * curvature)| [rad].
-        max_steering_rate: Steering rate [rad/s], also at rest: the robot waits where the curvature jumps, and at a
+        max_steering_rate: Steering rate [rad/s], also at rest: the robot waits at jumps of the curvature, and at a
             start from rest with unknown steering angle.
         max_lateral_jerk: |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; 0 at rest and in turns in place.
 
@@ -249,12 +249,12 @@ class MotionLimits:
         return turned
 
     def steering_times(self, curvatures: FloatArray) -> FloatArray:
-        """Return the times to steer between two curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
+        """Return the times to steer between two curvatures, signed as forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
 
     def start_wait(self, path: Path) -> float:
-        """Return the rest at the start of `path` until wheels with unknown steering angle are steered for it [s]."""
+        """Return the wait at the start of `path` until wheels with unknown steering angle have its angle [s]."""
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 

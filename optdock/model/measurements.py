@@ -41,7 +41,7 @@ class OdometryPose(NamedTuple):
 
 
 class Measurements(NamedTuple):
-    """Everything that arrived since the last control cycle.
+    """Measurements that arrived since the last control cycle.
 
     Attributes:
         stamp: Time of the control cycle [s], on a monotonic clock.
@@ -49,11 +49,11 @@ class Measurements(NamedTuple):
         twist: Body velocity of the odometry, for control. Without `odometry` the motion of the robot is its integral,
             with an error of the distance driven in half the averaging window of the velocity.
         detections: New detections, in any order.
-        contact: State of an external contact switch or charger; None without one.
+        contact: State of an external contact switch or charger; None without such a signal.
         costmap: New costmap of the surroundings; None if unchanged.
-        odometry: Latest odometry pose; None without one.
+        odometry: Latest odometry pose; None without odometry poses.
         pose_stamp: Time of `pose` [s]; None for `stamp`.
-        held: Whether the robot must stand, e.g. after an emergency stop; the task continues when it is released.
+        held: Whether the robot must stay at rest, e.g. after an emergency stop; the task continues when it is released.
         current: Current into the battery [A], negative while discharging; None if not measured.
     """
 

@@ -1,7 +1,7 @@
 """Paths: gear segments by arc length, joined at cusps.
 
-`s` is the travelled distance, never negative, in either gear; a turn in place counts 1 m per rad (see `segments`).
-Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
+`s` is the travelled distance, never negative, in either gear; a turn in place has a length of 1 m per rad (see
+`segments`). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Path(FrozenArrays):
     def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
         """Return a polyline path; the gear of a step is the sign of (motion . heading), a change of gear is a cusp.
 
-        Repeated poses are dropped. A step that only turns gets the gear of its predecessor.
+        Repeated poses are dropped. A step that only turns has the gear of its predecessor.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.
@@ -123,7 +123,7 @@ class Path(FrozenArrays):
         )
 
     def with_frame(self, frame: str) -> Path:
-        """Return the same path with the frame name set; an empty name changes nothing.
+        """Return the same path with the frame name set; an empty name has no effect.
 
         Raises:
             InvalidPath: If the path has another frame; poses are not transformed.
@@ -203,15 +203,15 @@ class Path(FrozenArrays):
         return Pose2.from_sequence(self.poses_at(s)[0])
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp that of the next gear. Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp the pose of the next gear. Shape (n, 3)."""
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Return the curvature at `s`; at a cusp that of the next gear. Shape (n,) [1/m]."""
+        """Return the curvature at `s`; at a cusp the value of the next gear. Shape (n,) [1/m]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_at(local), ())
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
-        """Return d curvature / ds at `s`; at a cusp that of the next gear. Shape (n,) [1/m^2]."""
+        """Return d curvature / ds at `s`; at a cusp the value of the next gear. Shape (n,) [1/m^2]."""
         return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
 
     def direction_at(self, s: ArrayLike) -> IntArray:
@@ -332,7 +332,8 @@ def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
 def joint_curvatures(path: Path) -> FloatArray:
     """Return the curvature just before and just after every cusp, Shape (cusps, 2) [1/m].
 
-    Signed as driven forward, a left turn of the wheels positive; a curve driven in reverse is steered mirrored.
+    The sign is that for driving forward, positive for a left turn of the wheels; for a curve driven in reverse the sign
+    is inverted.
     """
     ends = [
         (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["DockingProblem", "ProblemFingerprint"]
 
 OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
-STATION_DISTANCE = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for smaller robots
+STATION_DISTANCE = 1.0  # [m]: allowed distance of a station, e.g. a marker on a wall, also for robots shorter than this
 # [m/s], [m/s^2]: rounding error of rest, or of the end of braking, of a time law over kilometres and hours; far below
 # the tolerance of certificates, 1e-6.
 _ROUNDING = 1e-10
@@ -82,7 +82,7 @@ class DockingProblem(FrozenArrays):
         start_speed: Signed speed at the start, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m], with which the path begins. None leaves it free:
             steered wheels may then have any angle, and the motion waits for them at rest (`start_wait`).
-        start_acceleration: Derivative of the signed speed at the start [m/s^2]. Used by the motion, not by path
+        start_acceleration: Derivative of the signed speed at the start [m/s^2]. It is used by the motion, not by path
             planning. Start states within rounding of rest count as rest.
         costmap: Grid of the surroundings, or None. It is read on construction; a writable grid is copied.
         frame: Name of the coordinate frame.
@@ -191,14 +191,13 @@ class DockingProblem(FrozenArrays):
         unknown_is_obstacle: bool = True,
         frame: str = "map",
     ) -> DockingProblem:
-        """Return a problem among the cells of an occupancy grid.
+        """Return a problem with the cells of an occupancy grid as obstacles.
 
         Args:
             occupancy: Shape (rows, columns): row 0 has the lowest y, column 0 the lowest x, as in ROS's OccupancyGrid
                 (row 0 of
-                an image is at the top: pass `image[::-1]`). Either booleans, True is occupied; or integers as in ROS, 0
-                    (free)
-                to 100 (occupied) and -1 (unknown).
+                an image is at the top: pass `image[::-1]`). The elements are booleans, True is occupied, or integers as
+                    in ROS, 0 (free) to 100 (occupied) and -1 (unknown).
             resolution: Side of a cell [m].
             origin: Lower left corner of the cell in row 0 and column 0, x and y [m].
             start: Start pose of the robot.
@@ -260,7 +259,7 @@ class DockingProblem(FrozenArrays):
         return abs(self.start_speed), sign * self.start_acceleration
 
     def start_wait(self, path: Path) -> float:
-        """Return the rest at the start of a motion along `path` until steered wheels have the angle of the path [s].
+        """Return the waiting time at the start of a motion along `path` until steered wheels have its angle [s].
 
         0 if `start_curvature` is given; see `MotionLimits.start_wait`.
         """
@@ -278,7 +277,7 @@ class DockingProblem(FrozenArrays):
         """Return the largest displacements of the footprint from poses of a path that keep `clearance`.
 
         The difference between `path_clearance` and `clearance`: zero at the dock, where the robot ends in contact, and
-        near a start without spare clearance.
+        near a start without additional clearance.
 
         Args:
             poses: Poses of the path, Shape (n, 3).
@@ -306,11 +305,11 @@ class DockingProblem(FrozenArrays):
         return RequiredView(camera, marker, dock.visible_distance, dock.blind_distance)
 
     def required_view_margin(self, from_goal: FloatArray, from_start: FloatArray, to_marker: FloatArray) -> FloatArray:
-        """Return the margin of the marker in the view with which every pose in the tracking tube sees it.
+        """Return the margin of the marker in the view with which it is visible from every pose in the tracking tube.
 
         A position error e and a heading error w move a point at distance r of the robot by at most e + 2 r sin(w / 2)
-        in the camera frame. The tube tapers at the dock like the clearance. A start with less margin is left at the
-        slope of `ClearanceRule.leaving`.
+        in the camera frame. The tube tapers at the dock like the clearance. From a start with less margin the
+        requirement grows with the slope of `ClearanceRule.leaving`.
 
         Args:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
@@ -339,8 +338,8 @@ class DockingProblem(FrozenArrays):
         """Start relief of the weaker rule [m]: twice the length of the robot.
 
         A robot along a wall closer than required cannot gain clearance at once, because its tail swings towards the
-        wall, so it may keep nearly its start clearance over this run. Over one length a robot of 0.9 m cannot leave a
-        wall at 1 cm without a cusp.
+        wall, so over this distance little more than its start clearance is required. Over one length a robot of 0.9 m
+        cannot leave a wall at 1 cm without a cusp.
         """
         footprint = self.robot.footprint
         return 2.0 * min(footprint.length, 2.0 * footprint.circumscribed_radius)
@@ -388,7 +387,7 @@ class DockingProblem(FrozenArrays):
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
     """Return a signed start state without rounding errors of rest or of the end of braking.
 
-    Such a state would reverse by an unmeasurable distance. It becomes rest, or gets exactly the speed that remains when
+    Such a state would reverse by an unmeasurable distance. It is replaced by rest, or by the speed that remains when
     its acceleration is brought to zero.
     """
     if max(abs(speed), abs(acceleration)) <= _ROUNDING:

@@ -75,7 +75,7 @@ class PathSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSegment(FrozenArrays):
-    """A gear segment that is exactly a clothoid spline, as the smoother returns it."""
+    """A gear segment that is exactly a clothoid spline, the result of the smoother."""
 
     spline: ClothoidSpline
 
@@ -115,7 +115,7 @@ class ClothoidSegment(FrozenArrays):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PolylineSegment(FrozenArrays):
-    """A gear segment given by poses, as planners return it.
+    """A gear segment given by poses, the result of planners.
 
     Position and yaw are linear between poses. The curvature of a step is that of the circular arc with its chord and
     its turn, so a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns
@@ -172,8 +172,8 @@ class PolylineSegment(FrozenArrays):
     def step_swing(self) -> FloatArray:
         """Variation of the curvature over every step, to its mean and on to the next step, Shape (n - 1,) [1/m^2].
 
-        Half of the changes at both ends of the step, over its length. For monotonic curvature this is the slope of
-        `curvature_at`; an oscillation from step to step is hidden by the means at the poses.
+        It is half of the changes at both ends of the step, divided by its length. For monotonic curvature this is the
+        slope of `curvature_at`; an oscillation from step to step is not visible in the means at the poses.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))

@@ -80,7 +80,7 @@ def nav2_scenario(
         DockNotValid: If the dock is in another frame than the map, or its type is not among the parameter file's dock
             types. In a file without dock types every dock is entered forward, as by Nav2's default.
         DockNotInDB: If there is no dock of that name, or several docks and no name.
-        InvalidValue: If the start is no pose.
+        InvalidValue: If the start is not a pose.
     """
     params = load_nav2_params(params_source)
     source = str(docks_source or params_source)
@@ -193,7 +193,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
 
 
 def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
-    """Speed of the docking controller, from the staging pose on."""
+    """Speed of the docking controller after the staging pose."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"
     if not isinstance(controller, Mapping):

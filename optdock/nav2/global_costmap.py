@@ -1,4 +1,4 @@
-"""Costmaps written by layers in order (Nav2: `LayeredCostmap`), and the global one of a Nav2 parameter file."""
+"""Costmaps written by layers in order (Nav2: `LayeredCostmap`), and the global costmap of a Nav2 parameter file."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def file_costmap(
     """Return the costmap `described`, with the place and size of the map, before any sensor data.
 
     The layers that optdock provides are applied in the order of the file with their parameters. Layers of sensors are
-    skipped as there is no data, inflation layers as the clearance is proven with the exact footprint. If the file has
-    no static layer, one is added below the others.
+    skipped because there is no data, inflation layers because the clearance is proven with the exact footprint. If the
+    file has no static layer, one is added below the others.
 
     Args:
         params: The parameter file.
@@ -57,7 +57,7 @@ def file_costmap(
         dock: The dock, for a `DockLayer`.
 
     Raises:
-        InvalidFile: If a layer that optdock provides refuses its parameters.
+        InvalidFile: If a layer that optdock provides rejects its parameters.
     """
     node = next(path for path in params.nodes if (path.rsplit("/", 1)[-1] or params.source.stem) == described.name)
     values = params.nodes[node]
@@ -158,7 +158,7 @@ def layered_costmap(
         track_unknown_space: Whether cells that no layer writes are unknown; otherwise they are free.
 
     Raises:
-        InvalidValue: If an entry of `layers` is no Layer, or a layer is given twice or refuses the footprint.
+        InvalidValue: If an entry of `layers` is not a Layer, or a layer is given twice or rejects the footprint.
         LifecycleError: If a layer is in use already.
         PluginError: If a layer shrinks the bounds or returns NaN.
         OptdockError: If a layer raises an error.

@@ -27,7 +27,7 @@ class ParameterBlock:
         document: The file.
         keys: Position of the mapping in the file.
         values: The mapping.
-        faults: Collected error messages; wrong values are added to it.
+        faults: Collected error messages; faults of wrong values are added.
     """
 
     document: Document
@@ -45,7 +45,7 @@ class ParameterBlock:
         self.faults.append(self.document.fault((*self.keys, *keys), message))
 
     def number(self, name: str, default: float, *, positive: bool = False, unit: str = "") -> float:
-        """Return a finite number, or the default if it is absent, wrong, or implausible in its unit."""
+        """Return a finite number, or the default if the value is absent, wrong, or implausible in its unit."""
         value = self.values.get(name, default)
         rule = "a number > 0" if positive else "a finite number"
         if not (is_number(value) and math.isfinite(value) and (value > 0.0 or not positive)):
@@ -58,7 +58,7 @@ class ParameterBlock:
         return float(value)
 
     def text(self, name: str, default: str) -> str:
-        """Return a text, or the default if it is absent or wrong."""
+        """Return a text, or the default if the value is absent or wrong."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
             self.fault(name, message=f"must be text, got {shown(value)}")

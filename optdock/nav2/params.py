@@ -163,7 +163,7 @@ def _read_costmap(block: ParameterBlock) -> CostmapParams:
 
 
 def _read_footprint(block: ParameterBlock) -> Footprint | None:
-    """The footprint; None if it is empty. Nav2 falls back to the radius also for an invalid text."""
+    """The footprint; None if it is empty. Nav2 also uses the radius if the text is invalid."""
     value = block.values.get("footprint", "[]")
     text = value.strip() if isinstance(value, str) else str(value)
     if text in _NO_FOOTPRINT:
@@ -196,7 +196,7 @@ def _first_of_name(named: Iterable[N]) -> dict[str, N]:
 
 
 def _with_nested_names(document: Document) -> Document:
-    """The document with every dotted name of a parameter split into nested blocks, and the line numbers of these.
+    """The document with every dotted name of a parameter split into nested blocks, and the line numbers of the blocks.
 
     If a name is given both ways, its first value is used.
     """
@@ -206,7 +206,7 @@ def _with_nested_names(document: Document) -> Document:
 
 
 def _nested(value: object, old: Keys, new: Keys, lines: dict[Keys, int]) -> object:
-    """`value` at the position `old`, moved to `new`, with its names split inside of parameter blocks."""
+    """`value` at the position `old`, moved to `new`, with the names in parameter blocks split."""
     if not isinstance(value, Mapping):
         return value
     result: dict[object, object] = {}

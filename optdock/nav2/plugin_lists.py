@@ -1,4 +1,4 @@
-"""Plugins that the nodes of a Nav2 parameter file list."""
+"""Plugins listed by the nodes of a Nav2 parameter file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["UNLISTED", "PluginInstance", "plugin_instances"]
 
 UNLISTED = "unlisted"
-"""Kind of a block with a class that no list of its node names."""
+"""Kind of a block with a class that is in no list of its node."""
 
 _COSTMAP_LISTS: Mapping[str, str] = {"plugins": "layer", "filters": "filter"}
 

@@ -56,10 +56,10 @@ class Nav2Plugin:
         instance: Entry of the file.
         plugin: Plugin created with its known parameters; None if it is not provided.
         taken: Parameters of the file that are used.
-        reason: Reason why the plugin is not provided; empty if it is.
+        reason: Reason why the plugin is not provided; empty if it is provided.
         unknown: Parameters that are not used: unknown ones, each with the closest known name, and those with a meaning
             on a ROS graph only.
-        refused: Whether optdock has the plugin, but it refuses its parameters.
+        refused: Whether optdock has the plugin, but the plugin rejects its parameters.
     """
 
     instance: PluginInstance
@@ -82,7 +82,7 @@ class Nav2Plugin:
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
     """Return all plugins of the file, created if optdock provides them.
 
-    Unknown parameters are listed, not refused. Behaviors and layers inherit some parameters of their node, as in Nav2.
+    Unknown parameters are listed, not rejected. Behaviors and layers inherit some parameters of their node, as in Nav2.
     """
     return tuple(provided(instance, params) for instance in params.plugins)
 
@@ -111,13 +111,13 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
         plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)
     except (InvalidValue, PluginError) as error:
         return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown, refused=True)
-    graph_names = getattr(plugin_class.Parameters, "graph_names", ())  # accepted and dropped
+    graph_names = getattr(plugin_class.Parameters, "graph_names", ())  # accepted and ignored
     dropped = tuple(name for name in known if name in graph_names)
     return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
 
 
 def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:
-    """Names that the plugin's model forbids, in nested blocks too."""
+    """Names that the plugin's model forbids, including those in nested blocks."""
     try:
         parse_parameters(plugin_class.Parameters, parameters, "")
     except InvalidValue as error:

@@ -1,6 +1,6 @@
 """Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
 
-Both segments are NURBS curves through three control points. The path is a raw one: its first tangent ignores the yaw
+Both segments are NURBS curves through three control points. The path is a raw path: its first tangent ignores the yaw
 of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
 
 F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 _SAME_POSITION = 1e-9  # [m]
-_SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
+_SAME_DISTANCE = 1e-9  # [m]; breaks ties in the same way in every frame
 _SAME_ANGLE = 1e-9  # [rad]
 _ON_AXIS = 1e-6  # [m]
 _REVERSE_SLACK = 0.05  # [rad], of the source
@@ -101,7 +101,7 @@ class DockPlannerParameters(PluginParameters):
 
     @property
     def dock_outline(self) -> Footprint | None:
-        """`footprint_dock` as a polygon; None where it is null."""
+        """`footprint_dock` as a polygon; None if it is null."""
         return None if self.footprint_dock is None else Footprint(np.array(self.footprint_dock))
 
 
@@ -258,7 +258,7 @@ def plan_two_segment(
     """Compute the raw docking path from `start` to `goal`.
 
     The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
-    `parameters.check_free_space` the cells under start, goal and curves must be free; off the map none is.
+    `parameters.check_free_space` the cells under start, goal and curves must be free; places off the map are not free.
     `cancel_checker` is polled at least every 5 ms.
 
     Raises:
@@ -333,9 +333,9 @@ class CurveSampler:
         """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
         Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
-        of |dC/du|, which spaces poses up to twice too far where the curve is fast. As in the source the last pose has
-        the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2) [m], n >
-        degree, of unit weight.
+        of |dC/du|, so that the spacing is up to twice too large in fast parts of the curve. As in the source the last
+        pose has the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2)
+        [m], n > degree, of unit weight.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -398,7 +398,7 @@ class JointKind(IntEnum):
 
 
 class Joint(NamedTuple):
-    """How segment 1 reaches the axis.
+    """Joint of segment 1 with the axis.
 
     `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
     [m].
@@ -412,9 +412,9 @@ class Joint(NamedTuple):
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
     """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
 
-    A start on the axis needs no turn and goes straight to C, also where C is too near for the sampled search. `start`:
-    position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m]. `angle_threshold`:
-    smallest interior angle between the rays from the joint to A and along the axis [rad].
+    From a start on the axis the robot drives straight to C without a turn, even if C is too near for the sampled
+    search. `start`: position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m].
+    `angle_threshold`: smallest interior angle between the rays from the joint to A and along the axis [rad].
     """
     distance = np.hypot(*(centreline - start).T)
     nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))
@@ -458,7 +458,7 @@ def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
 
 
 def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
-    """Return the joint with equal legs, to one sample: an arc that ends tangent to the axis."""
+    """Return the joint with equal legs, accurate to one sample: an arc that ends tangent to the axis."""
     ahead = centreline[index::-1]
     far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
     end = ahead[int(np.argmax(far))]
@@ -478,7 +478,7 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
-    """Join start, both segments and goal; of repeated positions the first pose stays, and always the goal."""
+    """Join start, both segments and goal; of repeated positions only the first pose is kept, and the goal always."""
     head = _without_repeats(np.vstack((start.as_array(), parts[0])))
     tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
     apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION

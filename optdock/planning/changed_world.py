@@ -36,21 +36,21 @@ __all__ = ["StillHolds", "still_holds"]
 _NO_WAY = 1e-6  # [m]: shorter rests of a path are empty
 _SPACING = 0.1  # [m] between the places by which near obstacles are found
 _HALVINGS = 30  # of a phase: below a microsecond
-_RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
+_RULES = {"clearance", "footprint", "dock"}  # the proof does not hold if one of these has changed
 
 
 @dataclass(frozen=True)
 class StillHolds:
-    """Result of `still_holds`; true if the clearance of the rest is proven.
+    """Result of `still_holds`; true if the clearance of the rest of the path is proven.
 
     Args:
-        holds: Whether it is proven.
+        holds: Whether the clearance is proven.
         changed: Differences from the world of the plan's proof: of `obstacles`, `costmap`, `dock`, `clearance`,
             `footprint`, `limits`, `frame`.
         at_s: Place of the first conflict on the plan's path [m]; None: no conflict.
         at_time: Time of that place on the plan's trajectory [s].
         obstacle: The obstacle that is too close; empty if the proof was not completed.
-        clearance: Clearance to it [m].
+        clearance: Clearance to that obstacle [m].
         required: Required clearance there [m].
         reason: The result in a sentence; empty if it holds.
     """
@@ -85,7 +85,7 @@ def still_holds(
         world: A costmap, which replaces the plan's costmap with its border; obstacles, which replace the plan's; or a
             whole problem, whose start is not used.
         from_time: Progress of the robot on the plan's trajectory [s].
-        is_late: Polled between the rounds of the proof; parts that are still open when it returns True do not hold.
+        is_late: Polled between the rounds of the proof; parts that are still open when it returns True are not proven.
 
     Raises:
         InvalidValue: If an argument is of another class, or of a subclass, or not finite.
@@ -107,7 +107,7 @@ def still_holds(
         return StillHolds(holds=False, changed=changed, reason=reason)
     if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)
-    # At the end of the plan the pose of the standing robot must be clear as well.
+    # At the end of the plan the pose of the robot at rest must also be clear.
     begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
     return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
 
@@ -123,7 +123,7 @@ class _Change:
     changed: tuple[str, ...]
 
     def judged(self, begin: float, is_late: Callable[[], bool]) -> StillHolds:
-        """Check the rest of the path, from `begin` on [m], against the obstacles that matter."""
+        """Check the rest of the path, beyond `begin` [m], against the relevant obstacles."""
         known, later = self.plan.problem, self.later
         rest = self.plan.path.piece(begin)
         count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)
@@ -142,7 +142,7 @@ class _Change:
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
 
     def _new(self, places: FloatArray, reach: float) -> ObstacleSet:
-        """Return the obstacles near the path that were not there when the plan was proven."""
+        """Return the obstacles near the path that did not exist when the plan was proven."""
         known, later, found = self.plan.problem, self.later, list[ObstacleSet]()
         if "obstacles" in self.changed:
             found.append(_without(self.obstacles.near(places, reach), known.obstacles))

@@ -5,9 +5,9 @@ point p(s), and moves the end by
 
     d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
 
-a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton: the change of least weighted
-norm that closes the gap in this linear model within the bounds of curvature and curvature rate, then the exact path,
-until the gap is closed. The norm weights the curvature rate, which determines the yaw acceleration.
+a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton steps are repeated until the
+gap is closed: the change of least weighted norm that closes the gap in this linear model within the bounds of curvature
+and curvature rate, then the exact path. The norm weights the curvature rate, which determines the yaw acceleration.
 
 A path that comes too close to an obstacle is pushed away in the same way, by constraints on points of the robot.
 """
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Push", "deformed", "push_off"]
 
-_ROOM = 0.005  # [m]: additional distance of a push, as the nearest place moves along the path
-_CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_ROOM = 0.005  # [m]: additional distance of a push, because the nearest place moves along the path
+_CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
@@ -79,7 +79,7 @@ class _GearPiece(NamedTuple):
         return self.curvature.size + 1 if self.sign else 1
 
     def changed(self, change: FloatArray) -> _GearPiece:
-        """Return the gear with changed variables; the length changes by its logarithm."""
+        """Return the gear with changed variables; the variable of the length is the change of its logarithm."""
         if self.sign == 0:
             return self._replace(turn=self.turn + float(change[0]))
         return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])
@@ -113,7 +113,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot, Shape (2,) [m], unit normal away from the obstacle, missing distance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal off the obstacle (2,) and missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -131,7 +131,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
     speed: float = 0.0,
     pushes: Sequence[Push] = (),
 ) -> Path | None:
-    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow none.
+    """Return a path near `path` from `start` to `goal` in the same gears, or None if the bounds allow no path.
 
     Clearance is not checked.
 
@@ -141,7 +141,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
         goal: New goal.
         limits: Bounds of curvature and curvature rate.
         final_straight: Length of the straight run at the end [m].
-        steers: Whether the curvature at the start is fixed: the robot is in motion, or has a steering rate.
+        steers: Whether the curvature at the start is fixed, because the robot is in motion or has a steering rate.
         speed: Speed at the start, >= 0 [m/s]: while braking, yaw acceleration and steering rate bound the curvature
             rate.
         pushes: Distances to be kept.
@@ -284,7 +284,7 @@ class _Program:
             found = np.diff(gear.curvature) / steps
             at = np.arange(n - 1)
             rows[count + at, begin + at], rows[count + at, begin + at + 1] = -1.0 / steps, 1.0 / steps
-            rows[count + at, begin + n] = -found  # a longer gear swings more slowly
+            rows[count + at, begin + n] = -found  # the same turn over a longer gear
             rates.append(found)
             count += n - 1
         return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
@@ -296,7 +296,7 @@ class _Program:
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
-        """Return the cheapest change that closes the gap, keeps pushes and bounds, by gears; None if there is none."""
+        """Return the cheapest change of each gear that closes the gap within pushes and bounds; None if none exists."""
         end = segments[-1].poses_at(segments[-1].length)[0]
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:
@@ -362,7 +362,7 @@ class _Program:
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
             first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
-            # Derivative by the logarithm of the length: the turns grow in proportion, and so does the way.
+            # Derivative by the logarithm of the length: the turns and the travelled distance grow in proportion.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))
         return np.concatenate(columns, axis=1)

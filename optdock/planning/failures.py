@@ -51,7 +51,7 @@ def stage_of(error: OptdockError) -> int | None:
 
 
 class Failure(NamedTuple):
-    """The error of a guess or a planner, and the partial plan at that time."""
+    """Error of a guess or a planner, with the partial plan at that time."""
 
     error: OptdockError
     left: PartialPlan
@@ -65,7 +65,7 @@ class Failure(NamedTuple):
 def furthest(failures: Sequence[Failure]) -> Failure:
     """Return the most informative failure: the first one of the latest stage, time-outs last.
 
-    If no planner had a guess, the last planner, which searched, is more informative than the first.
+    If no planner returned a guess, the failure of the last planner is returned, because it comes from a search.
     """
     if not any(failure.stage for failure in failures):
         return failures[-1]
@@ -75,8 +75,8 @@ def furthest(failures: Sequence[Failure]) -> Failure:
 def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) -> OptdockError:
     """Return the error of a call that found no plan and no proof.
 
-    A time-out if more time might have given a plan; else the most informative failure. `is_cut_off`: whether the clock
-    ended the call before all guesses were made or tried.
+    The error is a time-out if more time might have given a plan, otherwise the most informative failure. `is_cut_off`:
+    whether the clock ended the call before all guesses were made or tried.
     """
     is_late = work.is_late()
     if not failures:
@@ -107,7 +107,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
 
 
 def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem) -> Failure | None:
-    """Return a failure for a reason that every guess has, independent of the time; or None."""
+    """Return a failure whose reason holds for every guess, independent of the time; or None."""
     gears = {Direction.FORWARD, Direction.REVERSE}
     if problem.dock.direction is not DockDirection.AUTO:
         gears = {Direction.FORWARD if problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
@@ -123,7 +123,7 @@ def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem)
 
 
 def check_ends(problem: DockingProblem) -> None:
-    """Refuse end poses that no path can have.
+    """Raise an error for a start or goal pose that no path can have.
 
     Raises:
         StartOutsideMapBounds: Also GoalOutsideMapBounds: if the position is off the problem's costmap.
@@ -168,7 +168,7 @@ def _check_view_at_goal(problem: DockingProblem) -> None:
 
 
 def _clearance_hint(rule: ClearanceRule) -> str:
-    """Return how to write a clearance that lets the robot touch its station."""
+    """Return the hint for a clearance rule with which the robot may touch its station."""
     parts = {"required": rule.required, "at_dock": 0.0}
     if rule.taper != ClearanceRule().taper:
         parts["taper"] = rule.taper

@@ -84,7 +84,7 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_TIME_BUDGET = 1.0  # [s]: enough for difficult scenes; most calls need a fiftieth of it
+DEFAULT_TIME_BUDGET = 1.0  # [s]: enough for difficult scenes; most calls need a fiftieth of this time
 DEFAULT_PLANNERS = ("DockPlanner", "ManoeuvrePlanner")  # the fast one first, then the search
 DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # Share of the remaining time, and least time [s], for smoothing one guess while nothing is certified and more guesses
@@ -95,20 +95,20 @@ _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # guesses of the dock planner 43 of the 66 shorter ones could be smoothed, most of them in 20 to 45 ms, and 6 of the
 # others.
 _PUT_OFF, _SAMPLES, _SHORTLY, _BRIEFLY = 0.2, 24, 2.5, 0.045
-# Shares of the remaining time for a proof of impossibility: when a planner pauses before a wider search, and what the
-# last planner must leave for it.
+# Shares of the remaining time for a proof of impossibility: when a planner pauses before a wider search, and the share
+# that the last planner must leave unused.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
-# The same for the robot's largest disc alone, after a planner without result: it mostly ends within 3 ms if a way
-# exists, and the width of a gap that is too narrow is measured in 30 ms more.
+# Share for a proof with the robot's largest disc alone, after a planner without result: it mostly ends within 3 ms if a
+# way exists, and the width of a gap that is too narrow is measured in 30 ms more.
 _DISC_PROOF = 0.25
 # A guess is tried only if its least price is below this share of the best plan's price; on easy scenes a plan costs
-# 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.95, 25 plans were
-# dearer by more than 0.5 % and 2 cheaper; with 0.98, 2 and 9, in a tenth more time. 0.97 lies between.
+# 0.2 % more than the least price of its path. In 352 cases, compared with a longer search: with 0.95, 25 plans cost
+# over 0.5 % more and 2 cost less; with 0.98, 2 plans cost more and 9 less, in a tenth more time. 0.97 lies between.
 _WORTH_A_TRY = 0.97
 # Share of the budget below which a collision-free guess that was interrupted is continued before others.
 _GOING_ON = 0.5
 _MOST_LEFT_OUT = 6  # gears of the best plan
-_WARM_UP = 3.0  # [s], budget of the plan that warms up; a planner that uses all its time takes that long, once
+_WARM_UP = 3.0  # [s], budget of the warm-up plan, used up once by a planner that always uses all its time
 
 # A plugin by its name, by its name with parameters, or the object itself.
 PlannerLike: TypeAlias = "str | PluginChoice | GlobalPlanner"
@@ -129,8 +129,8 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
 
-    There are three results: a certified plan; a proof that no motion exists (`NoMotionExists`); or nothing found, with
-    the reason why the guess that came furthest failed, or because the time was up.
+    There are three results: a certified plan; a proof that no motion exists (`NoMotionExists`); or neither, with the
+    reason why the guess that came furthest failed, or a time-out.
 
     Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. A
     plugin object must not be configured; it is used during the call, and serves one call at a time.
@@ -138,7 +138,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     Args:
         problem: Start, dock, robot and obstacles.
         time_budget: Wall-clock seconds for the whole call. In the first call of a process with these plugins the clock
-            starts after `warm_up`. The call returns as soon as no later guess can be cheaper, mostly long before.
+            starts after `warm_up`. The call usually returns much earlier, as soon as no later guess can be cheaper.
         planner: Source of guesses; several are used in this order.
         smoother: Makes guesses drivable.
         timing: Computes the time law.
@@ -220,16 +220,16 @@ def warm_up(
     *,
     robot: Robot | None = None,
 ) -> None:
-    """Load libraries and build what plugins build once, so that later calls need not wait for it.
+    """Load libraries and build the one-time data of plugins, so that later calls need not wait for them.
 
-    Takes about a second the first time in a process, nothing after that. A small problem is planned; errors of a
-    plugin show in the first real call.
+    The first call in a process takes about a second, later calls no time. A small problem is planned; errors of a
+    plugin are raised in the first real call.
 
     Args:
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        robot: Robot of the problems to come: data of its footprint for proofs is computed now, in up to 0.1 s.
+        robot: Robot of later problems; the data of its footprint for proofs are computed now, in up to 0.1 s.
 
     Raises:
         PluginError: If a plugin is unknown or cannot be built.
@@ -290,7 +290,7 @@ _UNPROVEN = "{} reports that no motion exists, without a valid proof"
 
 
 class _Interrupted(NamedTuple):
-    """A guess whose time was too short, the smoother's path so far, and its share of poses in obstacles."""
+    """Guess whose smoothing was interrupted, with the smoother's path so far and the share of poses in obstacles."""
 
     guess: Guess
     begun: Path | None
@@ -299,7 +299,7 @@ class _Interrupted(NamedTuple):
 
 @dataclass(eq=False)
 class _Portfolio:
-    """One call of `plan_dock`: its guesses in order, the best plan so far, and the failures of the others."""
+    """One call of `plan_dock`: guesses in order, the best plan so far, and the failures of the other guesses."""
 
     work: Refinement
     planners: tuple[GlobalPlanner, ...]
@@ -310,18 +310,18 @@ class _Portfolio:
     tried: list[Attempt] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     interrupted: list[_Interrupted] = field(default_factory=list)
-    is_cut_off: bool = False  # by the clock, before all guesses were made or tried
+    is_cut_off: bool = False  # whether the clock ended the call before all guesses were made or tried
 
     def __post_init__(self) -> None:
         self.problem, self.deadline = self.work.problem, self.work.deadline
 
     @functools.cached_property
     def impossibility(self) -> ImpossibilitySearch:
-        """The search for a proof, which continues after interruptions."""
+        """Search for a proof of impossibility, which continues after interruptions."""
         return ImpossibilitySearch(self.problem)
 
     def plan(self) -> DockPlan:
-        """Return the best plan; otherwise `so_far` holds the partial plan of the guess that came furthest."""
+        """Return the best plan; without one, `so_far` holds the partial plan of the guess that came furthest."""
         with self.work.timed("plan"):
             check_ends(self.problem)
             blocked = prove_straight_blocked(self.problem)
@@ -437,7 +437,7 @@ class _Portfolio:
         return _WORTH_A_TRY * self.best.price if self.best is not None else math.inf
 
     def _must_go_on(self) -> bool:
-        """Whether the remaining time is better spent on an interrupted guess without collisions than on others."""
+        """Whether to continue an interrupted guess without collisions before trying other guesses."""
         is_one = any(one.begun is not None and one.overlapping == 0.0 for one in self.interrupted)
         return is_one and self.best is None and self.deadline.left < _GOING_ON * self.work.budget
 
@@ -477,7 +477,7 @@ class _Portfolio:
             self.best = plan
 
     def _stop_at_bends(self, guess: Guess) -> None:
-        """Keep a plan along a failed guess with a stop at every bend, for the case that nothing better is found."""
+        """Keep a plan along a failed guess with a stop at every bend, in case no better plan is found."""
         if guess.stage == "given" or self.best is not None or self.deadline.left <= 2.0 * self.work.reserve:
             return  # without time for the certificate before the timing
         known = self.last_resort.price if self.last_resort is not None else math.inf
@@ -485,7 +485,7 @@ class _Portfolio:
         if path is None or least_price(path, self.problem) >= known:
             return
         began = self.deadline.elapsed
-        with contextlib.suppress(OptdockError):  # the failure of the smoothing is reported
+        with contextlib.suppress(OptdockError):  # the failure of the smoothing is reported instead
             plan = self.work.proven(guess.path, path, PartialPlan(), is_late=self.work.is_late)
             if plan.price < known:
                 self.last_resort = plan

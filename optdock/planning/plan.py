@@ -40,7 +40,8 @@ class Attempt(NamedTuple):
     """A guess and its result.
 
     Attributes:
-        stage: Source of the guess: the stage of a planner, `given` by the caller, or a planner without a guess.
+        stage: Source of the guess: the stage of a planner, `given` for a guess of the caller, or a planner without a
+            guess.
         guess: The guess; None if a planner had none.
         seconds: Time for smoothing, proof and timing.
         price: Price of the plan [s], see `DockPlan.price`; inf without a plan.
@@ -72,9 +73,9 @@ class DockPlan:
     Args:
         motion: The proven path and time law, with problem and start pose; made by `prove_motion`.
         raw_path: The guess; not certified, for comparison.
-        completed: False if the deadline ended the smoothing early; the result is certified in any case.
-        timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; the first
-            certified plan was found after `first`, the call took `total`.
+        completed: False if the deadline ended the smoothing early; the result is always certified.
+        timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; `first` until
+            the first certified plan, and `total` of the call.
         smoothing_report: Report of the smoother.
         timing_report: Report of the time parameterizer.
         tried: Every guess in order, with its result; this plan has the lowest price.
@@ -208,7 +209,7 @@ class DockPlan:
             InvalidFile: If the file cannot be read, breaks its format, or holds no path, raw path or time law.
             InvalidPath: If the path is in another frame than the problem.
             CertificationFailed: If the plan does not solve `problem`.
-            InvalidValue: If `problem` is no problem.
+            InvalidValue: If `problem` is not a DockingProblem.
         """
         instance(DockingProblem, problem, "problem")
         found = load_plan(source)
@@ -224,7 +225,7 @@ class DockPlan:
         return cls(motion, raw_path, found.completed, found.timing_ms)
 
     def plot(self, target: str | FilePath, title: str = "") -> None:
-        """Draw map, obstacles, dock, paths, the swept footprint, and the tightest place.
+        """Draw map, obstacles, dock, paths, the swept footprint, and the place of least clearance.
 
         Args:
             target: File name; the suffix selects the format.
@@ -274,7 +275,7 @@ class PartialPlan:
     Args:
         raw_path: The planner's path, or None.
         path: The smoothed path; or, after an error of the smoother, its best path, which breaks the bound that the
-            error names and may miss the goal. It is certified only if `certificate` says so. None: no path.
+            error names and may miss the goal. It is certified only if `certificate` is true. None: no path.
         certificate: The certificate of `path`, or None.
         timing_ms: Wall-clock milliseconds per stage.
         tried: Every guess and its result.

@@ -1,7 +1,6 @@
 """From one guess to a plan: smooth, certify, time, and prove the motion; and edits of guesses.
 
-The edits: a straight line out of a contact is kept, a guess is driven with a stop at every bend, and short gears are
-left out.
+The edits keep a straight line out of a contact, drive a guess with a stop at every bend, and leave out short gears.
 """
 
 from __future__ import annotations
@@ -87,7 +86,8 @@ logger = logging.getLogger(__name__)
 PLAIN_TIMING = "Windowed"  # its motions need no repair
 # Share of the budget, its least and most [s], reserved for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
-# Clearance below which the robot touches; spacing of the samples on the way; tolerance of a straight line [m, m, rad].
+# Clearance below which the robot touches an obstacle [m]; spacing of the samples along a path [m]; heading tolerance of
+# a straight line [rad].
 _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
 # Rounding of the curvature of a sampled arc [1/m]; with more bends than this within its gears a path is a curve, or
 # would stop too often.
@@ -100,7 +100,7 @@ _T = TypeVar("_T")
 
 
 class Cancellation:
-    """The caller's cancel checker: its exceptions are passed on from every stage, and True is final."""
+    """The caller's cancel checker: its exceptions pass through every stage, and a result of True is kept."""
 
     def __init__(self, checker: Callable[[], bool]) -> None:
         self._checker, self._cancelled = checker, False
@@ -117,11 +117,11 @@ class Cancellation:
 
 
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """Return how far a path leads straight until a robot that touches an obstacle at the start is clear of it [m].
+    """Return the length of the straight line by which a robot in contact at the start leaves the obstacle [m].
 
-    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. 0 if
-    the robot touches nothing, moves or has its wheels turned, and if the path begins elsewhere or does not lead
-    straight out of the contact.
+    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. The
+    length is 0 if the robot touches no obstacle, moves or has its wheels turned, or if the path begins elsewhere or
+    does not lead straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -156,9 +156,9 @@ def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
 def stopping_at_bends(path: Path) -> Path | None:
     """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
 
-    A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing. If
-    the room is too short for a transition between two curvatures, this can be the only way. None if the path is no such
-    sequence, or has too many bends.
+    A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing.
+    This can be the only path if the room is too short for a transition between two curvatures. None if the path is not
+    a sequence of arcs, lines and turns in place, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -225,7 +225,7 @@ class Refinement:
         return self.deadline.left <= self.reserve
 
     def asked_to_stop(self) -> bool:
-        """Whether the caller cancelled, or the time is up."""
+        """Whether the caller cancelled, or the time has run out."""
         return self.cancelled() or self.deadline.passed()
 
     def refined(
@@ -235,7 +235,7 @@ class Refinement:
 
         Args:
             raw: The guess.
-            so_far: Filled on the way, for the case that a stage raises.
+            so_far: Filled during the work, in case a stage raises.
             most: Most seconds for smoothing.
             is_given: Whether the guess is the caller's, so that an error in it is not a plugin's fault.
             begun: The smoother's path of an interrupted attempt.
@@ -387,7 +387,7 @@ class Refinement:
 
 @contextlib.contextmanager
 def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
-    """Configure a plugin for the problem; an error that its interface does not name becomes a PluginError.
+    """Configure a plugin for the problem; an error that is not in its interface is converted to a PluginError.
 
     Raises:
         PluginError: With the plugin's exception as cause; exceptions of the caller's cancel checker are passed on.
@@ -400,11 +400,11 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         plugin.configure(PluginContext(name=plugin.name, problem=problem))
         try:
             yield
-        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, as the problem is valid
+        except (InvalidValue, InvalidPath) as error:  # a fault of the plugin, because the problem is valid
             raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
         finally:
             plugin.cleanup()
-    except GeneratorExit:  # the generator of guesses was closed
+    except GeneratorExit:  # raised when the generator of guesses is closed
         raise
     except BaseException as error:
         if cancelled.raised is not None:
@@ -412,7 +412,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         if isinstance(error, OptdockError) or not isinstance(error, Exception):
             raise
         raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-    if cancelled.raised is not None:  # suppressed by the plugin
+    if cancelled.raised is not None:  # the plugin suppressed the cancellation
         raise cancelled.raised
 
 
@@ -429,7 +429,7 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
     """Check that a result of a plugin, or a part of it, has the type that its interface requires, and return it.
 
     Raises:
-        PluginError: If the type is another one.
+        PluginError: If the value has another type.
     """
     if not isinstance(value, kind):
         promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
@@ -438,7 +438,7 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
 
 
 def plain(path: Path, plugin: Plugin, frame: str) -> Path:
-    """Return the path without a subclass, which could have other poses than the certified segments.
+    """Return the path as an exact `Path`, because a subclass could have other poses than the certified segments.
 
     Raises:
         PluginError: If the path is in another frame than the problem.
@@ -450,7 +450,7 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
 
 
 def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Yield guesses with one stop less each: two segments of one gear joined, then a gear left out, shortest first.
+    """Yield guesses with one stop fewer: first two segments of one gear joined, then a gear left out, shortest first.
 
     Searches over arcs often return short gears that can be left out. Every stop takes time; a jump of the curvature is
     left to the smoother. A gear between two in the other direction is left out together with the stretch that is then

@@ -1,7 +1,7 @@
 """`replan`: another plan for a moving robot, which takes over from the running plan without a jump.
 
 A new plan begins at the *joint*: the state on the running trajectory that the robot will have when planning is finished
-and the drive responds. The joint is the start of an ordinary docking problem, and its rules of a moving start prove
+and the drive responds. The joint is the start of an ordinary docking problem, whose rules for a moving start guarantee
 continuity. These are tried in order until a plan is certified:
 
 1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
@@ -88,7 +88,7 @@ _FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: reserved fo
 _ON_THE_STRAIGHT = "the robot is on the final straight, which is not deformed"
 _AT_THE_END = "the robot is at the end of the plan"
 _PUSHES = 4  # most pushes off obstacles, two milliseconds each
-# Requirements of a dock for a path, in addition to its pose and its station.
+# Attributes of a dock that constrain a path, in addition to its pose and its station.
 _DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
 _NEARBY = 0.5  # [m]: distance from its reference along the path in which a robot off its path is projected
 
@@ -96,7 +96,7 @@ _NEARBY = 0.5  # [m]: distance from its reference along the path in which a robo
 class ReplanOutcome(str, Enum):
     """Decision for a moving robot."""
 
-    NEW = "new"  # drive the new plan from the joint on
+    NEW = "new"  # drive the new plan after the joint
     KEPT = "kept"  # continue with the old plan
     STOP = "stop"  # brake along the old path
 
@@ -110,9 +110,9 @@ class Replanned:
         trajectory: Trajectory to drive from its time 0, once the running trajectory's own clock shows `starts_at`.
         starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
-        reason: Why it is not a new plan; empty for NEW.
+        reason: Reason why there is no new plan; empty for NEW.
         way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over
-            or ends; None: not proven. For KEPT the station is taken to be where the plan ends, within the dock's
+            or ends; None: not proven. For KEPT the station is assumed at the end of the plan, within the dock's
             tolerances.
         motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan has it.
         tried: Every attempt and its result.
@@ -187,7 +187,7 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
         time_budget: Wall-clock seconds for the whole call.
         drive_delay: Response time of the drive [s].
         lead: Time from `state` to the joint [s]; None: `time_budget + drive_delay`, when the result is available at the
-            latest. Less is for simulations, whose clock stands during the call.
+            latest. Smaller values are for simulations, whose clock stops during the call.
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
@@ -232,7 +232,7 @@ def _checked(state: DriveState) -> DriveState:
 
 
 def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
-    """Return the new problem, except for its start."""
+    """Return the new problem; its start is not used."""
     if isinstance(target, Pose2):
         return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
     instance(DockingProblem, target, "target")
@@ -242,7 +242,7 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
 
 
 class _Plugins(NamedTuple):
-    """Plugins as the caller named them."""
+    """Plugins as specified by the caller."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
     smoother: SmootherLike
@@ -323,7 +323,7 @@ class _Replanning:
         """Deform the rest of the running path, or smooth it; None if neither is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
         for _ in range(_PUSHES + 1):
-            if work.deadline.left < longest:  # another round would not end in time
+            if work.deadline.left < longest:  # another smoothing would not end in time
                 break
             began = work.deadline.elapsed
             with work.timed("deform"):
@@ -373,7 +373,7 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """Return the old plan if it is still valid, with the station where it ends, within the dock's tolerances."""
+        """Return the old plan if it is still valid, with the station at its end, within the dock's tolerances."""
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
@@ -393,7 +393,7 @@ class _Replanning:
         pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
         now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))
-        # Legs of a cusp overlap: the robot is on the one that its clock shows.
+        # Legs of a cusp overlap: the time on the trajectory determines the leg.
         gear = int(np.searchsorted(path.segment_starts, now, side="right")) - 1
         first, last = path.segment_starts[gear : gear + 2].tolist()
         first, last = max(first, now - _NEARBY), min(last, now + _NEARBY)
@@ -404,7 +404,7 @@ class _Replanning:
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
-        """Whether the running plan, at the rate of its clock, keeps every rule of the world except clearance."""
+        """Whether the running plan, at the rate of its clock, keeps every rule of the new problem except clearance."""
         before, world, path, rate = self.drive.plan.problem, self.drive.world, self.drive.path, self.drive.state.rate
         if rate > 1.0:
             law = self.drive.plan.trajectory.time_law
@@ -423,7 +423,7 @@ class _Replanning:
         return holds and certify_motion(self.drive.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
-        """Brake along the running path: from the joint if that is proven, otherwise from now on."""
+        """Brake along the running path: from the joint if that is proven, otherwise immediately."""
         found: list[Replanned] = []
         for lead in (self.lead, delay):
             joint = self.drive.branch_point(lead)

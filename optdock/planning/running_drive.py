@@ -43,7 +43,7 @@ class DriveState(NamedTuple):
             robot.
         moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, for a robot that
             steers by a dock detected at another place. None: identity.
-        is_filtered: Whether `pose` is an estimate accurate enough for a new plan to begin there in any case.
+        is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
 
     time: float
@@ -57,7 +57,7 @@ class BranchPoint(NamedTuple):
     """A place on the running trajectory, and the state of the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: nothing remains.
+    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: no path remains.
     """
 
     time: float
@@ -122,7 +122,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state in `lead` seconds; in a turn in place, or shortly before a rest, the state at that rest."""
+        """Return the state after `lead` seconds, or at the next rest if it is near or the robot turns in place."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -130,7 +130,7 @@ class RunningDrive:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
-        if s > length - NO_WAY:  # the last micrometre takes a millisecond
+        if s > length - NO_WAY:  # the last micrometre of a motion takes a millisecond
             time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
@@ -142,11 +142,11 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """Return the time; in a turn in place or shortly before a rest, the time of that rest."""
+        """Return the time, or that of the next rest if it is near or the robot turns in place."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
-            return time  # the clock stands
+            return time  # the clock does not advance
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             return self._steered(time)
         turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
@@ -155,7 +155,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time; while the robot rests until its wheels are turned, the end of that rest."""
+        """Return the time, or the end of the rest during which the wheels are turned."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest
@@ -165,7 +165,7 @@ class RunningDrive:
         return rest
 
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
-        """Prove the clearance of the way from here to the joint; None if they coincide."""
+        """Prove the clearance of the way to the joint; None if the robot is at the joint."""
         now = self.now
         if now.rest is None or joint.s - now.s <= NO_WAY:
             return None
@@ -194,10 +194,10 @@ _STILL = 0.1  # [s]: duration of the motion of a standing robot
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
     """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
 
-    Returns the trajectory, and the certificate of its motion, which may be negative.
+    Returns the trajectory, and the certificate of its motion, which may list violations.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
-    # A tenth of the certificate's tolerance: the path of a robot that stands.
+    # A tenth of the certificate's tolerance: the path of a robot at rest.
     standing = ClothoidSegment(ClothoidSpline(joint.pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2)))
     still = Trajectory(Path((standing,), frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
     if joint.rest is None or joint.rests:
@@ -217,7 +217,7 @@ def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Traje
         law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
         length = float(law.states[-1, 0])
         segment = joint.rest.segments[0]
-        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a jump is not certified
+        if length <= SAME_POSITION:  # it would roll back, or has nearly stopped; a speed jump is not certified
             motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
             return still, motion
         if length > segment.length - NO_WAY:  # the braking ends at the cusp

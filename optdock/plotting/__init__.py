@@ -1,6 +1,6 @@
 """Pictures of plans, motions and runs; needs the extra `plot`.
 
-Every function draws finished values into one file.
+Every function draws completed results into one file.
 """
 
 from optdock.plotting.animation import save_animation

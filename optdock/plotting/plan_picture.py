@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 __all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
-_RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
-_VIEW_REASONS = ("view", "approach_unseen")  # of refusals
+_RAW_WIDTH, _WIDTH = 4.5, 2.0  # widths of the two paths [pt]
+_VIEW_REASONS = ("view", "approach_unseen")  # colour of refusals
 _FOOTPRINTS = 24  # drawn along a path at most
 
 
@@ -78,7 +78,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
 ) -> None:
     """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the reason of a refusal.
 
-    If the dock must be in view, its marker and the camera's cone at some poses of the path are drawn as well.
+    If the dock must be in view, its marker and the camera's cone at some poses of the path are also drawn.
 
     Args:
         target: File to write; the suffix gives the format.
@@ -168,7 +168,7 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
 
 
 def _draw_raw(axes: Axes, path: Path, problem: DockingProblem) -> None:
-    """Draw the raw path, in another colour where the robot overlaps an obstacle."""
+    """Draw the raw path, with overlaps of the robot and obstacles in another colour."""
     samples = path.sample(_SPACING)
     # Wide and below the smoothed path, so that both are visible where they coincide.
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["save_docking_picture", "save_run_picture"]
 
-_FOOTPRINTS = 24  # drawn at equal distances
+_FOOTPRINTS = 24  # number of outlines, at equal distances
 
 
 def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:

@@ -40,12 +40,12 @@ __all__ = [
     "view_of",
 ]
 
-# Names of obstacles that the drawn map shows.
+# Names of obstacles that are visible in the drawn map.
 DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
 _MAP_ORDER = 0.8  # above the grid, below everything else
 _SLIMMEST = 0.55  # least ratio of the sides, which shows obstacles next to a straight path and leaves room for a legend
-_CONES = 4  # along the path; more would hide each other
+_CONES = 4  # cones along the path; more would hide each other
 _BEYOND = 1.08  # length of a drawn cone over the distance of the marker, or over the minimum range
 _ARC = 0.05  # [rad] between the points of an arc, at most
 _MARGIN = 0.6  # [m] around the content
@@ -242,7 +242,7 @@ def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
 
 
 def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
-    """Draw the cone at a pose of the robot, Shape (3,), where the marker is out of view."""
+    """Draw the cone at a pose of the robot, Shape (3,), from which the marker is out of view."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
     draw_shapes(axes, [_cone(view, pose)], style)
 

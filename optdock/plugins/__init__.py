@@ -1,1 +1,1 @@
-"""What plugins are: their interfaces, life cycle, parameters, outcomes, and the registry that finds them."""
+"""Plugins: their interfaces, life cycle, parameters and outcomes, and the registry that finds them."""

@@ -126,21 +126,21 @@ class Smoother(Plugin):
         """Return a smoother path between the same two poses, in the same frame.
 
         If `problem` is given, a smoother that certifies its results returns a path from the problem's start to its
-        goal, and refuses a `path` that leads elsewhere.
+        goal, and raises InvalidPath for a `path` that leads elsewhere.
 
         Args:
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s].
-            problem: Constraints; the configured costmap counts as well if the problem has none. None: the configured
-                problem, with the ends of `path` where they differ; without one, from the first to the last pose of
-                `path`, among the obstacles of the configured costmap.
+            problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
+                with the ends of `path` if they differ; without a configured problem, the path leads from the first to
+                the last pose of `path`, among the obstacles of the configured costmap.
             warm_start: Earlier result for a similar problem.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
             InvalidPath: If `path` is not a Path, too short, in another frame than the problem, or leads elsewhere.
-            SmootherTimedOut: If the time was over before any usable result.
+            SmootherTimedOut: If the time ran out before any usable result.
             FailedToSmoothPath: If no result keeps every bound; the message names the violated one.
             SmootherCancelled: If `cancel_checker` returned True.
         """
@@ -161,7 +161,7 @@ class Smoother(Plugin):
             instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
-        """Build and load in advance what makes the first call slower."""
+        """Load libraries and build data in advance that would make the first call slower."""
 
 
 class TimeParameterizer(Plugin):
@@ -182,8 +182,8 @@ class TimeParameterizer(Plugin):
     ) -> TimingResult:
         """Return the motion along `path` under `limits`, at rest at every cusp and at the end.
 
-        A motion with status OK passes `certify_trajectory`. Less time gives slower motions, or TIMED_OUT. Callers pass
-        `start_wait` only if it is positive.
+        A motion with status OK passes `certify_trajectory`. With less time the motion is slower, or the status is
+        TIMED_OUT. Callers pass `start_wait` only if it is positive.
 
         Args:
             path: Path.
@@ -191,12 +191,12 @@ class TimeParameterizer(Plugin):
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
-            start_wait: Time at rest at the start, for steering [s]; FAIL with a start in motion.
-            max_time: Wall-clock time for the whole call [s]; 0 or less is TIMED_OUT.
+            start_wait: Time at rest at the start, for steering [s]; with a start in motion the status is FAIL.
+            max_time: Wall-clock time for the whole call [s]; with 0 or less the status is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: If `max_time`, the start state or `start_wait` is not a number, or the wait is negative.
+            InvalidValue: If `max_time`, the start state or `start_wait` is NaN, or the wait is negative.
             TimingCancelled: If `cancel_checker` returned True.
         """
 
@@ -214,7 +214,7 @@ class Controller(Plugin):
                 motion. None: with the next command.
 
         Raises:
-            ControllerInvalidPath: If it cannot be followed.
+            ControllerInvalidPath: If the path or trajectory cannot be followed.
         """
 
     @abstractmethod
@@ -239,7 +239,7 @@ class Controller(Plugin):
         """Limit the speed; 0 removes the limit.
 
         Args:
-            limit: Percent of the maximum (at most 100 count), or m/s.
+            limit: Percent of the maximum (values above 100 are reduced to 100), or m/s.
             percentage: Whether `limit` is in percent.
 
         Raises:
@@ -260,11 +260,11 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Costmaps of the collision checks; the obstacles of the problem always count."""
+        """Costmaps of the collision checks, which always include the obstacles of the problem."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin; cycles follow only after SUCCEEDED."""
+        """Start the behavior; cycles follow only after SUCCEEDED."""
 
     @abstractmethod
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -289,13 +289,13 @@ class Layer(Plugin):
         """Write costs into `master`, inside columns [min_i, max_i) and rows [min_j, max_j) only."""
 
     def is_clearable(self) -> bool:
-        """Whether a clearing behavior may reset it."""
+        """Whether a clearing behavior may reset the layer."""
         return False
 
     def is_current(self) -> bool:
-        """Whether its costs are up to date; servers wait while they are not.
+        """Whether the costs of the layer are up to date; servers wait until they are.
 
-        An override must also respect `set_current(False)`, by a call of this method.
+        An override must call this method to respect `set_current(False)`.
         """
         return self._is_current
 
@@ -329,7 +329,7 @@ class GoalChecker(Plugin):
         """
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the position alone is accepted, also by a latch; by default as `is_goal_reached`."""
+        """Whether the position alone is accepted, now or by a latch; by default the result of `is_goal_reached`."""
         return self.is_goal_reached(query_pose, goal_pose, velocity, path)
 
     @property
@@ -357,7 +357,7 @@ class DockType(Plugin):
 
     @property
     def is_pressed_on(self) -> bool:
-        """Whether the robot drives on until contact; False: until the goal checker accepts, or contact."""
+        """Whether the robot drives on until contact; False: until contact or until the goal checker accepts."""
         return False
 
     @property
@@ -370,13 +370,14 @@ class DockType(Plugin):
         return measurements.contact is True
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return first poses of an approach relative to the docked pose, the preferred one first.
+        """Return poses at which an approach may begin, relative to the docked pose, the preferred one first.
 
         The next one is tried if one cannot be reached. By default one pose at `distance` on the axis of the dock.
 
         Args:
             gear: Gear of the last motion into the dock: 1 forward, -1 in reverse.
-            distance: Distance from the docked pose for correcting an inaccurate dock pose, or of the settings [m].
+            distance: Distance from the docked pose, from the settings or sufficient for correcting an inaccurate dock
+                pose [m].
         """
         return (Pose2(-gear * distance, 0.0, 0.0),)
 
@@ -390,7 +391,7 @@ class DockType(Plugin):
     @property
     def back_out_distance(self) -> float:
         """Largest straight distance out of contact before a path is planned [m]; the final straight when undocking."""
-        return 0.1  # twice the 5 cm within which contact counts
+        return 0.1  # twice the 5 cm within which contact is accepted
 
     def reset(self) -> None:
         """Clear the state before a task or another approach."""

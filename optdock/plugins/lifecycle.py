@@ -45,7 +45,7 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """Surroundings of a plugin: costmaps, footprint and problem, completed from each other.
+    """Surroundings of a plugin: costmaps, footprint and problem; missing ones are derived from the others.
 
     `footprint` and `costmap` default to those of the problem, and the obstacles of the problem include the cells of
     `costmap`.
@@ -58,7 +58,7 @@ class PluginContext:
         clock: Monotonic time [s].
         logger: Logger of the plugin.
         local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. Without a
-            problem and a global costmap it serves as both.
+            problem and a global costmap it also replaces the global one.
 
     Raises:
         InvalidValue: If `footprint` is not the outline of the problem's robot, or a part is of another class.
@@ -108,7 +108,7 @@ class PluginContext:
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
     def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
-        """Return the costmaps that `needs` names; without a local one, the global one serves as both."""
+        """Return the costmaps that `needs` names; the global one replaces a missing local one."""
         local = self.costmap if self.local_costmap is None else self.local_costmap
         asked = {
             CostmapInfoType.NONE: (),
@@ -126,7 +126,7 @@ class PluginContext:
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Costmaps that count in addition to the problem, which includes the cells of the global one.
+            needs: Costmaps to include in addition to the problem, which contains the cells of the global one.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
@@ -213,10 +213,10 @@ class Plugin(ABC):
         self._state = LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:
-        """Change parameters, all or none.
+        """Change several parameters at once.
 
         Raises:
-            InvalidValue: If a name is unknown or the changed set is invalid; nothing is changed then.
+            InvalidValue: If a name is unknown or the changed set is invalid; no parameter is changed then.
         """
         merged = {**self.parameters.model_dump(by_alias=True), **changes}
         checked = parse_parameters(self.Parameters, merged, self.context.name)
@@ -224,7 +224,7 @@ class Plugin(ABC):
         self.parameters = checked
 
     def check_change(self, changed: PluginParameters) -> None:  # noqa: B027 - a hook
-        """Check a change of parameters; overrides raise InvalidValue to refuse it."""
+        """Check a change of parameters; overrides raise InvalidValue to reject it."""
 
     def on_configure(self) -> None:  # noqa: B027 - a hook
         """Hook after `self.context` is set."""

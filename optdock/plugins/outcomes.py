@@ -51,7 +51,7 @@ class SmoothingStatus(str, Enum):
 
 @dataclass(frozen=True, repr=False)
 class SmoothingReport:
-    """Report of a smoother; None or empty where a value is not reported.
+    """Report of a smoother; values that are not reported are None or empty.
 
     Args:
         status: Origin of the path.
@@ -110,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """Status of a time parameterization; only OK is true. Infeasible motions are no exceptions."""
+    """Status of a time parameterization; only OK is true. Infeasible motions are statuses, not exceptions."""
 
     OK = 0
     START_INFEASIBLE = 1
@@ -129,7 +129,7 @@ class TimingReport:
 
     Args:
         gears: Method used for every gear, in driving order.
-        replaced: Reason why `plan_dock` used the default method instead; empty: it did not.
+        replaced: Reason why `plan_dock` used the default method instead; empty if it used this one.
         extra: Further entries.
     """
 
@@ -155,8 +155,8 @@ class TimingResult:
         overshoot: Distance of full braking beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
         report: Report.
         reason: Reason if not OK, one sentence with numbers.
-        limit: Name of the exceeded limit in `MotionLimits`, or `approach_speed`; empty without a single one.
-        at_s: Arc length of the violation [m]; None without a single one.
+        limit: Name of the exceeded limit in `MotionLimits`, or `approach_speed`; empty if no single limit is exceeded.
+        at_s: Arc length of the violation [m]; None if there is no single place.
     """
 
     status: TimingStatus
@@ -189,7 +189,7 @@ class TimingResult:
 
 
 class CostmapInfoType(IntEnum):
-    """Which costmaps a behavior needs."""
+    """Costmaps that a behavior needs."""
 
     NONE = 0
     LOCAL = 1

@@ -20,10 +20,10 @@ __all__ = ["PluginParameters", "checked_seconds", "closest", "invalid_parameters
 
 
 class PluginParameters(BaseModel):
-    """Base of every plugin's parameters: frozen; unknown names and non-finite numbers are refused.
+    """Base of every plugin's parameters: frozen; unknown names and non-finite numbers are rejected.
 
-    Types are not converted, as in ROS, except integers to floats. Fields have Nav2's names and defaults where Nav2 has
-    them, and descriptions with the unit.
+    Types are not converted, as in ROS, except integers to floats. Fields have Nav2's names and defaults if they exist
+    in Nav2, and descriptions with the unit.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)

@@ -180,7 +180,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
 
     Raises:
         PluginError: As `create_plugin`.
-        InvalidValue: If it is none of the three, or a parameter is wrong.
+        InvalidValue: If `asked` is neither a name nor a choice nor a plugin, or a parameter is wrong.
     """
     if isinstance(asked, interface):
         return asked

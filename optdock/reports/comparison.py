@@ -27,7 +27,7 @@ __all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "w
 
 
 class PathFigures(NamedTuple):
-    """Figures of one path; None where a figure does not exist.
+    """Figures of one path; None if a figure does not exist.
 
     Args:
         scenario: Name of the scenario.
@@ -76,7 +76,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
 
 
 def _duration(path: Path, scenario: Scenario) -> float | None:
-    """The duration [s]; None where the limits allow no motion along the path, as at a corner."""
+    """The duration [s]; None if the limits allow no motion along the path, as at a corner."""
     problem = scenario.problem
     speed, acceleration = problem.start_state(int(path.segments[0].direction))
     wait = problem.start_wait(path)
@@ -89,7 +89,7 @@ def _duration(path: Path, scenario: Scenario) -> float | None:
 
 
 def worst_joint_angle(path: Path) -> float:
-    """Largest jump of the direction of motion along the path [rad]; a reversal at a cusp does not count.
+    """Largest jump of the direction of motion along the path [rad]; reversals at cusps are ignored.
 
     A polyline jumps between two steps, and between the heading of its first or last pose and the step next to it.
     """

@@ -1,4 +1,4 @@
-"""Check of a plan file: every part is proven, compared with proven values, or listed as not judged.
+"""Check of a plan file: every part is proven, compared with proven values, or listed as not checked.
 
 The path is proven. The motion is proven if the file has its phases; otherwise its samples may refute it. A proof that
 no motion exists is checked. Other values (certificate, tried guesses) are compared with the values computed here, up to
@@ -47,7 +47,7 @@ class PlanFileVerdict(NamedTuple):
     """Verdict on a plan file; true if certified.
 
     Attributes:
-        outcome: `certified`: path and motion are proven, as far as the file has them, and no value is false.
+        outcome: `certified`: path and motion, if the file has one, are proven, and no value is false.
             `unproven`: the path is proven, and the samples of the motion do not refute it. `impossible`: the proof that
             no motion exists is valid. `refuted`: otherwise.
         rows: Results, a name and a sentence each.
@@ -65,7 +65,7 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """The first broken rule or false value, or why the motion is not proven; empty if certified."""
+        """The first broken rule or false value, or the reason why the motion is not proven; empty if certified."""
         unproven = ("samples cannot prove a motion",) if self.outcome == "unproven" else ()
         return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 
@@ -97,7 +97,7 @@ def _refuse_contradictions(plan: PlanFile) -> None:
     """Check for parts that exclude each other.
 
     Raises:
-        InvalidFile: If there are any.
+        InvalidFile: If parts exclude each other.
     """
     parts = {name: getattr(plan, name) for name in ("path", "trajectory", "certificate", "error", "impossibility")}
     held = [name for name, value in parts.items() if value is not None]
@@ -179,7 +179,7 @@ def _described(violation: Violation) -> str:
 
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """One row with the parts that cannot be judged; empty without such parts."""
+    """One row with the parts that cannot be checked; empty without such parts."""
     foreign = (
         [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
     )
@@ -249,8 +249,8 @@ def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> 
 class _Claims:
     """Comparison of the other values of a file with the proven ones.
 
-    A certificate holds for the problem and the path of its digests. Values for another problem cannot be compared, and
-    values for curves that were rounded later only roughly.
+    A certificate holds for the problem and the path of its digests. Values for another problem cannot be compared;
+    values for curves that were rounded later are compared roughly.
     """
 
     def __init__(
@@ -339,7 +339,7 @@ class _Claims:
             if claim is None:
                 continue
             wrong = is_comparable and not _near(claim, value, near)
-            # Differences of rounded poses are too large; only values below are false then.
+            # Differences of rounded poses are too large; only values below the proven one are false then.
             wrong |= name.startswith("max_") and claim < value * (1.0 - _ROUNDED) - TOLERANCE
             # For another path the margin is at most the difference at the least clearance.
             most = here.min_clearance - here.required_clearance + sharp
@@ -381,7 +381,7 @@ class _Claims:
                 yield f"certificate.trajectory.ratios.{name} is {shown(claim)}, proven is {value:.6g}"
 
     def _false_guess(self) -> Iterator[str]:
-        """The raw path has the ends of the path."""
+        """Check that the raw path has the ends of the path."""
         guess = self._plan.raw_path
         if guess is None:
             return
@@ -391,7 +391,7 @@ class _Claims:
                 yield f"raw_path {what} {apart:.3g} m and {turned:.3g} rad from where the path {what}"
 
     def _false_price(self) -> Iterator[str]:
-        """The plan has the lowest price of the tried guesses and belongs to the raw path."""
+        """Check that the plan has the lowest price of the tried guesses and belongs to the raw path."""
         law, guess = self._plan.time_law, self._plan.raw_path
         priced = [one for one in self._plan.tried if is_number(one.get("price"))]
         if not priced or law is None or self._motion.proof is None or self._others:

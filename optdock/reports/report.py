@@ -38,7 +38,10 @@ __all__ = [
 ]
 
 _WIDE = 78  # characters of a value on a line
-_STEP, _FAR = 0.01, 2.0  # [m]: between poses whose clearance is measured; distance of obstacles that count
+_STEP, _FAR = (
+    0.01,
+    2.0,
+)  # [m]: between poses whose clearance is measured; largest distance of obstacles that are included
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
@@ -52,10 +55,10 @@ class Row(NamedTuple):
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     """Return the plan file of a failure: its name, its reason, and the results so far.
 
-    A path without certificate is left out, as paths of plan files are meant to be driven.
+    A path without certificate is left out, because paths of plan files are meant to be driven.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
-    judged = so_far.certificate is not None and proof is None  # no path next to a proof that none exists
+    judged = so_far.certificate is not None and proof is None  # no path next to a proof that no path exists
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
@@ -153,7 +156,7 @@ def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row
 
 
 def _wrapped(name: str, parts: Iterable[str]) -> list[Row]:
-    """Rows of parts, separated by commas and wrapped between parts; empty without parts."""
+    """Rows of items, separated by commas and wrapped between items; empty without items."""
     lines = textwrap.wrap(", ".join(part.replace(" ", _NO_BREAK) for part in parts), _WIDE)
     return [Row(name if i == 0 else "", line.replace(_NO_BREAK, " ")) for i, line in enumerate(lines)]
 
@@ -168,7 +171,7 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
     Args:
         run: The run.
         deviations: Deviations of its poses from the certified path; None without a path.
-        left: How its poses left the proven region, see `beyond_proof`; empty if they did not.
+        left: Description of the poses outside the proven region, see `beyond_proof`; empty if all are inside.
     """
     error = run.final_error
     rows = [

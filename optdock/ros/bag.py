@@ -68,7 +68,7 @@ def _store() -> Typestore:
 
 @functools.lru_cache(maxsize=64)
 def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
-    """Classes of one message type as defined in a recording; one store per type, so that invalid ones do no harm."""
+    """Classes of one message type as defined in a recording; one store per type isolates invalid types."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -181,7 +181,7 @@ def open_bag(source: str | Path) -> Iterator[BagRecording]:
 
 
 def _check_recording(source: Path) -> None:
-    """Refuse devices and pipes, for which rosbags would wait, and metadata that break the limits of `load_yaml`."""
+    """Reject devices and pipes, for which rosbags would wait, and metadata that break the limits of `load_yaml`."""
     if not os.path.isdir(source):  # noqa: PTH112 - False also for a name that is too long
         check_regular(source, MostBytes.RECORDING)
         return

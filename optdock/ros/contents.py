@@ -62,7 +62,7 @@ class Names(NamedTuple):
 def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
     """Yield the messages of a plan file: its paths, then its motion as if driven without errors.
 
-    With the problem also its map, and markers of the swept outlines and the closest point.
+    With a problem, also its map, and markers of the swept outlines and the closest point.
 
     Raises:
         InvalidFile: If the plan has no path and no motion.
@@ -156,7 +156,7 @@ def _path(path: Path, frame: str, time: float) -> object:
 
 
 def _markers(path: Path, problem: DockingProblem | None, frame: str, time: float, *, certified: bool = True) -> object:
-    nameless = Path(path.segments)  # without the name of its frame, as the recording may rename it
+    nameless = Path(path.segments)  # without the name of its frame, because the recording may rename it
     if problem is None:
         return path_markers(bag_types, nameless, frame, time)
     return path_markers(

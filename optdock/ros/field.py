@@ -60,20 +60,20 @@ _POLYGON = ("geometry_msgs/msg/PolygonStamped",)
 _ODOMETRY = ("nav_msgs/msg/Odometry",)
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 
-# Distances between the kept poses of a drive: noise of millimetres is no turn, and the path between two poses is
-# straight to a millimetre.
+# Distances between the kept poses of a drive: noise of millimetres does not count as a turn, and the path between two
+# poses is straight to a millimetre.
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
 _REVERSED = 0.01  # [m]: shorter motions back are noise
 _OUTLINES = 200  # footprint messages that are compared, and up to twice as many
 _AT_ONCE = 100  # updates of a costmap per copy of it
 _AROUND = 1.0  # [s] of transforms before and after the interval, for interpolation
-_REACH = 0.2  # [s] before and after the known transforms: localization sends one in ten control cycles
+_REACH = 0.2  # [s] before and after the known transforms: localization sends a transform every ten control cycles
 _BASE = "base_link"  # Nav2's default
 _BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Topics to read: the first existing one of each kind; a single one must exist. Defaults are those of Nav2."""
+    """Topics to read: the first existing topic of each kind; a kind with one topic requires it. Defaults are Nav2's."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (
@@ -116,7 +116,7 @@ class FieldDocking(NamedTuple):
         footprint: Outline of the robot, in its own frame.
         path: Last path, Shape (n, 3); None if the recording has none.
         drive: Driven poses; None if the recording has no odometry.
-        rows: Description of everything that was read.
+        rows: Description of the contents that were read.
     """
 
     frame: str
@@ -190,7 +190,7 @@ class _RecordingReader:
         return FieldDocking(frame, known, outline, path, drive, tuple(self._rows))
 
     def _find(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str) -> str:
-        """First existing topic; empty if none of several exists."""
+        """First existing topic; empty if several were given and none exists."""
         found = self._bag.find(names, kinds, option)
         if not found and len(names) == 1:
             raise InvalidFile(f"{self._bag.source}: has no topic {names[0]} ({option}); {self._bag.of_kind(kinds)}")
@@ -298,7 +298,7 @@ class _RecordingReader:
         return RecordedDrive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
 
     def _robot_in(self, frame: str, stamp: float) -> Pose2 | None:
-        """Pose of the robot in a frame; None if there is no transform, and the error is kept."""
+        """Pose of the robot in a frame; None if there is no transform, with the error kept."""
         try:
             found = self._transforms.lookup(frame, self._base, stamp)
         except TransformError as error:
@@ -321,7 +321,7 @@ class _RecordingReader:
         return found
 
     def _footprint(self) -> Footprint:
-        """Outline in the robot's frame: the median of many, as the pose of each is only known to a control cycle."""
+        """Outline in the robot's frame: the median of many, because their poses are only known to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:
@@ -347,7 +347,7 @@ class _RecordingReader:
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
     """Return the rows of measured poses, Shape (n, 3), that form a path.
 
-    They are at least some centimetres or a turn apart, and include both ends and every reversal.
+    Consecutive poses differ by at least some centimetres or a small turn; both ends and every reversal are included.
     """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
@@ -366,7 +366,7 @@ def kept_poses(poses: FloatArray) -> tuple[int, ...]:
 
 
 def _reversals(ahead: FloatArray) -> list[int]:
-    """Return the rows of the turning points of the distance driven forward, Shape (n,) [m], without those of noise."""
+    """Return the rows of the turning points of the distance driven forward, Shape (n,) [m], without noise."""
     found, trend, low, high = list[int](), 0, 0, 0
     for row, way in enumerate(ahead.tolist()):
         high, low = (row if way > ahead[high] else high), (row if way < ahead[low] else low)
@@ -400,7 +400,7 @@ def judged_poses(
 ) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
     """Return the paths of a recorded docking with their problems, and rows of a report.
 
-    The limits are the defaults of `MotionLimits`, as a recording has none.
+    The limits are the defaults of `MotionLimits`, because a recording has no limits.
 
     Args:
         found: The docking.
@@ -425,7 +425,7 @@ def judged_poses(
         distance, worst, closest = _closest(poses, problem)
         if drive is not None and name == "drive":
             closest += f" at {drive.times[worst]:.3f} s"
-            # A colliding pose is judged even if it is not kept.
+            # A colliding pose is checked even if it is not kept.
             poses = poses[sorted({*drive.kept, worst} if distance < rule.required else drive.kept)]  # noqa: PLW2901
         try:
             path = DockPath.from_poses(poses, found.frame)
@@ -457,7 +457,7 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
 
 
 def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
-    """Smallest clearance of the poses themselves [m], its row, and both as text."""
+    """Smallest clearance of the poses [m], its row, and a text with both."""
     if not len(problem.all_obstacles):
         return math.inf, 0, "there are no obstacles"
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles

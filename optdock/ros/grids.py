@@ -139,9 +139,9 @@ def _origin(types: MessageTypes, grid: Costmap) -> Message:
 
 
 def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
-    """Costs of a message, Shape (rows, columns); with a rule its cells are occupancies."""
+    """Costs of a message, Shape (rows, columns); a rule converts the cells of messages with occupancies."""
     given = message.data
-    if isinstance(given, list | tuple):  # rclpy's fields accept lists too
+    if isinstance(given, list | tuple):  # rclpy's fields also accept lists
         given = bytes(value % 256 for value in given)
     cells = np.frombuffer(given, dtype=np.uint8)
     if cells.size != columns * rows or cells.size == 0:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["delete_markers", "path_markers", "plan_markers"]
 
-_SWEPT_EVERY = 0.1  # [m] between outlines: they overlap for any robot that docks, and 10 m are 100 of them
+_SWEPT_EVERY = 0.1  # [m] between outlines: outlines overlap for usual robots, and 10 m have 100 of them
 _SPACING = 0.02  # [m] between drawn points, as in pictures
 _WIDTH, _THIN = 0.02, 0.005  # [m] of lines: visible in a view of a whole room
 _TEXT = 0.1  # [m], height of letters
@@ -87,7 +87,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
         stamp: Stamp of the markers [s].
         footprint: Outline of the robot, for the swept outlines and the goal.
         obstacles: Obstacles for the closest point.
-        certificate: Certificate with the station of the closest point.
+        certificate: Certificate with the arc length of the closest point.
 
     Raises:
         InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.
@@ -196,7 +196,7 @@ class _MarkerList:
         colours: Sequence[Message] = (),
         text: str = "",
     ) -> None:
-        """Add one marker with all fields, as classes of rosbags have no defaults."""
+        """Add one marker with all fields, because classes of rosbags have no defaults."""
         types, image, mesh = self._types, "sensor_msgs/msg/CompressedImage", "visualization_msgs/msg/MeshFile"
         self.markers.append(
             made(

@@ -169,11 +169,11 @@ def footprint(message: Message, at: Pose2 | None = None) -> StampedFootprint:
 
     Args:
         message: The message.
-        at: Pose of the robot in the message's frame: the outline is transformed into the robot's frame, as is needed
+        at: Pose of the robot in the message's frame: the outline is transformed into the robot's frame, which is needed
             for `published_footprint`. None for no transformation.
 
     Raises:
-        InvalidMessage: If a number is not finite, there is no frame, or the points are no simple polygon.
+        InvalidMessage: If a number is not finite, there is no frame, or the points do not form a simple polygon.
     """
     frame, stamp = stamped_frame(message)
     points = message.polygon.points

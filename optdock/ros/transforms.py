@@ -27,14 +27,14 @@ __all__ = ["Quaternion", "Transform", "TransformError", "TransformTree", "quater
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
-_LONGEST_CHAIN = 100  # frames: more than any robot has; limits cycles
+_LONGEST_CHAIN = 100  # frames: more than any robot has; ends a search in a cycle
 # [s]: stamps are nanoseconds, and seconds since 1970 as a float resolve 2.4e-7 s.
 _SAME_TIME = 1e-6
 _WIDTH = 7  # numbers of a sample: translation and quaternion
 
 
 class TransformError(OptdockError):
-    """There is no transform: a frame is unknown, two are not connected, or the known ones are too old or too new."""
+    """No transform exists: a frame is unknown, two are not connected, or the known transforms are too old or new."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ _Sample: TypeAlias = tuple[Vector, Quaternion]
 class _Track:
     """Parent of one frame and its poses over time.
 
-    Samples take 64 bytes in two arrays, as recordings have millions. Both arrays only grow, the times last, so that
-    other threads read complete samples; any other change creates a new track.
+    Samples take 64 bytes in two arrays, because recordings have millions of them. Samples are only appended, the time
+    after the values, so that other threads read complete samples; any other change creates a new track.
     """
 
     __slots__ = ("is_static", "parent", "times", "values")
@@ -117,21 +117,22 @@ class _Track:
 
 
 class TransformTree:
-    """Frames over time.
+    """Tree of frames with their transforms over time.
 
     Only one thread at a time may store messages; lookups from any thread never block. A frame with a new parent loses
     its previous transforms.
 
     Args:
         history: Duration for which transforms are kept [s].
-        reach: Duration before the first and after the last message of a frame for which it is taken as unmoved [s].
+        reach: Duration before the first and after the last message of a frame for which the frame counts as unmoved
+            [s].
     """
 
     def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:
         self._history, self._reach = history, reach
         self._tracks: dict[str, _Track] = {}
         self.refused: dict[tuple[str, str], str] = {}
-        """Reason for the first transform of each parent and child that was refused."""
+        """Reason of the first rejected transform of each parent and child."""
 
     @property
     def frames(self) -> Mapping[str, str]:
@@ -194,13 +195,13 @@ class TransformTree:
         first, last = known.times[0], known.times[-1]
         if stamp > last and stamp - first <= 2.0 * self._history:  # old samples are dropped in batches
             known.values.extend(sample)
-            known.times.append(stamp)  # last, for readers in other threads
+            known.times.append(stamp)  # written last, for readers in other threads
         elif stamp >= last - self._history:
             oldest = bisect_left(known.times, max(stamp, last) - self._history)
             self._tracks[child] = known.inserted(stamp, sample, oldest)
 
     def refuse(self, parent: str, child: str, why: str) -> bool:
-        """Record the reason for refusing a transform and return False."""
+        """Record the reason for rejecting a transform and return False."""
         self.refused.setdefault((parent, child), why)
         return False
 
@@ -215,7 +216,7 @@ class TransformTree:
                 stamp of that message.
 
         Raises:
-            TransformError: If a frame is unknown, the two are not connected, or nothing is known for `stamp`.
+            TransformError: If a frame is unknown, the frames are not connected, or no transform is known for `stamp`.
         """
         target, source = target.lstrip("/"), source.lstrip("/")
         tracks = self._tracks
@@ -291,7 +292,7 @@ class TransformTree:
 
 
 def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
-    """The frame, its parent, the parent of that..."""
+    """The frame, its parent, and all further ancestors."""
     chain = [frame]
     while (track := tracks.get(chain[-1])) is not None and len(chain) < _LONGEST_CHAIN:
         chain.append(track.parent)
@@ -317,7 +318,7 @@ def rotated(q: Quaternion, v: Vector) -> Vector:
 
 
 def _slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """Spherical linear interpolation of two quaternions, the short way."""
+    """Spherical linear interpolation of two quaternions along the shorter arc."""
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if dot < 0.0 else 1.0
     angle = math.acos(min(1.0, abs(dot)))

@@ -1,8 +1,8 @@
-"""Motions that are known by samples only: they are never certified, but can be refuted.
+"""Motions given by samples only, which cannot be certified but can be refuted.
 
 - `sampled_motion`: rounding, and the place of each sample on its path.
 - `refutation`: the rules that samples can break.
-- `tube`: how far samples of a drive are off its path, and how far they may be.
+- `tube`: deviations of the samples of a drive from its path, and the allowed deviations.
 """
 
 from optdock.samples.refutation import (

@@ -1,20 +1,21 @@
 """Timed motions that are given by samples only: the samples can refute a motion, but never prove one.
 
-Samples say nothing about the instants between them; `certify_trajectory` needs the time law. But every motion within
-the limits satisfies inequalities between any two instants, however far apart. With signed speed v and acceleration a,
-jerk limit J and steps of h:
+Samples do not determine the motion between them, so `certify_trajectory` needs the time law. But every motion within
+the limits satisfies inequalities between any two instants. With signed speed v and acceleration a, jerk limit J and
+steps of h:
 
     slopes               |a1 - a0| <= J h,  -D h <= |v1| - |v0| <= A h;  also yaw, yaw rate, lateral acceleration
     speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= min(J h^2 / 4, (A + D) h)
     place, speed         |s1 - s0 - h (|v0| + |v1|) / 2| <= J h^3 / 12, at rests max(A, D) h^2 / 4
 
-They are checked for neighbours and for samples 2, 4, 8, ... apart, where rounding weighs less; in a turn in place
+They are checked for neighbours and for samples 2, 4, 8, ... apart, where rounding has less effect; in a turn in place
 also for yaw, yaw rate and yaw acceleration. At each sample the columns must keep the limits, and yaw rate and yaw
 acceleration must be those of the path's curvature k and its rate r: w = |v| k, w' = a k + v^2 r. Between two parts of
-the path the robot rests, which takes max(sqrt(2 v / J), a / J) from the sample before and to the sample behind.
+the path the robot rests, and this takes at least max(sqrt(2 v / J), a / J) after the sample before the rest and before
+the sample after it.
 
-Columns whose numbers all have three to five decimals are rounded, others are accurate to 1e-6; a value is compared with
-its limit after subtraction of its rounding.
+Columns whose numbers all have three to five decimals are rounded, others are accurate to 1e-6; the rounding of a value
+is subtracted before the comparison with its limit.
 """
 
 from __future__ import annotations
@@ -63,15 +64,15 @@ OFF_PATH = 2e-3
 _ARITHMETIC = 1e-9  # rounding of sums of numbers around 1
 _STEERED = 1e-4  # relative, of a steering time: six decimals of a curvature, and the tolerance of the proof
 _DECIMALS = 6  # of rounded phases
-_ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of the numbers of rounded phases; ten units, as they may be rounded twice
+_ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of rounded phases; ten units, because they may be rounded twice
 
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """The result of checking samples; true where they do not refute the motion, which is not a proof.
+    """Result of a check of samples; true if they do not refute the motion, which is not a proof.
 
     Args:
-        violations: Every broken rule; empty when the samples do not refute the motion.
+        violations: Every broken rule; empty if the samples do not refute the motion.
         samples: Number of samples.
         step: Longest time between two of them [s].
         offset: Largest deviation of the poses from the path: distance [m], turn [rad].
@@ -99,8 +100,8 @@ class SampledMotionVerdict:
 def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
     """Check whether samples refute the motion they describe; see the module for the rules.
 
-    Poses may be off the path by up to 2e-3 m and rad where the path keeps the required clearance with that much to
-    spare; otherwise they must lie on it to 1e-6.
+    Poses may be off the path by up to 2e-3 m and rad if the clearance of the path exceeds the required one by the
+    resulting displacement; otherwise they must lie on it to 1e-6.
 
     Args:
         motion: The samples.
@@ -131,18 +132,18 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
 def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
     """Bound of the error of the trapezoid of the speeds between neighbours, Shape (n - 1,) [m].
 
-    At speeds up to `rest` the gear may change within the step, where only the accelerations bound the changes.
+    At speeds up to `rest` the gear may change within the step, and only the accelerations bound the changes.
     """
     h, speed, gear = np.diff(motion.t), np.abs(motion.speed), gears_of(motion, rest)
     error = 0.25 * max(limits.max_acceleration, limits.max_deceleration) * h**2
     moves = (gear[1:] == gear[:-1]) & (gear[1:] != 0.0)
     error = np.where(moves, np.minimum(error, limits.max_jerk * h**3 / 12.0), error)
-    # The place is within 0 and the fastest speed of the start of the step.
+    # The distance driven in the step is between 0 and that at the largest speed.
     return np.minimum(error, h * (max(limits.max_speed, limits.max_reverse_speed) + 0.5 * (speed[1:] + speed[:-1])))
 
 
 def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
-    """Samples too far apart, or a polyline that turns in place, where distance does not determine the place."""
+    """Faults of samples too far apart, or of a polyline that turns in place, where distance gives no place."""
     if not error <= REACH:
         message = (
             f"samples up to {step:.3g} s apart leave the motion between them uncertain by {error:.3g} m; "
@@ -162,7 +163,7 @@ def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) ->
     """Whether footprints at this distance [m] and turn [rad] from the path keep the required clearance.
 
     Such a pose moves no point of the footprint by more than distance + radius * turn, with the circumscribed radius.
-    The start may be closer than required and has nothing to spare then.
+    The start may be closer to an obstacle than required; deviations are not allowed then.
     """
     more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
     raised = replace(problem, clearance=problem.clearance.raised(more))
@@ -204,8 +205,8 @@ class _Bends(NamedTuple):
 def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
     """Least and largest curvature that the sampled curve may have on each step, Shape (steps,) each [1/m].
 
-    The turn of a step gives the mean only: neighbouring steps count, widened by their difference and by the rounding of
-    the poses.
+    The turn of a step gives the mean only, so the range includes the neighbouring steps, widened by their difference
+    and by the rounding of the poses.
     """
     k = segment.step_curvature
     around = np.lib.stride_tricks.sliding_window_view(np.pad(k, 1, mode="edge"), 3)
@@ -236,7 +237,7 @@ class _Rules:
     def _at_most(
         self, kind: str, values: FloatArray, limit: FloatArray | float, rough: float = 0.0, first: int = 0
     ) -> None:
-        """Compare values, accurate to `rough`, of samples from number `first` on with their limit; report the worst."""
+        """Compare values, accurate to `rough`, of the samples after `first` with their limit; report the worst."""
         limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
         beyond = values - rough - limits * (1.0 + TOLERANCE) - _ARITHMETIC
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -275,7 +276,7 @@ class _Rules:
             lag *= 2
 
     def check_poses(self) -> tuple[float, float]:
-        """Poses on the path, or covered by its clearance; returns the largest distance [m] and turn [rad] off it."""
+        """Check that poses are on the path, up to its clearance; return the largest distance [m] and turn [rad]."""
         motion, apart, turned = self._motion, self._places.apart, self._places.turned
         offset = (float(np.max(apart)), float(np.max(turned)))
         i = int(np.argmax(np.maximum(apart, turned)))
@@ -292,7 +293,7 @@ class _Rules:
         return offset
 
     def check_ends(self) -> None:
-        """The motion begins at the start as the robot moves, and ends at rest at the end of the path."""
+        """Check that the motion begins at the start with the robot's state, and ends at rest at the end of the path."""
         motion, rounding, problem, path = self._motion, self._rounding, self._problem, self._path
         first, last = float(self._places.s[0]), float(self._places.s[-1])
         slack = [2.0 * self._slack + OFF_PATH * isinstance(path.segments[i], TurnSegment) for i in (0, -1)]
@@ -314,7 +315,7 @@ class _Rules:
                 self._add("rest", message, last, abs(found))
 
     def check_samples(self) -> None:
-        """Speeds, accelerations and jerks within their limits; a sample at rest may belong to either gear."""
+        """Check the limits of speed, acceleration and jerk; a sample at rest may belong to either gear."""
         motion, limits, zone, v = self._motion, self._limits, self._problem.dock.approach, self._v
         self._at_most("speed [m/s]", v, np.where(motion.speed >= 0.0, limits.max_speed, limits.max_reverse_speed))
         slow = self._places.s > place_before_end(self._path, zone.distance) + self._slack + _ARITHMETIC
@@ -328,7 +329,7 @@ class _Rules:
         self._limited({"max_jerk": (np.abs(motion.jerk), self._rounding.jerk)})
 
     def check_curvature(self) -> None:
-        """Limits of quantities that depend on curvature, and yaw columns against the curvature of the path."""
+        """Check the limits of quantities that depend on curvature, and the yaw columns against the curvature."""
         motion, limits, rounding, v = self._motion, self._limits, self._rounding, self._v
         bends = _Bends.of(self._path, self._places.s, self._slack + _ARITHMETIC)
         yaw_rate = np.abs(motion.yaw_rate)
@@ -361,7 +362,7 @@ class _Rules:
         self._at_most("yaw acceleration off the path's [rad/s^2]", np.where(bends.exact & drives, off, 0.0), 0.0)
 
     def check_between(self, error: FloatArray) -> None:
-        """Changes between samples against the limits and the sums of the next derivative; `error`: of the places."""
+        """Check changes between samples against limits and sums of the next derivative; `error`: of the places."""
         motion, limits, rounding, early, h = self._motion, self._limits, self._rounding, self._early, self._h
         v, up, down, jerk = np.abs(motion.speed), limits.max_acceleration, limits.max_deceleration, limits.max_jerk
         self._slopes("mean acceleration [m/s^2]", v, up, 2.0 * rounding.speed)
@@ -384,7 +385,7 @@ class _Rules:
         rough = 2.0 * (rounding.speed + rest) + early * max(up, down)
         residual = motion.speed - _integral(h, motion.acceleration)
         self._residuals("speed off its accelerations [m/s]", residual, bound, rough)
-        # Beside a curve the way is longer or shorter than on it.
+        # Next to a curve the distance driven differs from that on the curve.
         bound = error + rounding.speed * h + float(np.max(self._places.apart)) * np.abs(np.diff(self._yaw))
         rough = 2.0 * self._slack + early * max(limits.max_speed, limits.max_reverse_speed)
         self._residuals("distance off its speeds [m]", self._places.driven - self._travelled, bound, rough)
@@ -393,7 +394,7 @@ class _Rules:
                 self._check_turn(run)
 
     def _check_turn(self, run: Run) -> None:
-        """A turn in place: driving columns are 0; yaw columns are checked as those of a drive."""
+        """Check a turn in place: driving columns are 0, and yaw columns are checked as those of a drive."""
         motion, rounding, early, h = self._motion, self._rounding, self._early, self._h
         fastest, steepest, jerk = self._limits.turning
         rows, w, gain = slice(run.first, run.last + 1), motion.yaw_rate, motion.yaw_acceleration
@@ -414,12 +415,12 @@ class _Rules:
         rough = 2.0 * rounding.yaw + early * fastest
         self._residuals("yaw off its rates [rad]", self._yaw - _integral(h, w), bound, rough, rows)
         missing = run.end - run.begin - abs(float(self._yaw[run.last] - self._yaw[run.first]))
-        if missing > np.pi + 2.0 * float(np.max(h)) * fastest:  # a whole turn less ends with the same heading
+        if missing > np.pi + 2.0 * float(np.max(h)) * fastest:  # one full turn less has the same heading
             message = f"turned: {missing:.4g} rad less than the path at s = {run.begin:.3f} m"
             self._add("coverage", message, run.begin, missing)
 
     def check_rests(self) -> None:
-        """Between two parts of the path the samples leave the time to stop and to start again."""
+        """Check that the samples between two parts of the path leave time to stop and to start again."""
         t = self._motion.t
         for before, behind in itertools.pairwise(self._runs):
             last, first = before.last, behind.first
@@ -445,7 +446,7 @@ class _Rules:
         return float(max(math.sqrt(2.0 * v / jerk), a / jerk, v / steepest))
 
     def check_steering(self) -> None:
-        """Steered wheels have the time to turn at the start and at cusps.
+        """Check that steered wheels have time to turn at the start and at cusps.
 
         The ends of a polyline have the curvature of a difference quotient, so only clothoids are checked.
         """
@@ -476,11 +477,11 @@ def _integral(h: FloatArray, column: FloatArray) -> FloatArray:
 
 
 def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
-    """Whether rounding explains that phases miss their samples or a limit.
+    """Whether differences between phases and samples, or an exceeded limit, can be due to rounding.
 
     The numbers of the phases have at most six decimals, each off by at most r = 1e-5. With n phases of durations d and
     jerks j, the borders are off by n r, the acceleration by e = r (1 + sum |j| + sum d) and by its change while the
-    borders are off; speed and distance by the integrals of that.
+    borders are off; speed and distance are off by the integrals of that error.
 
     Args:
         trajectory: The path and the motion by the phases.
@@ -510,13 +511,13 @@ def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
     """Check whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
 
-    Poses further off than 1e-6 need the clearance to cover the deviation. Where jerk and yaw acceleration jump, the
-    values on both sides and all between them are accepted.
+    The clearance must cover deviations of more than 1e-6. At jumps of jerk and yaw acceleration, the values on both
+    sides and all between them are accepted.
 
     Args:
         trajectory: The motion; see `certify_trajectory` for its own verdict.
         motion: The samples.
-        problem: What must hold.
+        problem: The problem with limits, dock and start.
     """
     step, count, rounding = float(np.max(np.diff(motion.t))), motion.t.size, Rounding.of(motion)
     for name, found, wanted in (("begin", motion.t[0], 0.0), ("end", motion.t[-1], trajectory.duration)):

@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 EXACT = TOLERANCE  # [m], [rad], ...: accuracy of numbers with more than five decimals
-REACH = 0.02  # [m]: a projection step is at most twice as long, and steps between samples must be known to it
+REACH = 0.02  # [m]: accuracy of steps between samples; a projection step is at most twice as long
 ON_PATH = float(np.sqrt(2.0)) * EXACT  # [m], [rad]: x and y are accurate to 1e-6 each
 _PROJECTIONS = 8
 _CONVERGED = 1e-10  # [m]
@@ -120,7 +120,7 @@ class Run(NamedTuple):
 
 
 def runs_of(motion: SampledMotion, path: Path, limits: MotionLimits, rounding: Rounding) -> list[Run] | Violation:
-    """The parts of the path with their samples, in order; a violation where the samples do not follow the parts.
+    """The parts of the path with their samples, in order, or a violation if the samples do not follow the parts.
 
     Parts that fit between two samples have no run.
     """
@@ -159,7 +159,7 @@ def _parts(path: Path) -> list[Run]:
 
 
 def _merged(parts: Sequence[Run]) -> list[Run]:
-    """Neighbours of one kind as one part."""
+    """Merge neighbouring parts of one kind."""
     groups = [list(group) for _, group in itertools.groupby(parts, key=lambda part: part.kind)]
     return [group[0]._replace(end=group[-1].end) for group in groups]
 
@@ -167,7 +167,7 @@ def _merged(parts: Sequence[Run]) -> list[Run]:
 class Places(NamedTuple):
     """The samples on their path, Shape (n,) each.
 
-    `s`: arc length [m]; `driven`: distance driven up to there, turns in place not counted [m]; `apart`, `turned`:
+    `s`: arc length [m]; `driven`: distance driven up to that place, without turns in place [m]; `apart`, `turned`:
     distance [m] and heading difference [rad] from the path.
     """
 
@@ -192,7 +192,7 @@ def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled:
         s[here], apart[here], turned[here] = (column[nearer] for column in place)
         driven[here] = (run.begin if run.is_turn else s[here]) - before
         before += (run.end - run.begin) * run.is_turn
-    # A pose on the path, but `ON_PATH` further along it, is turned by that much.
+    # A pose `ON_PATH` further along the path differs in heading by this angle.
     explained = ON_PATH * np.minimum(np.abs(path.curvature_at(s)), _BENT)
     return Places(s, driven, apart, np.maximum(turned - explained, 0.0))
 
@@ -200,7 +200,7 @@ def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled:
 def _on_turn(
     path: Path, run: Run, motion: SampledMotion, yaw: FloatArray, rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Arc lengths, distances and turns off the turn in place."""
+    """Arc lengths of samples in a turn in place, with their distances and angles from it."""
     at = path.poses_at(0.5 * (run.begin + run.end))[0]
     extent, sign = run.end - run.begin, np.sign(run.kind)
     turned = sign * (yaw[rows] - at[2]) + 0.5 * extent

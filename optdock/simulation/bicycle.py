@@ -3,10 +3,10 @@
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
 requests the curvature angular / linear, and so the angle atan(wheelbase * curvature).
 
-A command with zero speed has no curvature. Usual base controllers, such as the steering controllers of ros2_control and
-the converter of teb_local_planner, then steer straight, which is the default here; others hold the last angle. To steer
-the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead band, or 1e-6
-m/s.
+A command with zero speed has no curvature. With such a command usual base controllers, such as the steering controllers
+of ros2_control and the converter of teb_local_planner, steer straight, which is the default here; others hold the last
+angle. To steer the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead
+band, or 1e-6 m/s.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ class Bicycle:
         return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
         drive = (0.0, state.drive[1]) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
@@ -197,7 +197,7 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Final angle: the near end of the play around the wanted angle."""
+        """Final angle: the nearer end of the play around the wanted angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:
@@ -226,9 +226,9 @@ def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Stee
     """Return the plant of a robot: a `Bicycle` for a car, else a `DifferentialDrive`.
 
     Args:
-        robot: The robot; a car without a wheelbase gets one of the robot's length.
+        robot: The robot; for a car without a wheelbase, the robot's length is used.
         actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
-        steering: Steering of a car; None: perfect but for that lag.
+        steering: Steering of a car; None: perfect except for that lag.
 
     Raises:
         InvalidValue: If a car has an angular dead band or gain, or both an angular lag and a `steering`, or another

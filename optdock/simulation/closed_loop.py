@@ -53,7 +53,7 @@ class SimulationSettings:
         period: Control period [s].
         timeout: Simulated time after which the run ends [s]; None: 1.5 times the trajectory plus 10 s.
         actuation: Lags, latency and dead bands of the drive; the angular lag of a car is that of its steering.
-        steering: Steering of a car; None: perfect but for that lag.
+        steering: Steering of a car; None: perfect except for that lag.
         position_noise: Standard deviation of the white noise of the measured x and y [m].
         yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
         seed: Seed of the noise.
@@ -98,8 +98,8 @@ class Run(FrozenArrays):
         references: Poses of the trajectory at the same times, Shape (n, 3).
         goal: Goal pose.
         docked: Verdict of the goal checker.
-        reason: Why the robot did not dock; empty if it did.
-        verdicts: Verdict of each goal checker at the end by name, the decisive one first.
+        reason: Reason why the robot did not dock; empty if it did.
+        verdicts: Verdict of each goal checker at the end by name; the first one decides.
         min_clearance: Smallest clearance of the true poses [m]; None without obstacles.
         differs: Differences to the certified problem: `footprint`, `limits`, `obstacles`; empty without a difference or
             a certificate.
@@ -138,12 +138,12 @@ class Run(FrozenArrays):
 
     @property
     def collided(self) -> bool:
-        """Whether the footprint penetrated an obstacle deeper than a bumper yields."""
+        """Whether the footprint penetrated an obstacle deeper than the travel of a bumper."""
         return self.min_clearance is not None and self.min_clearance < -_BUMPER
 
     @property
     def fault(self) -> str:
-        """Description of a collision or of a failure to dock; empty without one."""
+        """Description of a collision or of a failure to dock; empty if neither occurred."""
         if self.collided:
             return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
         return "" if self.docked else f"not docked: {self.reason}"
@@ -164,7 +164,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     *,
     beside: Sequence[GoalChecker] = (),
 ) -> Run:
-    """Drive a trajectory in simulation until the goal checker accepts, the controller fails, or the time is up.
+    """Drive a trajectory in simulation until the goal checker accepts, the controller fails, or the timeout is reached.
 
     The robot is a `SimulatedRobot` with the plant of its drive, `plant_of`. Controller and checkers are reset first. In
     each period the checker is called before the controller, as in Nav2's server.
@@ -173,7 +173,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         trajectory: Trajectory for the controller's `set_path`.
         robot: Robot with limits and footprint.
         goal: Goal pose for the goal checker.
-        controller: Controller; one that is not configured drives a differential drive, and is configured for a car.
+        controller: Controller; for a car, an unconfigured one is configured with the robot.
         goal_checker: Decides when the run ends.
         settings: Settings; None: a perfect robot.
         beside: Goal checkers called once at the end of the run, without effect on it.
@@ -192,7 +192,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     if controller.state is LifecycleState.UNCONFIGURED and robot.drive is Drive.ACKERMANN:
         task = DockingProblem(trajectory.path.start, Dock(goal), robot, frame=trajectory.frame)
         controller.configure(PluginContext(controller.name, problem=task))
-        controller.set_path(Trajectory(trajectory.path, trajectory.time_law))  # without its certificate
+        controller.set_path(Trajectory(trajectory.path, trajectory.time_law))  # the trajectory without its certificate
     else:
         controller.set_path(trajectory)
     first = trajectory.at(0.0)
@@ -236,7 +236,7 @@ def _drive(
     period: float,
     timeout: float,
 ) -> tuple[bool, str]:
-    """Run the loop; return whether the robot docked, and why not."""
+    """Run the loop; return whether the robot docked, and the reason if not."""
     for left in range(math.ceil(timeout / period), -1, -1):
         if _is_reached(goal_checker, world, remaining):
             return True, ""
@@ -271,7 +271,7 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 
 
 class RemainingPath:
-    """A sampled path that is consumed monotonically from its start, up to its last two poses.
+    """A sampled path with the monotonic progress of the robot along it, up to its last two poses.
 
     The place of the robot is the nearest of the next samples of the present gear segment, without turns in place; the
     next segment begins at the sample of the cusp. The overlapping segments at a cusp are thus distinguished, so that
@@ -303,12 +303,12 @@ class RemainingPath:
 
 
 def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
-    """Describe how driven poses left the certified tube or clearance; empty if they did not.
+    """Describe how driven poses left the certified tube or clearance; empty if all are inside.
 
     A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if there is one, or
     if the footprint is closer to an obstacle than the problem's clearance requires. Before the dock the required
-    clearance is smaller than the tube; there, and without a tube, the clearance decides. Within the dock's tolerances
-    the robot may penetrate its station by the travel of a bumper.
+    clearance is smaller than the tube; there, and without a tube, only the clearance is checked. Within the dock's
+    tolerances the robot may penetrate its station by the travel of a bumper.
 
     Args:
         path: Path to be driven.

@@ -29,7 +29,7 @@ __all__ = ["Actuation", "DifferentialDrive", "Plant", "PlantState", "Slip", "Stu
 
 _LONGEST_LATENCY = 10.0  # [s]; every command of it is stored
 _INSTANT = 1e-9  # [s]: commands that arrive within this time arrive at once
-_BLOCK = 512  # random numbers drawn per call, as a call of NumPy costs as much as a hundred of them
+_BLOCK = 512  # random numbers drawn per call, because a call of NumPy takes as long as a hundred of them
 _SLIP_CORRELATION = 0.3  # [s]: time constant of the noise of slip
 _Target = tuple[float, float]
 
@@ -39,7 +39,7 @@ class Actuation:
     """Response of the drive to commands; the default is perfect.
 
     Args:
-        linear_lag: Time constant of the first-order lag of the speed [s]; 0: none.
+        linear_lag: Time constant of the first-order lag of the speed [s]; 0: no lag.
         angular_lag: Time constant of the first-order lag of the yaw rate [s].
         latency: Delay between a command and its first effect [s].
         linear_dead_band: Commanded speeds below this have no effect [m/s].
@@ -88,11 +88,11 @@ class StuckWheel:
 
     Args:
         wheel: A `Wheel` or its value.
-        start: Begin on the plant's clock, which starts at 0 [s].
-        end: End [s].
+        start: Start of the fault on the plant's clock, which starts at 0 [s].
+        end: End of the fault [s].
 
     Raises:
-        InvalidValue: If there is no such wheel, or not start < end.
+        InvalidValue: If there is no such wheel, or the start is not before the end.
     """
 
     wheel: Wheel
@@ -119,7 +119,7 @@ class Wheels:
         right_gain: True radius of the right wheel over the nominal one [1].
         left_dead_band: Speeds of the left wheel below this have no effect.
         right_dead_band: Speeds of the right wheel below this have no effect.
-        max_speed: Saturation of each wheel on its own, which changes the curvature.
+        max_speed: Saturation of each wheel separately, which changes the curvature.
         stuck: Faults.
 
     Raises:
@@ -187,7 +187,7 @@ class Slip:
 
     Raises:
         InvalidValue: If a value is not a finite number, a sigma negative, the lost share not in [0, 1], or the
-            seed no whole number >= 0.
+            seed not a whole number >= 0.
     """
 
     lost: float = 0.0
@@ -278,22 +278,22 @@ class Plant(Protocol):
         """Return the state after `duration` [s] with a command given at its beginning."""
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
-    """A robot on two driven wheels.
+    """Plant of a robot with two driven wheels.
 
-    A step is split where commands arrive; in between, the robot follows the arc of its mean velocity, in sub-steps with
-    lag. The result is exact for constant velocities. Accelerations are not limited, which is the duty of the
-    controller. `step` is a pure function.
+    A step is split at the arrivals of commands; between them, the robot follows the arc of its mean velocity, in
+    sub-steps with lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the
+    task of the controller. `step` is a pure function.
 
     Args:
         robot: Robot whose limits are applied to every command.
         actuation: Lags, latency, dead bands and gains.
         period: Default duration of a step [s].
-        wheels: Errors and faults of the wheels; None: none.
+        wheels: Errors and faults of the wheels; None: no errors.
         slip: Slip.
 
     Raises:
@@ -345,7 +345,7 @@ class DifferentialDrive:
         return PlantState(Pose2(*pose), twist, self._encoders(turned), end, (v, w), target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: the wheels stop too."""
+        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
         drive = (0.0, 0.0) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
@@ -426,7 +426,7 @@ def check_duration(value: float, name: str) -> None:
     """Check a duration.
 
     Raises:
-        InvalidValue: If it is not finite and > 0.
+        InvalidValue: If the duration is not finite and > 0.
     """
     if not finite_number(value, name) > 0.0:
         raise InvalidValue(f"{name}: must be finite and > 0 s, got {value}")
@@ -436,7 +436,7 @@ def check_not_negative(settings: object, name: str, keys: Iterable[str]) -> None
     """Convert attributes of frozen settings to float and check them.
 
     Raises:
-        InvalidValue: If one is negative or not finite.
+        InvalidValue: If an attribute is negative or not finite.
     """
     for key in keys:
         value = finite_number(getattr(settings, key), f"{name}.{key}")
@@ -449,7 +449,7 @@ def check_seed(value: object, name: str) -> None:
     """Check the seed of a random generator.
 
     Raises:
-        InvalidValue: If it is not a whole number >= 0.
+        InvalidValue: If the seed is not a whole number >= 0.
     """
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise InvalidValue(f"{name}: must be a whole number >= 0, got {value!r}")

@@ -1,7 +1,7 @@
 """The sensors of a simulated robot: localization, odometry and the detector of the dock.
 
 Each sensor is a frozen description; its `reader(seed)` keeps the state, such as a random walk, counted ticks and images
-not yet delivered. A reader draws the same random numbers in every case, so that a fault changes nothing else.
+not yet delivered. A reader always draws the same random numbers, so that a fault does not change the other errors.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
     "PoseSensorReader",
 ]
 
-_BLOCK = 512  # random numbers drawn per call, as a call of NumPy costs as much as a hundred of them
+_BLOCK = 512  # random numbers drawn per call, because a call of NumPy takes as long as a hundred of them
 _INSTANT = 1e-9  # [s]: rounding of times that are sums of periods
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
 Seed = int | np.random.SeedSequence
@@ -74,7 +74,7 @@ class PoseSensorReader:
         self._time: float | None = None
 
     def jump(self, offset: Pose2) -> None:
-        """Increase the error by `offset` from now on."""
+        """Increase the error by `offset` permanently."""
         x, y, yaw = self._error
         self._error = x + offset.x, y + offset.y, yaw + offset.yaw
 
@@ -137,7 +137,7 @@ class OdometryReader:
         self._travel = (0.0, 0.0)
 
     def measure(self, encoders: Twist2, duration: float) -> Twist2:
-        """Return the measured velocity, `duration` [s] after the last one, for the present one of the encoders."""
+        """Return the measured velocity, `duration` [s] after the last one, for the present velocity of the encoders."""
         sensor = self.sensor
         linear, angular = encoders.linear, encoders.angular
         if sensor.tick > 0.0:
@@ -179,7 +179,7 @@ class DockSensor:
         position_sigma: Standard deviation of x and y in the frame of the robot, each [m].
         yaw_sigma: Standard deviation of yaw [rad].
         near: Distance of the marker within which the sigmas apply [m].
-        growth: Growth of the sigmas beyond [1/m].
+        growth: Growth of the sigmas beyond that distance [1/m].
         marker: Marker in the frame of the docked pose; its yaw is not used.
         camera: Camera in the frame of the robot.
         field_of_view: Full angle [rad].
@@ -242,7 +242,7 @@ class DockSensorReader:
         self._lost_until = -math.inf
 
     def lose(self, until: float) -> None:
-        """Detect nothing in images before `until` [s]."""
+        """Suppress detections in images before `until` [s]."""
         self._lost_until = until
 
     def displace_next(self, offset: Pose2) -> None:

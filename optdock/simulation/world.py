@@ -1,4 +1,4 @@
-"""A simulated robot: commands in, measurements out, everything recorded."""
+"""A simulated robot: commands in, measurements out, with a record of all values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Sensors:
     Args:
         pose: Localization.
         odometry: Odometry of the wheels.
-        dock: Detector of the dock; None: none.
+        dock: Detector of the dock; None: no detector.
     """
 
     pose: PoseSensor = field(default_factory=PoseSensor)
@@ -50,8 +50,8 @@ class Sensors:
 class Station:
     """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the axis of the dock. It stops a robot from the front; one from the side or from behind
-    passes, and collides with the outline of the station if the obstacles contain it.
+    The stop is a plane across the axis of the dock. The stop acts on a robot that comes from the front. A robot from
+    the side or from behind passes, and collides with the outline of the station if the obstacles contain it.
 
     Args:
         direction: Gear of the last motion, forward or backward.
@@ -196,7 +196,7 @@ class SimulatedRobot:
         return self.measurements
 
     def put(self, obstacles: ObstacleSet, costmap: Costmap | None = None) -> None:
-        """Replace the obstacles from now on; the next measurements contain `costmap`."""
+        """Replace the obstacles; the next measurements contain `costmap`."""
         self._obstacles.append((len(self._rows), obstacles))
         self._costmap = costmap or self._costmap
 
@@ -231,14 +231,14 @@ class SimulatedRobot:
         )
 
     def forget(self) -> None:
-        """Clear the record, to bound the memory of long runs; `clearance` starts again."""
+        """Clear the record, to bound the memory of long runs; `clearance` is restarted."""
         self._rows = self._rows[-1:]
         self._commands.clear()
         self._detections.clear()
         self._obstacles = [(0, obstacles) for _, obstacles in self._obstacles[-1:]]
 
     def _stop(self, before: Pose2, station: Station) -> None:
-        """Keep the robot at the stop that it has driven against."""
+        """Keep the robot at the stop after contact."""
         there = self.error
         beyond = station.past(there)
         if beyond <= 0.0 or abs(there.y) > station.half_width:

@@ -1,4 +1,4 @@
-"""Time parameterization: the fastest motion along a path within all limits, in closed phases of constant jerk.
+"""Time parameterization: the fastest motion along a path within all limits, in exact phases of constant jerk.
 
 The problem, for every segment of a path between two stops (its start, cusps, the dock): with arc length s, speed
 v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s),
@@ -9,8 +9,8 @@ v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s),
                |a k + v^2 k'| <= al         the yaw acceleration
                (s, v, a) given at the start, at rest at the end.
 
-In x = v^2 all but jerk is linear and the time is convex. So a reference is the solution of a convex program in x with
-an extension for jerk; ruckig turns it into exact motions; an independent proof decides. Modules in reading order:
-jerk_phases, turning_limits, path_limits, plan_checks, start_states, retry_strategy, windowed (plugin `Windowed`),
-reference_program, interior_point, ruckig_moves, near_optimal (plugin `NearOptimal`).
+In x = v^2 all limits except jerk are linear and the time is convex. A reference is the solution of a convex program in
+x with an extension for jerk; ruckig turns it into exact motions, which an independent proof accepts or rejects. Modules
+in reading order: jerk_phases, turning_limits, path_limits, plan_checks, start_states, retry_strategy, windowed (plugin
+`Windowed`), reference_program, interior_point, ruckig_moves, near_optimal (plugin `NearOptimal`).
 """

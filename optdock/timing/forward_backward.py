@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SpeedProfile", "forward_backward_pass"]
 
-_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, as the profile rests at its ends
+_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, because the profile rests at its ends
 
 
 class SpeedProfile(NamedTuple):
@@ -25,7 +25,7 @@ class SpeedProfile(NamedTuple):
 
 
 def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
-    """Return the fastest v^2 under caps, acceleration and deceleration alone, with turning limits as caps at a = 0.
+    """Return the fastest v^2 under caps, acceleration and deceleration, with the turning limits as caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
     2 A: one sweep forward, one backward [Bobrow1985].

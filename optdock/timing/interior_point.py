@@ -29,7 +29,7 @@ __all__ = ["Program", "applied", "load_lapack", "solve"]
 _LEAST_SHARE = 1e-6  # of the cell's coefficient: lower bound of v^2 at a place, so that f stays below a thousand
 _MOST_ITERATIONS = 40  # then the last iterate is used; any iterate is a motion
 _GAP = 1e-2  # of duality, relative to the objective; the margins of the reference are larger
-_RESIDUAL = 6e-3  # of every bound, relative
+_RESIDUAL = 6e-3  # relative tolerance of every bound
 _FREEZE = 8  # iterations after which f stays fixed: updating f further converges only linearly
 _TO_BOUNDARY = 0.99  # of the way to the next bound that a step takes
 _LARGEST_DECREASE = 0.9  # of a coefficient in one step
@@ -75,7 +75,7 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
         weight = dual / slack
         change = iterate.newton_change(weight, mu / slack + weight * primal)
         if not np.isfinite(change).all():
-            break  # no spline keeps the limits; the last iterate is still a motion
+            break  # no spline satisfies the limits; the last iterate is still a motion
         slack_change = -primal - applied(iterate.stencil, change)
         dual_change = mu / slack - dual - weight * slack_change
         step = min(
@@ -107,7 +107,7 @@ class _Iterate:
         self.move_to(c, frozen=False)
 
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
-        """Evaluate everything at `c`; `frozen` keeps f as it is. Rows B are in units of 1 / sqrt(c)."""
+        """Evaluate all values at `c`; `frozen` keeps f unchanged. Rows B are in units of 1 / sqrt(c)."""
         program, linear = self.program, self.linear
         if not frozen:  # f: sqrt(c) over the speed of each row in the cell
             knot = c[:-1] + program.right_share * (c[1:] - c[:-1])

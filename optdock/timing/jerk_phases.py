@@ -1,4 +1,4 @@
-"""Motions as phases of constant jerk, light enough for inner loops; the formulas are in `optdock.model.trajectory`."""
+"""Motions as phases of constant jerk, fast enough for inner loops; the formulas are in `optdock.model.trajectory`."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def duration_of(phases: Phases) -> float:
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
-    """Return the same motion from rest, slower in time by `factor` >= 1, which keeps every limit that was kept.
+    """Return the same motion from rest, slowed down by `factor` >= 1; every limit that was kept is still kept.
 
     Speeds fall with the factor, accelerations with its square, jerk with its cube.
     """
@@ -99,7 +99,7 @@ class Motion(NamedTuple):
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
-        if not self.durations.size:  # of an acceleration so small that its square is 0
+        if not self.durations.size:  # underflow for an acceleration so small that its square is 0
             return np.repeat(self.states, t.size, axis=1)
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]

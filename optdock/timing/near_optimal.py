@@ -1,14 +1,16 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Plans of one segment (`near_optimal_plans`), each made only when the one before was refused:
+Plans of one segment (`near_optimal_plans`), each made only when the one before was rejected:
 
-1. One ruckig move over the whole segment, where that is enough; slower ones on a tiny segment.
+1. One ruckig move over the whole segment, if that is sufficient; slower moves on a tiny segment.
 2. The reference and the moves along it.
-3. From rest, the same slightly stretched in time: exact, and always possible.
-4. 2 and 3 again with reduced speeds where limits were violated, at most twice.
-5. From rest, the best of them stretched until it keeps every limit; the windowed method, before that if it is faster.
+3. From rest, the same motion slightly stretched in time: exact, and always possible.
+4. Steps 2 and 3 again with reduced speeds around violations, at most twice.
+5. From rest, the best of these motions stretched until it keeps every limit, and the windowed method; the faster one
+first.
 
-For a moving start whose plans are all refused `retry_strategy` stops and goes; the final proof is there, too.
+For a moving start whose plans are all rejected, `retry_strategy` brakes to rest and plans from there; it also makes the
+final proof.
 """
 
 from __future__ import annotations
@@ -51,10 +53,10 @@ __all__ = ["NearOptimal", "NearOptimalParameters", "ReferenceMotion", "near_opti
 _SINGLE_MOVE_BELOW = 1.0  # [m]: longer segments are not tried with one move
 _TINY = 0.08  # [m]: segments too short for a reference, tried with slower single moves
 _SLOWER_MOVES = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))  # shares of the speed and of the drive
-_SINGLE_MOVE_SPARE = 1.0005  # additional stretch of these, as the check samples
+_SINGLE_MOVE_SPARE = 1.0005  # additional stretch of these, because the check uses samples
 _LONGEST_REFERENCE = 150.0  # [s]: the knots grow with the duration, the gain over windows does not
 _MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
-_RELIEF = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
+_RELIEF = 3.0  # margins: a moving start whose braking is closer to the limits has no margins there
 _TIGHT_YAW = 0.95  # share of a turning limit: a start beyond it has no margins until it is below
 _STRETCH_AT_ONCE = 1.012  # up to this factor stretching time is better than another attempt
 _STRETCH_AT_LAST = 1.1  # beyond this factor the windowed method may be better
@@ -94,9 +96,9 @@ class NearOptimal(SegmentTimeParameterizer):
 def near_optimal_plans(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment from a state from which the speed caps can be kept, by every method in order.
+    """Yield plans of one segment by every method in order, from a state from which the speed caps can be kept.
 
-    A plan is made only when the one before was refused. The plan of the windowed method may be FAIL.
+    A plan is made only when the one before was rejected. The status of the plan of the windowed method may be FAIL.
 
     Args:
         limits: Limits along the segment.
@@ -128,7 +130,7 @@ def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
 
 
 def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPlan]:
-    """Yield one move over a short segment; on a tiny one the shortest of several, stretched to keep every limit."""
+    """Yield one move over a short segment, or over a tiny one the shortest of several, stretched to the limits."""
     if limits.length >= _SINGLE_MOVE_BELOW:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
@@ -189,7 +191,7 @@ def reference_motion(
 
 
 class _Tried(NamedTuple):
-    """A refused motion along a reference, and its worst violation."""
+    """A rejected motion along a reference, and its worst violation."""
 
     motion: ReferenceMotion
     worst: Worst
@@ -198,7 +200,7 @@ class _Tried(NamedTuple):
 def _references(
     limits: PathLimits, start: MotionState, deadline: Deadline, options: tuple[float, bool, float], tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """Yield references, each slower than the last, as they are or slightly stretched; `tried` gets the refused ones."""
+    """Yield references, each slower than the last, unchanged or slightly stretched; `tried` holds rejected ones."""
     tightenings: tuple[Tightening, ...] = ()
     for retry in range(_RETRIES + 1 if limits.duration_estimate <= _LONGEST_RETRIED else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"
@@ -233,7 +235,7 @@ def _stretched_plan(limits: PathLimits, tried: _Tried, how: str) -> SegmentPlan:
 
 
 def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
-    """Return where and by how much the next reference must be slower."""
+    """Return the stretch and the factor by which the next reference must be slower."""
     worst = tried.worst
     bad = [(one.left, one.right, one.excess) for one in tried.motion.bad] or [(worst.s, worst.s, worst.stretch)]
     return tuple(

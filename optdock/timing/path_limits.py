@@ -1,4 +1,4 @@
-"""Path limits: the bounds that curvature and drive put on the motion along one segment of a path.
+"""Path limits: the bounds on the motion along one segment of a path by curvature and drive.
 
 Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
 
@@ -6,12 +6,12 @@ Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
     |d/dt (v^n k)| <= its bound                                                           the turning limits.
 
-`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, turns at L k' v / (1 + (L k)^2); its
-cap jumps where k' does.
+`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, changes at the rate L k' v / (1 + (L
+k)^2); the cap jumps at jumps of k'.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds beyond which no motion
 at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their
-reciprocals, `slowness`: the largest counts, and an infinite limit is zero.
+reciprocals, `slowness`: the largest one is the limit, and an infinite limit is zero.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ __all__ = [
     "segment_limits",
 ]
 
-NO_LENGTH = 1e-11  # [m]: a shorter segment has none
+NO_LENGTH = 1e-11  # [m]: a shorter segment has no limits
 _CLOTHOID_SPACING = 0.005  # [m], between nodes: a clothoid is exact between them
 _POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline, whose curvature is that between its poses
 _MOST_NODES = 6000  # of one segment
@@ -126,7 +126,7 @@ class PathLimits:
     """Limits along one segment: the curvature is linear between nodes; its rate linear in a cell, jumping at nodes.
 
     Attributes:
-        slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
+        slowness_left: 1 / speed cap just right of every cell's left node, without the zone, Shape (n - 1,) [s/m].
         slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: The drive's turning limits.
@@ -141,7 +141,7 @@ class PathLimits:
     rate_right: FloatArray  # just left of every cell's right node, Shape (n - 1,) [1/m^2]
     caps: SpeedCaps
     zone_start: float  # start of the speed zone, exactly a node; `length` without a zone [m]
-    zone_speed: float  # speed limit from there on [m/s]
+    zone_speed: float  # speed limit in the zone [m/s]
     excess: FloatArray | None = None  # addition of the caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero
     begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
@@ -185,7 +185,7 @@ class PathLimits:
         return self.zone_start < self.length
 
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
-        """Return the slowness of the maximum velocity curve of every cell, with the zone. Shape (n - 1,) [s/m].
+        """Return the slowness of the maximum velocity curve of every cell, speed zone included. Shape (n - 1,) [s/m].
 
         The curvature rate may use `turning_share` of the turning limits.
         """
@@ -232,7 +232,7 @@ class PathLimits:
         return max(self.turning, key=lambda one: float(one.ratio(point.curvature, point.rate, speed, gain)[0]))
 
     def after(self, start: float) -> PathLimits:
-        """Return the limits from `start` [m] on, 0 <= start < length, with arc lengths from 0."""
+        """Return the limits beyond `start` [m], 0 <= start < length, with arc lengths from 0."""
         if start <= 0.0:
             return self
         cell = int(self.cells_at(np.array([start]))[0])
@@ -277,8 +277,8 @@ def segment_limits(
     Args:
         segment: Clothoid spline or polyline.
         caps: Speed caps by curvature.
-        zone_start: Start of the speed zone in this segment; at or beyond the length: none [m].
-        zone_speed: Speed limit from there on [m/s].
+        zone_start: Start of the speed zone in this segment; no zone if it is at or beyond the length [m].
+        zone_speed: Speed limit in the zone [m/s].
         begin: Start of the segment on the whole path [m].
     """
     spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
@@ -332,7 +332,7 @@ def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
 
 
 class Tightening(NamedTuple):
-    """A stretch [m] in which speeds are to be smaller by `factor` than the limits allow."""
+    """A stretch [m] in which speeds must be smaller by `factor` than the limits allow."""
 
     left: float
     right: float
@@ -353,8 +353,8 @@ class ReferenceBounds:
 
     limits: PathLimits
     step: float = KNOT_STEP  # knot spacing of the reference [s]
-    smooth: bool = False  # whether the reference itself is the motion, with jerk that hardly changes between knots
-    relief: float = 0.0  # distance without margins, as full braking from a moving start leaves none [m]
+    smooth: bool = False  # whether the reference itself is the motion, with nearly continuous jerk between knots
+    relief: float = 0.0  # distance in which full braking from a moving start leaves no margins [m]
     tightenings: tuple[Tightening, ...] = ()
 
     def __post_init__(self) -> None:

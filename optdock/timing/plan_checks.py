@@ -1,6 +1,6 @@
-"""The dense check of a motion over one segment, and the segment plan made of it.
+"""The dense check of a motion over one segment, and the resulting segment plan.
 
-The check allows a method to be wrong without being unsafe; the final decision is the proof of `optdock.verification`.
+The check detects errors of a method early; the proof of `optdock.verification` makes the final decision.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class Worst(NamedTuple):
 
 
 class _Ratios(NamedTuple):
-    """Ratios of speed (lateral acceleration as its root) and turning limits at distances `s`, Shape (n,).
+    """Ratios of speeds (lateral acceleration: its square root) and turning limits at distances `s`, Shape (n,).
 
-    `drive`, of the acceleration, exists only at the first of these, as the acceleration is linear between them.
+    `drive`, of the acceleration, exists only at the first of these, because the acceleration is linear between them.
     """
 
     s: FloatArray
@@ -173,7 +173,7 @@ def checked_plan(limits: PathLimits, start: MotionState, phases: Phases, how: st
 
 
 def refined_times(limits: PathLimits, motion: Motion, close: float) -> FloatArray:
-    """Return the times of the check, half a millisecond apart where a ratio of the path is above `close`."""
+    """Return the times of the check, half a millisecond apart if a ratio of the path is above `close`."""
     t = motion.sample_times(_PERIOD)
     ratios = motion_ratios(limits, motion, t)
     near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.turning)) > close]

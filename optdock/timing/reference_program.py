@@ -1,16 +1,16 @@
-"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex but for jerk.
+"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex except for jerk.
 
 With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
 integral of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not, and a turning limit of order 2 has
 the same form: linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move
-between the states at any two of its knots exists.
+exists between the states at any two of its knots.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
 At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope and zero
-value never moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+value never moves. Therefore arcs of constant jerk, launch and stop, lead from rest to the reference and back.
 
 In order: the forward-backward pass, the arcs, the knots and their limits, the spline's linear maps, the constraints,
 the initial guess, the solution, its own motion.
@@ -70,7 +70,7 @@ _CRUISE_YAW = 0.6  # share of the yaw acceleration above which a stretch is not 
 _CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s], spacing of the samples, and their number to either side
 
 _GUESS_SAMPLE = 0.02  # [s], of the filter
-_GUESS_SHARE = 0.9  # of the filtered v^2: inside the limits
+_GUESS_SHARE = 0.9  # factor on the filtered v^2, to stay inside the limits
 _GUESS_BLEND = 0.6  # [s], from the speed of a moving start
 
 _DRIVE_MARGIN = 0.003  # of acceleration and deceleration: ruckig refuses a state beyond them
@@ -78,8 +78,8 @@ _JERK_STEP_PRICE = (
     0.002  # [s], of a full swing of the jerk between cells: saves a sixth of the moves for 0.01 % of time
 )
 _SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
-# A reference slower than the bounds by this factor was not solved: where no spline keeps the limits the iterations end
-# anywhere, and samples of a motion of weeks fill any memory. Solved ones stay below 4.
+# A reference slower than the bounds by this factor is not a solution: if no spline keeps the limits, the last iterate
+# is arbitrary, and the samples of a motion of weeks would exhaust the memory. The factor of solutions is below 4.
 _HOPELESS = 10.0
 
 
@@ -164,7 +164,7 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
 
 
 def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Return the pseudo time at the nodes, slower where the profile is level and needs few knots."""
+    """Return the pseudo time at the nodes, slower in level parts of the profile, which need few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
@@ -249,7 +249,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Whether each cell of the grid holds a jump without a knot on it, Shape (M,)."""
+    """Whether each cell of the grid contains a jump without a knot on it, Shape (M,)."""
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -260,7 +260,7 @@ def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
 def _extremes(
     limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the extreme rates at knots and centres, over the half cell around each where cells hide jumps."""
+    """Return the extreme rates at knots and centres, over the half cell around each if cells hide jumps."""
     quarter = 0.25 * np.diff(knots)
     borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
     cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
@@ -309,7 +309,7 @@ def spline_of(steps: FloatArray) -> Spline:
 
 
 def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
-    """Return coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
+    """Return coefficients near `guess`, v^2 at the knots; the two at each end are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
     x0, x1 = first.v * first.v, last.v * last.v
@@ -329,8 +329,8 @@ class LimitRows(NamedTuple):
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
     """Return the constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
 
-    At a knot the turning rows use the largest and the least of the rates on both sides, as x >= 0. The rows of the last
-    knot, whose state is given, are zero.
+    At a knot the turning rows use the largest and the least of the rates on both sides, because x >= 0. The rows of the
+    last knot, whose state is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
     drive, share = bounds.limits.drive, 1.0 - _DRIVE_MARGIN
@@ -378,7 +378,7 @@ def initial_guess(
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
     It is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration from one
-    limit to the other, below the launch and the stop. It halves the iterations, to about 10.
+    limit to the other, below the launch and the stop. This guess halves the number of iterations to about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
@@ -446,7 +446,7 @@ def solve_reference(
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
     program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, if no spline keeps the limits
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # slacks without a feasible spline
         c = coefficients_of(grid.steps, guess, first, last)
         c, iterations = solve(program, c, deadline.look)
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))

@@ -1,19 +1,20 @@
 """The strategy: from a path to a proven time law, with all retries.
 
-At a cusp and at the end the robot rests, so each segment is planned alone. Where the wheels must be turned, between two
-segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments the
-first line that applies to the start state decides (`segment_plans`, `judge_start`):
+At a cusp and at the end the robot rests, so each segment is planned separately. If the wheels must be turned, between
+two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments
+the first of these cases that applies to the start state is used (`segment_plans`, `judge_start`):
 
-1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
+1. At rest: the plans of the method, best first; the next one is made only when the one before was rejected.
 2. The robot cannot avoid rolling backwards: BAD_START.
-3. Full braking needs more room than there is: CANNOT_STOP, with the braking.
-4. Full braking violates a limit, and so does every motion: START_INFEASIBLE, braking until past the last violation and
-   then a plan, or the whole braking and then a plan from rest.
+3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking.
+4. Full braking and thus every motion violates a limit: START_INFEASIBLE, with braking past the last violation and then
+   a plan, or braking to rest and then a plan from rest.
 5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
 
 The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
-make a motion (`time_path`), which `certify_trajectory` proves or refuses; a refused segment gets its next plan. The
-search ends when the deadline leaves just enough for windows and their proof; later no motion is begun.
+make a motion (`time_path`), which `certify_trajectory` proves or rejects; for a rejected segment the next plan is
+tried. The search ends when the remaining time is just enough for the windowed method and its proof; later no motion is
+started.
 """
 
 from __future__ import annotations
@@ -63,20 +64,20 @@ __all__ = [
     "turn_plans",
 ]
 
-LONGEST_MOTION = 3600.0  # [s]: longer motions are refused, as memory and time grow with them
+LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
 _NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are left out
 # Reserves of a deadline, as multiples of the time for looking up the curvature of the path, which depends on path and
 # machine: over the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the quickest
 # proof 4. Tuned with `experiments/benchmarks/timing_proofs.py`.
-_WINDOWS_AND_PROOF = 10.0  # with less left the search for a faster motion ends
-_PROOF = 4.0  # with less left no motion is begun
+_WINDOWS_AND_PROOF = 10.0  # with less time left the search for a faster motion ends
+_PROOF = 4.0  # with less time left no motion is started
 _REFUSAL = 0.02  # [s], for a refusal of an impossible request
 
 
 class Deadlines(NamedTuple):
     """Deadlines of the stages of a call."""
 
-    search: Deadline = ENDLESS  # for methods that are followed by another one
+    search: Deadline = ENDLESS  # for all methods but the last
     last: Deadline = ENDLESS  # for the last method
 
     @classmethod
@@ -96,8 +97,8 @@ NO_DEADLINES = Deadlines()
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
 """A method: plans one segment from a state whose full braking keeps the speed caps.
 
-Yields plans of status OK, best first, the next one made only when the one before was refused; at last perhaps one of
-status FAIL with the reason.
+Yields plans of status OK, best first, the next one made only when the one before was rejected; the last plan may have
+status FAIL, with the reason.
 """
 
 
@@ -202,7 +203,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
     began = whole.elapsed, time.thread_time()
     segments = limits_along(path, drive, zone)
-    # The smaller of two clocks: one counts while the machine does something else, the other may be coarse.
+    # The smaller time of two clocks: one includes the time of other processes, the other may be coarse.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting: list[Iterator[SegmentPlan]] = []
     plans: list[SegmentPlan] = []
@@ -223,7 +224,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
 def _proven(
     path: Path, request: _Request, plans: list[SegmentPlan], waiting: list[Iterator[SegmentPlan]], whole: Deadline
 ) -> TimingResult:
-    """Return the result once it is proven, with other plans of refused segments, or the failure of one without."""
+    """Return the proven result, with other plans for rejected segments, or the failure of a segment without one."""
     drive, zone, start = request
     while True:
         result = _result(path, request, plans)
@@ -249,7 +250,7 @@ def _proven(
 
 
 def _undrivable(path: Path) -> str:
-    """Return the place of a turn on the spot, which has no time law over arc length; empty without one."""
+    """Return the place of a turn in place, which has no time law over arc length; empty if there is none."""
     for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True):
         if not isinstance(segment, PolylineSegment):
             continue
@@ -291,7 +292,7 @@ def _waits(path: Path, request: _Request) -> dict[int, Phases]:
 
 
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
-    """Return the failure of a segment whose last plan is refused by the proof."""
+    """Return the failure of a segment whose last plan is rejected by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
     named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
     limit = named[0] if len(named) == 1 else ""  # a speed may be that of either gear, or of the zone
@@ -313,7 +314,7 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 def segment_plans(
     limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment from any start state, best first; impossible starts are refused with a reason.
+    """Yield plans of one segment from any start state, best first; impossible starts are rejected with a reason.
 
     Args:
         limits: Limits along the segment; None if it has no length.
@@ -372,7 +373,7 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin
 def _braked_plan(
     limits: PathLimits, start: MotionState, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
 ) -> SegmentPlan:
-    """Return braking and then a plan: always drivable, with a violation only where braking itself has one."""
+    """Return braking followed by a plan: always drivable, with violations only during the braking."""
     phases = _resumed(limits, verdict, method, deadlines if verdict.refusal is None else deadlines.refused)
     motion = Motion.of(start, phases)
     worst, arrives = worst_ratio(limits, motion), motion.end.s >= limits.length - end_slack(limits)
@@ -390,7 +391,7 @@ def _braked_plan(
 
 
 def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines) -> Phases:
-    """Return braking and the first plan of the rest of the segment; braking to rest if there is none in time."""
+    """Return braking and the first plan of the rest of the segment; braking to rest if no plan is found in time."""
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue

@@ -1,7 +1,7 @@
-"""Moves by ruckig [Berscheid2021]: from state to state, and along the reference, as few as the limits allow.
+"""Moves by ruckig [Berscheid2021]: from state to state, and as few as possible along the reference.
 
 ruckig's community edition runs offline. It may drive backwards and accepts start states beyond its limits; both are
-checked here. It is never given an intermediate position: with one it would call a cloud service.
+checked here. Intermediate positions are never passed, because with them ruckig calls a cloud service.
 
 Along the reference, level by level, every open piece is tried as one move; a piece whose move violates a limit is split
 at the knot nearest to the worst place. Between two neighbouring knots a move exists, that of the reference itself.
@@ -40,12 +40,12 @@ _CRAWL = 1e-3  # [m/s]: lower speeds violate no limit
 
 _SAMPLE = 0.02  # [s], of the check of a move
 _LONGEST_FACTOR, _LONGEST_MORE = 1.2, 0.05  # bound on the duration of a move: a factor on the reference's, and [s]
-_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with hardly more than the reference's own jerk and drive
+_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with little more than the jerk of the reference
 _GENTLE_JERK = (1.05, 0.01)  # factor on the largest jerk of the reference, and share of the limit added to it
 _GENTLE_MOST_JERK = 0.95  # share of the limit above which a gentle move has no advantage
 _GENTLE_DRIVE = (1.04, 0.04)  # factor on the reference's range of accelerations, and share of the limit added to it
 _GENTLE_LEAST_DRIVE = 0.01  # least share of the acceleration for a gentle move
-_LEVEL = 0.8  # share of the largest v^2: where the cap stays above, one move is tried for any length
+_LEVEL = 0.8  # share of the largest v^2: if the cap stays above it, one move is tried for any length
 _MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut into parts of at most 16, those above 6 into four, others in two
 
 
@@ -165,7 +165,7 @@ class Move(NamedTuple):
 def split_into_moves(
     reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> list[Move]:
-    """Return moves along the reference, in driving order over the whole segment, within the limits where possible.
+    """Return moves along the reference, in driving order over the whole segment, within the limits if possible.
 
     Args:
         reference: The reference.
@@ -204,7 +204,7 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
-    """Return the pieces before and after the zone start, in parts where the speed cap is not level."""
+    """Return the pieces before and after the zone start, divided further if the speed cap is not level."""
     last = len(nodes.s) - 1
     halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
     pieces: list[tuple[int, int]] = []
@@ -235,9 +235,9 @@ def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tup
 def _try_pieces(
     nodes: _Nodes, bounds: ReferenceBounds, active: list[tuple[int, int]], deadline: Deadline
 ) -> dict[tuple[int, int], Move | None]:
-    """Return the best move of every piece; the time-optimal one only without a gentle one, or for a single cell.
+    """Return the best move of every piece; the time-optimal one only if there is no gentle one, or for a single cell.
 
-    A single cell for which rounding prevents a move gets the motion of the reference.
+    For a single cell in which rounding prevents a move, the motion of the reference is used.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
@@ -265,7 +265,7 @@ def _full_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases
 
 
 def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
-    """Return a move with hardly more jerk and acceleration than the reference, which stays close to its speeds."""
+    """Return a move with little more jerk and acceleration than the reference, which stays close to its speeds."""
     drive = bounds.limits.drive
     if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
         return None
@@ -314,7 +314,7 @@ class _Samples(NamedTuple):
 
 
 def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    """Return the largest excess of every move and its place; all moves at once."""
+    """Return the largest excess of every move and its place, vectorized over all moves."""
     if not moves:
         return []
     phases, counts = _phase_rows(moves)

@@ -1,8 +1,8 @@
 """Start states: full braking decides in closed form whether (v0, a0) is feasible.
 
 Viability: among all controls from a start state full braking (jerk -J to -D, hold, +J to rest) gives the least speed at
-every distance: compare da/ds = j / v. So the speed caps can be kept if and only if the full-braking curve stays below
-them; otherwise no other motion violates them less.
+every distance: compare da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve stays
+below them; otherwise no other motion violates them less.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Braking:
         motion: The braking motion; it may end beyond the segment.
         times: Sample times: phase borders, a grid, every node of the limits, Shape (n,) [s].
         states: Distance, speed, acceleration there, Shape (3, n).
-        path_ratios: Ratios of the limits of the path that no motion from this start keeps better, Shape (n,): the
-            speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' > 0, else
-            with A; the turning limits at the start itself.
+        path_ratios: Ratios of the limits of the path, which are larger for any other motion from this start, Shape
+            (n,): the speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' >
+            0, else with A; the turning limits at the start itself.
         cap_ratios: The speed caps alone, Shape (n,).
         inevitable: The turning limits alone, Shape (n,) each.
         turning_ratios: Those of `turning_ratio`, Shape (n,).
@@ -73,11 +73,11 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """Return the distance from the start over which braking leaves no room for margins [m].
+        """Return the distance from the start in which braking leaves no margins [m].
 
         Args:
-            slack: Distance from the limits, relative, that leaves room.
-            turning_share: Ratio of a turning limit that leaves room.
+            slack: Relative distance from the limits that is sufficient for margins.
+            turning_share: Ratio of a turning limit that is sufficient for margins.
         """
         tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
         turning = np.flatnonzero(self.turning_ratios <= turning_share)
@@ -86,11 +86,11 @@ class Braking:
 
 
 class StartVerdict(NamedTuple):
-    """Verdict of full braking on a moving start; true without a refusal.
+    """Result of full braking for a moving start; true without a refusal.
 
     Args:
-        refusal: Why no motion keeps every limit; None where one may.
-        ways_on: Phases until a plan may continue, and the state then, best first.
+        refusal: Reason why no motion keeps every limit; None if a motion may.
+        ways_on: Phases after which a plan may continue, and the state then, best first.
     """
 
     refusal: SegmentPlan | None
@@ -101,7 +101,7 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Return whether the limits of a segment can be kept from a moving start, and the reason if not."""
+    """Return the verdict whether the limits of a segment can be kept from a moving start, with the reason if not."""
     begin = limits.begin
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot cannot avoid rolling backwards"

@@ -5,8 +5,8 @@ With the acceleration a and the curvature's rate r per metre
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), as a = x' / 2. Where time is stretched by c the quantity falls with c^(n + 1), so
-ratios of quantity and limit are raised to the power 2 / (n + 1): all fall with the square of c.
+second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity decreases with c^(n +
+1), so ratios of quantity and limit are raised to the power 2 / (n + 1): all then decrease with the square of c.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class TurningLimit(NamedTuple):
     bound: float  # its value, > 0 and finite
 
     def ratio(self, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,) as all arguments."""
+        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,), as for all arguments."""
         ratio: FloatArray = np.abs(self.order * a * curvature + v * v * rate) * (1.0 / self.bound)
         return ratio if self.order == 1 else np.cbrt(v * ratio) ** 2
 
@@ -76,7 +76,7 @@ class TurningLimit(NamedTuple):
     def arc_acceleration(self, v: float, jerk: float, bend: float, share: float) -> float:
         """Return the largest acceleration of an arc of constant jerk from the speed v, at a curvature >= 0 [m/s^2].
 
-        The speed of the arc is at most v + a^2 / (2 jerk); each term gets half of a share of the bound.
+        The speed of the arc is at most v + a^2 / (2 jerk); each term may use half of a share of the bound.
         """
         if bend <= 0.0:
             return math.inf
@@ -108,7 +108,7 @@ def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
 def turning_ratio(
     limits: tuple[TurningLimit, ...], curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray
 ) -> FloatArray:
-    """Return the largest ratio of all limits; 0 without limits. Shape (n,) as all arguments."""
+    """Return the largest ratio of all limits; 0 without limits. Shape (n,), as for all arguments."""
     largest: FloatArray = np.zeros(v.shape)
     for limit in limits:
         largest = np.maximum(largest, limit.ratio(curvature, rate, v, a))

@@ -1,7 +1,7 @@
 """The windowed method: constant limits in windows of little variation, one ruckig motion per window.
 
-Simple, and within every limit by construction: a window uses the strictest value of every limit, the acceleration is
-zero at every window border, and the border speeds can be reached in the windows on both sides.
+The method is simple, and within every limit by construction: a window uses the strictest value of every limit, the
+acceleration is zero at every window border, and the border speeds can be reached in the windows on both sides.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def windowed_plans(
         if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre
             found = ((length / v0, 0.0),)
         if found is None:
-            break  # the motion ends early and has not arrived
+            break  # the motion ends before the end of the segment
         phases.extend(found)
     yield arrived_plan(limits, Motion.of(start, phases), "windowed")
 

@@ -19,7 +19,7 @@ __all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "Memo", "TrajectoryCertifica
 # drives.
 TOLERANCE = 1e-6
 # [m]: the proven minimum of the clearance is at most this far below a clearance that occurs. If the minimum is at the
-# dock, as it usually is, sharpness costs nothing.
+# dock, the usual case, this accuracy needs no additional time.
 SHARPNESS = 1e-3
 
 Subject = TypeVar("Subject")
@@ -27,10 +27,10 @@ Value = TypeVar("Value")
 
 
 class Memo(Generic[Subject, Value]):
-    """The last value kept for every living subject, by identity and not by equality of the subject.
+    """Cache with one value for every existing subject, by identity and not by equality of the subject.
 
-    Frozen inputs have the same verdict, so a proof is made once. Verdicts are stored here, so a caller cannot supply
-    one.
+    Frozen inputs have the same verdict, so a proof is made once. Verdicts are stored here, so that a caller cannot
+    supply one.
     """
 
     def __init__(self) -> None:
@@ -100,12 +100,12 @@ class Certificate(_Verdict):
     Args:
         violations: Every violated rule; empty if certified.
         min_clearance: Proven lower bound of the clearance of the footprint on the whole path [m]; inf without
-            obstacles. If poses violate the rule, the smallest clearance found.
+            obstacles. If poses violate the rule, it is the smallest clearance found.
         required_clearance: Required clearance at the place of `min_clearance` [m].
         at_s: Arc length of `min_clearance` [m].
         margin: Proven lower bound of clearance minus required clearance on the whole path [m]. Unlike `min_clearance`
-            it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, the worst
-            found.
+            it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, it is the
+            lowest value found.
         nearest: Name of the obstacle at `min_clearance`; empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
@@ -113,14 +113,14 @@ class Certificate(_Verdict):
         poses_checked: Number of poses that the proof evaluated.
         problem: Digests of the problem; a certificate is valid for no other problem.
         path: Digest of the path.
-        start_relief: 0 for the strict clearance rule near the start, which requires growing clearance from the start
-            on; otherwise the distance from the start within which the weaker rule allows the start clearance [m]. The
-            weaker rule is used only if the strict one is violated.
+        start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
+            distance from the start; otherwise the distance from the start within which the weaker rule allows the start
+            clearance [m]. The weaker rule is used only if the strict one is violated.
         tube: Largest displacement of a footprint point from its place on the path that keeps the robot's clearance [m];
             it tapers at the dock like the clearance and is included in `required_clearance` (`TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be
-            visible [m]; not sharp, like `margin`. If poses violate the rule, the smallest margin found. None if the
-            problem requires no view; inf if no part of the path requires it.
+            visible [m]; not sharp, like `margin`. If poses violate the rule, it is the smallest margin found. None if
+            the problem requires no view; inf if no part of the path requires it.
     """
 
     min_clearance: float

@@ -42,26 +42,27 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     if the dock requires it, visibility of the marker (`visibility`). Checked exactly: start and goal pose
     (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature, final straight. A polyline is linear
     motion between its poses, turning the short way, with the curvature of the arcs through them; a step whose arc is
-    more than 5 mm from that motion is rejected, as are slips and jumps that are small individually but add up.
+    more than 5 mm from that motion is rejected. Slips and jumps that are small individually but add up are also
+    rejected.
 
-    If no clearance is required, contact may overlap by a micrometre, and nothing is deeper than two micrometres inside
-    anything, regardless of the decomposition of the shapes into pieces (see `contact_tolerance`).
+    If no clearance is required, contact may overlap by a micrometre, and no point of one shape is deeper than two
+    micrometres inside another one, regardless of the decomposition into pieces (see `contact_tolerance`).
 
-    Where two segments meet, also of one gear, the curvature may jump and the robot must rest. Turns in place, for
+    At the joint of two segments, even of one gear, the curvature may jump and the robot must rest. Turns in place, for
     robots with `turns_in_place`, are such segments.
 
-    A robot that starts closer to an obstacle than required must leave it at a slope. If only this rule is violated, the
-    path is judged by the weaker rule for a robot along a wall, see `Certificate.start_relief`.
+    For a robot that starts closer to an obstacle than required, the clearance must grow with a minimum slope. If only
+    this rule is violated, the weaker rule for a robot along a wall applies, see `Certificate.start_relief`.
 
-    A complete proof is cached for the lifetime of the path. A proof that was cut short is used again only if it is
-    certified and the caller has a deadline. Time is not considered: see `certify_trajectory`.
+    A complete proof is cached for the lifetime of the path. An interrupted proof is reused only if it is certified and
+    the caller has a deadline. The time law is not considered: see `certify_trajectory`.
 
     Args:
-        path: The path to judge, from any source.
+        path: The path to certify; it may come from any source.
         problem: The problem.
-        is_late: Polled after every round of the proof, below a millisecond each for a path of some metres among a
-            hundred obstacles, and between the blocks of long rounds. Once it is True, everything not yet proven is
-            `unproven`, and the reported clearance is a bound that may be far from sharp.
+        is_late: Polled after every round of the proof and between the blocks of long rounds; a round takes less than a
+            millisecond for a path of some metres among a hundred obstacles. Once it is True, everything not yet proven
+            is `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
@@ -147,14 +148,14 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
     """Prove that a trajectory satisfies every motion limit, or return the violations.
 
     Within a step of a polyline, whose curvature is a difference quotient, limits on turning may be exceeded by 5 %.
-    Where steered wheels must turn, between two segments or at the start, the motion must rest for the time that this
+    If steered wheels must turn, between two segments or at the start, the motion must rest for the time that this
     takes.
 
     A complete proof is cached for the lifetime of the time law, as by `certify_path`. Clearance and the curvature
     limits of the path are not considered: see `certify_path`.
 
     Args:
-        trajectory: The motion to judge.
+        trajectory: The motion to certify.
         limits: Motion limits of the drive.
         zone: Slow zone at the end of the path.
         start_speed: Required initial speed along the travel [m/s]; None: not checked.
@@ -188,12 +189,12 @@ def certify_motion(
     steered from the farthest angle (`DockingProblem.start_wait`), or it violates `rest`.
 
     Args:
-        trajectory: The motion to judge.
+        trajectory: The motion to certify.
         problem: Supplies limits, slow zone and start state.
         is_late: As for `certify_trajectory`.
 
     Returns:
-        The certificate, as of `certify_trajectory`.
+        The certificate, see `certify_trajectory`.
     """
     limits, zone = problem.robot.limits, problem.dock.approach
     speed, acceleration = problem.start_state(int(trajectory.path.segments[0].direction))
@@ -209,7 +210,7 @@ def certify_motion(
 
 
 class _Itself(weakref.ref[Subject]):
-    """A weak reference that equals another only if both reference the same object."""
+    """A weak reference that equals another one only if both reference the same object."""
 
     __slots__ = ()
     __hash__ = weakref.ref.__hash__
@@ -240,8 +241,8 @@ def _made_once(
 ) -> Verdict:
     """Return the cached verdict of `subject` against equal inputs, or compute it.
 
-    A proof that was cut short but certified is valid, only not sharp: it is reused for callers with a deadline. One
-    that was cut short and is not certified is not cached.
+    An interrupted proof that certified the subject is valid, but not sharp; it is reused for callers with a deadline.
+    An interrupted proof without a certificate is not cached.
     """
     known = memo.recall(subject)
     if known is not None and known.against == against and (known.is_whole or is_late is not never_late):

@@ -43,9 +43,9 @@ _BLOCK = 4000  # cells evaluated at once, some milliseconds; the deadline is pol
 _MAX_STEP = 0.08  # [m], length of first cells
 _MOST_FIRST = 100_000  # first cells; they are longer on paths beyond 8 km
 _MAX_LEVELS = 24  # of bisection
-_CHEAP = 48  # cells: smaller rounds take hardly less time, so few open cells are divided into more parts
+_CHEAP = 48  # cells: smaller rounds take almost the same time, so a few open cells are divided into more parts
 _MAX_POSES = 60_000  # added by refinement
-_WORTHWHILE = 0.7  # fraction of near obstacles above which cropping costs more than it saves
+_WORTHWHILE = 0.7  # fraction of near obstacles above which cropping takes longer than it saves
 _CROP = 1.0  # [m]: obstacles farther from the swept area are evaluated only if no other is as near
 _MAX_PAIRS = 200_000  # of an advance and an obstacle evaluated at once; bounds memory and time
 _MAX_CORNERS = 50_000  # of body and obstacle times advances evaluated at once; bounds memory and time
@@ -111,14 +111,14 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that violate it.
 
     Args:
-        path: The path to judge.
+        path: The path to check.
         problem: The problem.
         is_late: Polled after every round of cells. Once it is True, the minimum is not sharpened further, and open
             cells are given up.
         start_relief: Relief of the rule, see `ClearanceRule.required_at` [m].
         obstacles: The obstacles; None for all obstacles of the problem.
-        begun: Beginning of the drive if `path` is its remainder, so that the rule is that of the whole; None for the
-            start.
+        begun: Beginning of the drive if `path` is its remainder, so that the rule of the whole path applies; None for
+            the start.
         sharp: Whether `proven` is the smallest clearance up to `SHARPNESS`, or any bound that satisfies the rule.
     """
     footprint = problem.robot.footprint
@@ -241,7 +241,7 @@ class _Subdivision:
         return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
 
     def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
-        """Return poses with deep overlaps, and unproven cells, as `run` collects them."""
+        """Return poses with deep overlaps, and unproven cells, in the form used by `run`."""
         robot = self.world.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
@@ -349,7 +349,7 @@ class _Subdivision:
 
 
 def _unknown(s: FloatArray) -> FloatArray:
-    """Return rows of cells without any known bound, as `_Round.settled` does."""
+    """Return rows of cells without any known bound, in the form of `_Round.settled`."""
     return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
 
 
@@ -362,7 +362,7 @@ def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advance
 
 
 class Advances(NamedTuple):
-    """Stretches of motion from known poses: n stretches from k poses, because neighbours share poses.
+    """Stretches of motion from known poses: n stretches from k poses, because neighbouring stretches share poses.
 
     `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du there, into the
     stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell: `speed` of |p'|, `turn`
@@ -468,7 +468,7 @@ def _body_bounds(
     stray = 0.5 * (advances.bend + reach * advances.twist)[i] * width[i] ** 2
     distance = exact.distance[pair]
     bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
-    bounds[np.isnan(bounds)] = -np.inf  # NaN proves nothing and must not be lost in comparisons
+    bounds[np.isnan(bounds)] = -np.inf  # NaN is no proof and must not be lost in comparisons
     row = np.argmin(bounds, axis=1)
     return AdvanceBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
 

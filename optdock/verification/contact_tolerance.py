@@ -1,14 +1,15 @@
-"""Contact tolerance: overlaps that are shallow piece by piece but deep for the union of the pieces.
+"""Contact tolerance: overlaps that are shallow for every piece but deep for the union of the pieces.
 
-If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, which is harmless: their
-intersection lies within t of the outline of either. But a footprint that is not convex, and obstacles that touch each
-other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to any depth.
+If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, because their
+intersection then lies within t of the outline of either piece. But a footprint that is not convex, and obstacles that
+touch each other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to
+any depth.
 
 Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
-C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres count as
-obstacle. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets
-that share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so
-contact is accepted. A convex footprint, and an obstacle that touches no other, need no check: t itself is the bound.
+C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres are regarded as
+closed. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets that
+share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so contact
+is accepted. A convex footprint, and an obstacle that touches no other one, need no check: t itself is the bound.
 Rounded corners of a core are polygons inside the removed rim, so a core is never too small, up to the precision of the
 offset curves, one hundredth of d.
 """
@@ -44,15 +45,15 @@ def deep_pairs(
 ) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
     """Return bodies and the obstacles that they must not overlap at all within a box, Shape (2,) [m] each.
 
-    If the footprint is not convex, its core and the obstacles; if obstacles touch each other, the footprint and their
-    core.
+    These are the core of the footprint and the obstacles if the footprint is not convex, and the footprint and the core
+    of the obstacles if obstacles touch each other.
     """
     pairs = (footprint.core, obstacles), (footprint.bodies, _obstacle_core(obstacles, lower, upper))
     return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
 
 
 def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
-    """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 unless deeper than `DEPTH`."""
+    """Return an upper bound of the signed clearance at a pose, Shape (3,); 0 if no overlap exceeds `DEPTH`."""
     reach = footprint.circumscribed_radius
     lower, upper = pose[:2] - reach, pose[:2] + reach
     found = [
@@ -67,7 +68,7 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-    """Return convex pieces of the core of the obstacles that touch another, in a box with a margin."""
+    """Return convex pieces of the core of the obstacles that touch another one, in a box with a margin."""
     low, high = lower - _MARGIN, upper + _MARGIN
     rows = obstacles.rows_in_box(low, high)
     rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]
@@ -75,7 +76,7 @@ def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray)
         return ObstacleSet.empty()
     import shapely
 
-    middle = 0.5 * (low + high)  # offset curves are computed near the origin, where floats are finest
+    middle = 0.5 * (low + high)  # offset curves are computed near the origin, where floats are most precise
     box = shapely.box(*(low - middle), *(high - middle))
     shapes = shapely.intersection(shapely.polygons(obstacles.vertices[rows] - middle), box)
     closed = shapely.union_all(shapely.buffer(shapes, _CRACK, join_style="mitre"))

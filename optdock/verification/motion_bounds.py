@@ -1,8 +1,8 @@
 """Motion bounds: a path as cells of smooth motion, and bounds of the velocity and acceleration of footprint points.
 
-Within a cell the body moves as `pose(u)`, u from u0 to u1, and equation C4 of docs/theory/certificate.md bounds the
-velocity and acceleration of its points; [Zhang2006] bounds velocities along an axis in the same way. For a clothoid u
-is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u is the pose
+Within a cell the motion of the body is `pose(u)`, u from u0 to u1, and equation C4 of docs/theory/certificate.md bounds
+the velocity and acceleration of its points; [Zhang2006] bounds velocities along an axis in the same way. For a clothoid
+u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u is the pose
 number: p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
 """
 
@@ -72,7 +72,7 @@ class Cells(NamedTuple):
 
 
 class CellEnds(NamedTuple):
-    """Places where cells meet: segment and parameter, Shape (k,); places of first and last ends of cells, (n,)."""
+    """Borders of cells: segment and parameter, Shape (k,); rows of the first and the last border of each cell, (n,)."""
 
     segment: IntArray
     u: FloatArray

@@ -34,7 +34,7 @@ _LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # the 
 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
-    """Return every violation except of clearance, in the order of the rules below."""
+    """Return every violation of a rule other than clearance, in the order of the rules below."""
     return tuple(violation for rule in _RULES for violation in rule(path, problem))
 
 
@@ -47,7 +47,7 @@ def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  
 
 
 def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Path and problem must have the same frame; a path without a frame name is assumed to have it."""
+    """Check that path and problem have the same frame; a path without a frame name is accepted."""
     if not may_be_one_frame(path.frame, problem.frame):
         message = f"the path is in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
         yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})
@@ -67,7 +67,7 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """The sum of all jumps is within the tolerance, because many small ones are equivalent to a large one."""
+    """Check that the sum of all jumps is within the tolerance; many small jumps are equivalent to a large one."""
     total = 0.0
     for i, s in enumerate(path.cusps):
         before, after = path.segments[i], path.segments[i + 1]
@@ -104,7 +104,7 @@ def _first_moving(segments: Sequence[Segment]) -> Segment:
 
 
 def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Turns in place require a robot with `turns_in_place` at rest, regardless of their size."""
+    """Check that turns in place of any size occur only for a robot with `turns_in_place`, at rest."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, TurnSegment) and not problem.robot.turns_in_place:
             message = f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, but the robot cannot"
@@ -151,7 +151,7 @@ def _polylines(path: Path) -> Iterator[tuple[PolylineSegment, _Steps]]:
 
 
 def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """A wheeled robot moves along its heading; a clothoid does so by construction."""
+    """Check that the robot moves along its heading; clothoids satisfy this by construction."""
     for _, steps in _polylines(path):
         error = np.where(steps.arc > 0.0, np.abs(steps.slip), 0.0)
         k = int(np.argmax(error))
@@ -169,12 +169,12 @@ def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: 
 
 
 def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """Lateral slip must not add up over any stretch of the path.
+    """Check that lateral slip does not add up over any stretch of the path.
 
-    It is summed to the left of the body, and in the world along x and y: if the robot turns between two slips, opposite
-    sides of the body are the same side of the world. The allowance grows with the length of the stretch, not of the
-    path. A step of length h on a smooth curve moves laterally by h^2 / 12 times its change of curvature; this effect of
-    sampling is subtracted.
+    The slip is summed to the left of the body, and in the world along x and y, because a turn between two slips may
+    give opposite sides of the body the same direction in the world. The allowance grows with the length of the stretch,
+    not of the path. A step of length h on a smooth curve moves laterally by h^2 / 12 times its change of curvature;
+    this effect of sampling is subtracted.
     """
     sideways = [np.zeros((1, 3))]
     driven, places = [np.zeros(1)], [np.zeros(1)]
@@ -214,7 +214,7 @@ def _curvature_changes(steps: _Steps) -> FloatArray:
 
 
 def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """Steps too short to have a direction, and turns too small to count, must not add up to a motion."""
+    """Check that steps too short for a direction, and turns too small to count, do not add up to a motion."""
     moved = turned = 0.0
     for _, steps in _polylines(path):
         still = steps.arc <= 0.0
@@ -226,7 +226,7 @@ def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
 
 
 def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """The direction of motion of a polyline turns no faster than its heading may, up to rounding."""
+    """Check that the direction of motion of a polyline turns no faster than its heading may, up to rounding."""
     limit = problem.robot.limits.max_curvature
     for _, steps in _polylines(path) if np.isfinite(limit) else ():
         moving = steps.moving()

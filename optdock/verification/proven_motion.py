@@ -1,8 +1,8 @@
 """Proven motions: path, time law, problem and pose of the robot, tied together by their proofs.
 
 Certificates are plain values that any program can create. The library acts on `ProvenMotion` and `ProvenWay`, which
-only the functions of this module create. Such an object holds no data: its content is looked up among the proofs made
-here, so a forged or modified object has no content.
+only the functions of this module create. Such an object has no attributes: its content is looked up in the table of
+proofs made here, so a forged or modified object has no content.
 """
 
 from __future__ import annotations
@@ -93,8 +93,9 @@ class _Proven(Generic[Content]):
 class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
-    Valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's robot
-    from then on. Created by `prove_motion` only. Pickles are trusted, as Python trusts all pickles.
+    It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
+    robot afterwards. Created by `prove_motion` only. Pickles are trusted, because unpickling can execute any code in
+    any case.
 
     Raises:
         InvalidValue: If it is constructed, or accessed without a proof.
@@ -118,7 +119,7 @@ class ProvenMotion(_Proven[_Motion]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that it is proven for."""
+        """The problem that the motion is proven for."""
         return self._content.problem
 
     @property
@@ -139,7 +140,7 @@ class ProvenMotion(_Proven[_Motion]):
 
 @final
 class ProvenWay(_Proven[_Way]):
-    """The remaining path of a moving robot with proven clearance; without time.
+    """The remaining path of a moving robot with proven clearance, without a time law.
 
     Created by `prove_way`, `proven_way` and `unchanged_way` only.
 
@@ -165,7 +166,7 @@ class ProvenWay(_Proven[_Way]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that it is proven in; its start is not used."""
+        """The problem that the path is proven in; its start is not used."""
         return self._content.problem
 
 
@@ -185,8 +186,9 @@ def prove_motion(
         is_late: As for `certify_path` and `certify_trajectory`.
 
     Raises:
-        CertificationFailed: If a rule is violated or a proof was cut short; the message is that of the first violation.
-        InvalidValue: If the class of trajectory or problem is another one or a subclass.
+        CertificationFailed: If a rule is violated or a proof was interrupted; the message is that of the first
+            violation.
+        InvalidValue: If trajectory or problem has another class or a subclass.
     """
     exactly(Trajectory, trajectory, "trajectory")
     exactly(DockingProblem, problem, "problem")
@@ -228,26 +230,26 @@ def prove_way(
     begun: Begun | None = None,
     start_relief: float = 0.0,
 ) -> WayVerdict:
-    """Prove the clearance of a path that is driven from now on, for the current pose of the robot.
+    """Prove the clearance of a path that is about to be driven, for the current pose of the robot.
 
     The rule is `problem.path_clearance`, which tapers at the goal and at the beginning of the drive.
 
     A robot next to the path, with its outline displaced by e, returns to the path. Within the tube around the path this
     is covered by the tube. Beyond it, every pose displaced by at most e must keep `problem.clearance`, so the path is
-    proven to keep e more. Only the station is exempt if the robot would count as docked at this displacement, because
-    it ends in contact with the station.
+    proven to keep e more. The station is exempt if the robot counts as docked at this displacement, because it ends in
+    contact with the station.
 
     Args:
-        path: The path from its start on.
+        path: The path, driven from its start.
         problem: Robot, obstacles and rule of clearance; its start is not used.
         pose: Pose of the robot; None for the start of the path.
         at: Arc length on the path that corresponds to `pose`, in the first gear [m].
         begun: Beginning of the drive if `path` is its remainder; None for the start of the path, so that a robot that
-            is too close to an obstacle only has to leave it.
+            is too close to an obstacle only has to move away from it.
         start_relief: Relief of the rule if `begun` is given, see `ClearanceRule.required_at` [m].
 
     Raises:
-        InvalidValue: If the class of path or problem is another one or a subclass.
+        InvalidValue: If path or problem has another class or a subclass.
     """
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")
@@ -288,7 +290,7 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
 def _not_clear_by(
     more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
 ) -> str:
-    """As `_not_clear` for `more` than `problem.clearance` [m]; an exempt station is checked without the increase."""
+    """Apply `_not_clear` with `more` clearance [m]; an exempt station is checked without the increase."""
     dock, robot = problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,
@@ -308,7 +310,7 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
     """Return the way of a robot at the beginning of a proven motion; None if the tube does not contain the pose.
 
     Args:
-        motion: The motion from its start on.
+        motion: The motion, driven from its start.
         pose: Pose of the robot; None for the start.
     """
     problem, start, path = motion.problem, motion.pose, motion.trajectory.path
@@ -321,7 +323,7 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """Return a stretch of a proven path if its proof obviously holds in another problem, else None.
+    """Return a stretch of a proven path if its proof trivially holds in another problem, else None.
 
     The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
     clearance nor the station reaches it.

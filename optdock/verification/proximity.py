@@ -3,7 +3,7 @@
 Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
 of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
 (`geometry.separation`), for the pairs that the broad phase cannot decide. If a shallow overlap of pieces may hide a
-deep one of their unions, the unions are checked as well (`contact_tolerance`).
+deep one of their unions, the unions are also checked (`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
     "pose_clearances",
 ]
 
-_MAX_CIRCLES = 3  # per body; more circles cost more than the narrow phase that they save
+_MAX_CIRCLES = 3  # per body; more circles take longer than the narrow phase that they save
 _NEARBY = 1.0  # [m]: obstacles farther than this are evaluated only if no other is as near
 _NEAREST = 8  # obstacles per pose that the narrow phase evaluates first; the others only if they may be nearer
 

@@ -4,8 +4,8 @@ Between two evaluations of the scene the bound of `conservative_advancement` hol
 distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
 M = |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs one step.
 
-Where pieces may touch, their unions are checked as in `contact_tolerance`: a needle must not enter between two adjacent
-obstacles, nor a post a fan of thin pieces, deeper than 3 micrometres.
+If pieces may touch, their unions are checked as in `contact_tolerance`: a needle between two adjacent obstacles, or a
+post in a fan of thin pieces, must not enter deeper than 3 micrometres.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
 exact. The limits that depend on curvature are proven by `turning_rules`.
 
-Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough; the same
+At jumps of the curvature between two segments the wheels turn at rest, and the rest must be long enough; the same
 applies to a start with unknown steering angle.
 
 A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are those of the time law:
@@ -113,7 +113,7 @@ def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation
 
 
 def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
-    """The parts that a motion omits at its ends within the tolerance must not contain a turn."""
+    """Check that the parts that a motion omits at its ends within the tolerance contain no turn."""
     law, path = trajectory.time_law, trajectory.path
     ends = ("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)
     yaws = path.poses_at([s for _, found, wanted in ends for s in (found, wanted)])[:, 2]
@@ -125,7 +125,7 @@ def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
 
 
 def _turns_in_place(path: Path) -> Iterator[Violation]:
-    """A time law over distance has no time for a turning step without distance."""
+    """Check for turning steps of a polyline without distance, for which a time law over distance has no time."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, PolylineSegment):
             still = np.flatnonzero(~np.isfinite(segment.step_curvature))

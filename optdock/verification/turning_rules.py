@@ -4,14 +4,14 @@ Within a cell (no phase border, no knot of the path inside) jerk and curvature r
 quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
 Cells that the bound does not clear are bisected.
 
-Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
-wait nor a long path costs precision. The cells of a phase run from event to event (its start, knots of the path, a
-grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is decisive.
-Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature within
-less than the resolution of time counts with its rate.
+Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
+or a long path does not reduce the precision. The cells of a phase run from event to event (its start, knots of the
+path, a grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is
+used. Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature
+within less than the resolution of time is included with its rate.
 
-A polyline is judged three times: with the interpolated curvature between its poses, with that of its steps, and with
-the rate of its oscillation from step to step, which the means at the poses hide.
+A polyline is evaluated three times: with the interpolated curvature between its poses, with that of its steps, and with
+the rate of its oscillation from step to step, which is not visible in the means at the poses.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _MAX_WIDTH = 0.05  # [s], width of first cells
 _MAX_GRID = 20_000  # first cells; they are wider in a long motion
 _MAX_LEVELS = 22  # of bisection
 _MAX_CELLS = 1_000_000  # added by refinement; some seconds
-_BLOCK = 8_000  # cells judged at once, some milliseconds; the deadline is polled in between
+_BLOCK = 8_000  # cells evaluated at once, some milliseconds; the deadline is polled in between
 _BISECTIONS = 60  # to 1e-18 of a phase
 _STEEPEST = 1e300  # [1/m^2]: larger curvature rates are clipped to this one, which no limit allows
 
@@ -97,7 +97,7 @@ class Pieces(NamedTuple):
     """Stretches of a path with a constant curvature rate, Shape (n,) each.
 
     `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: curvature of a
-    polyline's step, NaN on a clothoid, infinite on a turn in place, which is judged separately; `swing`: oscillation
+    polyline's step, NaN on a clothoid, infinite on a turn in place, which is checked separately; `swing`: oscillation
     rate of the curvature of a polyline, otherwise 0.
     """
 
@@ -124,7 +124,7 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
     if isinstance(segment, TurnSegment):
         step[:] = np.inf
     elif isinstance(segment, PolylineSegment):
-        # Repeated poses have no length: the curvature between the adjacent poses counts.
+        # Repeated poses have no length: the curvature between the adjacent poses is used.
         kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
         step, swing = (
             column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)
@@ -173,7 +173,7 @@ class Cells(NamedTuple):
         return self._replace(width=half).and_also(self.advanced(half))
 
     def blocks(self) -> Iterator[Cells]:
-        """Yield the cells in groups that are judged at once."""
+        """Yield the cells in groups that are evaluated at once."""
         for start in range(0, self.t.size, _BLOCK):
             yield self.rows(slice(start, start + _BLOCK))
 
@@ -270,7 +270,7 @@ def turning_rules(finite: Mapping[str, float]) -> dict[str, TurningRule]:
 
 
 def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
-    """Judge cells, and bisect those that are neither cleared nor violated.
+    """Evaluate cells, and bisect those that are neither cleared nor violated.
 
     Cells that are not cleared once `is_late()` is True, or after too many bisections, are `unproven` with infinite
     ratios.
@@ -295,7 +295,7 @@ def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
 
 
 class Judge:
-    """Judges cells and records the worst value of each quantity."""
+    """Evaluation of cells that records the worst value of each quantity."""
 
     def __init__(self, rules: Mapping[str, TurningRule], drive: MotionLimits) -> None:
         self.drive = drive
@@ -304,13 +304,13 @@ class Judge:
         self.found: dict[str, Violation] = {}
 
     def look_at(self, cells: Cells) -> IntArray:
-        """Judge cells; return the rows of those that are neither cleared nor violated."""
+        """Evaluate cells; return the rows of those that are neither cleared nor violated."""
         last = cells.advanced(cells.width)
         most = Sizes.over(cells, last)
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
         for kind, (limit, size, bend) in self.rules.items():
             at_ends = size(cells, self.drive), size(last, self.drive)
-            # NaN proves nothing and counts as infinite.
+            # NaN is no proof and counts as infinite.
             seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
             stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
             proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
@@ -325,7 +325,7 @@ class Judge:
         return np.flatnonzero(open_cells)
 
     def give_up(self, cells: Cells) -> None:
-        """Record that nothing is proven of these cells."""
+        """Record these cells as unproven."""
         for kind in self.rules:
             self._raise_ratio(kind, np.inf)
         k = int(np.argmin(cells.t))

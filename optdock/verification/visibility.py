@@ -4,7 +4,7 @@ The position q of the marker in the robot frame and the bound M of |q''| are tho
 docs/theory/certificate.md; the mount of the camera is a rigid transform and preserves the norms. Over a stretch from a
 known pose the margins to the edges of the cone and to the range limits are bounded by (C21); the bounds are concave and
 smallest at one of the two ends. A cone of at most half a turn is the intersection of two half-planes, and both bounds
-count. A wider one is a union of half-planes whose normals lie between those of its two edges: the half-plane that
+apply. A wider cone is a union of half-planes whose normals lie between those of its two edges: the half-plane that
 attains the signed distance at the known pose is a valid lower bound everywhere.
 """
 
@@ -58,7 +58,7 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
     """Prove that the marker is in view where the dock of `problem` requires it, or find the pose that violates it.
 
     Args:
-        path: The path to judge.
+        path: The path to check.
         problem: The problem, see `DockingProblem.required_view`.
         is_late: Polled after every round of cells, each well below a millisecond; once it is True, open cells are given
             up.
@@ -190,7 +190,7 @@ def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: Ce
 
 
 def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds: CellMotion) -> _Advance:
-    """Return the marker over half of each cell, from its poses on with d pose / du = `velocity`."""
+    """Return the marker over half of each cell, starting at its poses with d pose / du = `velocity`."""
     width = 0.5 * bounds.width
     yaw, turning = poses[:, 2], velocity[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)

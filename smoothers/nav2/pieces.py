@@ -95,7 +95,7 @@ def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
 
 
 def with_travel_yaw(poses: FloatArray) -> FloatArray:
-    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or against it in reverse; the last yaw stays.
+    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or against it in reverse, except the last.
 
     A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose without a step
     of at least 0.1 mm keeps its yaw.
@@ -111,7 +111,7 @@ def with_travel_yaw(poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Costmap, footprint and obstacles near a path, each None if unknown."""
+    """Surroundings of a path: costmap, footprint and obstacles near it, each None if unknown."""
 
     costmap: Costmap | None
     footprint: Footprint | None
@@ -120,7 +120,7 @@ class Surroundings:
     def worsened(self, before: FloatArray, after: FloatArray) -> bool:
         """Whether poses `after` overlap obstacles more than poses `before`, Shape (n, 3) each.
 
-        Nav2's smoother server checks poses too with `check_for_collisions`, but not the whole footprint.
+        Nav2's smoother server also checks poses with `check_for_collisions`, but not the whole footprint.
         """
         if self.footprint is None or self.obstacles is None:
             return False
@@ -160,7 +160,7 @@ class PieceParameters(PluginParameters):
 
 
 class PieceEnd(str, Enum):
-    """What ended the work on a piece."""
+    """Reason for the end of the work on a piece."""
 
     STILL = "tolerance"
     OBSTACLE = "obstacle"
@@ -180,7 +180,7 @@ class PieceRun:
     ends: list[PieceEnd] = field(default_factory=list)
 
     def out_of_time(self) -> bool:
-        """Whether the time is over; called before every step.
+        """Whether the time limit has passed; called before every step.
 
         Raises:
             SmootherCancelled: If the cancel checker returned True.
@@ -193,17 +193,17 @@ class PieceRun:
 class PieceSmoother(Smoother):
     """Base of smoothers that move the inner points of each piece between cusps.
 
-    Yaws become the directions of travel; start and goal keep theirs (Nav2 turns the start), so a path may begin and end
-    in a kink. A piece whose poses would bring the footprint into an obstacle that they cleared before stays unchanged,
-    unless `check_for_collisions` is off; the motion between poses is not checked. `completed` is False if the time
-    limit stopped the work.
+    Yaws become the directions of travel; start and goal keep their yaw (Nav2 turns the start), so a path may begin and
+    end with a kink. A piece whose smoothed poses would bring the footprint into an obstacle that it did not touch
+    before is left unchanged, unless `check_for_collisions` is off; the motion between poses is not checked. `completed`
+    is False if the time limit stopped the work.
     """
 
     parameters: PieceParameters
 
     @abstractmethod
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return the smoothed poses of a piece, Shape (n, 3), and what ended it; None to leave a short piece."""
+        """Return the smoothed poses of a piece, Shape (n, 3), and the reason of the end; None: left unchanged."""
 
     @abstractmethod
     def report(self, run: PieceRun) -> SmoothingReport:
@@ -231,7 +231,7 @@ class PieceSmoother(Smoother):
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
             InvalidPath: If `path` is not a Path, has another frame than the problem, or too few distinct poses remain.
-            SmootherTimedOut: If the time was over before the first step. Nav2 also raises after later ones.
+            SmootherTimedOut: If the time ran out before the first step. Nav2 also raises after later ones.
             SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)

@@ -1,6 +1,7 @@
 """Nav2's SavitzkyGolaySmoother: every point is replaced by the value of a polynomial fitted to its neighbours.
 
-It is a baseline, and reads old parameter files: it bounds no curvature, and obstacles only undo whole pieces.
+It serves as a baseline and supports old parameter files. The curvature is not bounded, and a piece that would collide
+is left unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SavitzkyGolayParameters", "SavitzkyGolaySmoother", "savitzky_golay_weights"]
 
-_SPARE_POSES = 2  # pieces that span at most the window and these are left unchanged
+_SPARE_POSES = 2  # pieces with at most the window and these poses are left unchanged
 
 
 class SavitzkyGolayParameters(PieceParameters):
@@ -60,8 +61,9 @@ def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
 class SavitzkyGolaySmoother(PieceSmoother):
     """Polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
 
-    Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, its end points stay. The
-    time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and collisions.
+    Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, and its end points are
+    fixed. The time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and
+    collisions.
     """
 
     Parameters = SavitzkyGolayParameters
@@ -81,7 +83,7 @@ class SavitzkyGolaySmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), PieceEnd.STILL
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the numbers of filtered `pieces` and of `kept` ones, which would have collided."""
+        """Return the numbers of filtered `pieces` and of `kept` pieces, which would have collided."""
         extra = {"pieces": run.steps, "kept": run.ends.count(PieceEnd.COLLISION)}
         return SmoothingReport(total_s=run.deadline.elapsed, extra=extra)
 

@@ -1,6 +1,7 @@
 """Nav2's SimpleSmoother: every point moves towards the middle of its neighbours and back to its original position.
 
-It is a baseline, and reads old parameter files: it bounds no curvature, and obstacles only stop the sweeps.
+It serves as a baseline and supports old parameter files. The curvature is not bounded, and obstacles only stop the
+sweeps.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ class SimpleSmoother(PieceSmoother):
     """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
 
     A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
-    until a sweep changes less than `tolerance` in sum. A sweep that puts a point into an occupied cell is undone and
-    ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately, its end
-    points stay. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
+    until the sum of the changes of a sweep is less than `tolerance`. A sweep that puts a point into an occupied cell is
+    undone and ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately,
+    with fixed end points. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
     """
 
     Parameters = SimpleParameters
@@ -91,12 +92,12 @@ class SimpleSmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), end
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the number of sweeps, and in `extra` for every piece what ended it (`ended_by`)."""
+        """Return the number of sweeps, and in `extra` the reason of the end of every piece (`ended_by`)."""
         extra = {"ended_by": tuple(end.value for end in run.ends)}
         return SmoothingReport(iterations=run.steps, total_s=run.deadline.elapsed, extra=extra)
 
     def _sweep_until_still(self, original: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd]:
-        """Points after whole sweeps, Shape (n, 2) [m], and what ended the sweeps."""
+        """Points after whole sweeps, Shape (n, 2) [m], and the reason of the end."""
         sweep = _Sweep(original, self.parameters.w_data, self.parameters.w_smooth)
         points = original
         for _ in range(1, self.parameters.max_its):
@@ -116,7 +117,7 @@ class SimpleSmoother(PieceSmoother):
 
 
 def _hits(points: FloatArray, costmap: Costmap | None) -> bool:
-    """Whether a point lies in a known cell with a cost above 252; there is none outside the map."""
+    """Whether a point lies in a known cell with a cost above 252; cells outside the map are unknown."""
     if costmap is None:
         return False
     costs = costmap.cost_at(points)

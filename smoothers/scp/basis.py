@@ -118,7 +118,7 @@ def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
 
 
 def _heading_rows(spans: IntArray, points: list[FloatArray]) -> FloatArray:
-    """Heading change per unit of (gear length * knot curvature); later gears carry the earlier ones in full."""
+    """Heading change per unit of (gear length * knot curvature); later gears include that of all earlier ones."""
     rows = []
     for m, u in enumerate(points):
         done = [np.tile(_hat_integrals(q, np.ones(1)), (u.size, 1)) for q in spans[:m]]

@@ -7,7 +7,7 @@ J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'
 with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, squared
 lateral distance from the input path, and, for steered wheels, the squared change of steering at cusps, where constant
 wheel angles reverse the sign of the curvature. Near the ends of gears, where a steered robot is slow and its wheels can
-follow sharper changes, the curvature rate counts less (`easing`).
+follow sharper changes, the curvature rate has a lower weight (`easing`).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ __all__ = [
 
 
 def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
-    """Return the variables on the goal if the curvature rate permits, else within the rate only, and their roll-out."""
+    """Return the variables on the goal if the curvature rate allows it, else within the rate, with their roll-out."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     variables = clipped(variables, nlp.bounds)
     projected = onto_goal(basis, variables, ends, nlp.bounds, settings)
@@ -137,7 +137,7 @@ def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
 
 
 def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Variables:
-    """Return variables within the curvature rate (S7); fixed curvatures stay.
+    """Return variables within the curvature rate (S7); fixed curvatures are not changed.
 
     The result is the mean of the largest rate-bounded function below and the smallest one above.
     """
@@ -192,7 +192,7 @@ def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: flo
 
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
-    """One spline per gear, each from the end of the one before; the last one with the straight."""
+    """One spline per gear, each from the end of the previous one; the last one includes the straight."""
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):

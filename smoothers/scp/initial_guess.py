@@ -1,9 +1,9 @@
 """Initial guesses: a fit of headings or positions, pure pursuit of the input, or an earlier result.
 
-The fit of headings is the cheapest, and the best start for smooth inputs. It drifts away from inputs whose curvature
-switches within centimetres, as that of Reeds-Shepp paths does; least squares of positions (`track`, S22) do not. Inputs
-that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature and
-curvature rate [Coulter1992].
+The fit of headings is the cheapest, and the best start for smooth inputs. This fit drifts away from inputs whose
+curvature changes within centimetres, such as Reeds-Shepp paths, unlike least squares of positions (`track`, S22).
+Inputs that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature
+and curvature rate [Coulter1992].
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class InitialGuesses:
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """Tracked guess if the input can be tracked; None where it is the first one or close to it."""
+        """Tracked guess if the input can be tracked; None if it is the first guess or close to it."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -66,7 +66,7 @@ class InitialGuesses:
 
     @property
     def other(self) -> SearchGuess | None:
-        """The other one of fit and pursuit, for obstacles passed on the wrong side; None where close to the first."""
+        """The other guess of fit and pursuit, for obstacles passed on the wrong side; None if close to the first."""
         settings, second = self.nlp.settings.guess, self._untracked
         if self._first is second:
             second = self.pursued if second is self.fitted else self.fitted
@@ -112,7 +112,7 @@ class InitialGuesses:
 
     @cached_property
     def _untracked(self) -> Variables:
-        """The fit, or the pursuit where the fit leads away from the input."""
+        """The fit, or the pursuit if the fit deviates too far from the input."""
         settings, driven = self.nlp.settings.guess, self._fit_driven
         turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
         is_near = largest_deviation(self.nlp, driven) < settings.astray and turned < settings.turned_away
@@ -127,7 +127,7 @@ class InitialGuesses:
 
     @cached_property
     def _first(self) -> Variables:
-        """The fit or the pursuit; the tracked one where they lead into obstacles or past the goal."""
+        """The fit or the pursuit; the tracked guess if both lead into obstacles or past the goal."""
         nlp, first = self.nlp, self._untracked
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
@@ -153,7 +153,7 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """A guess of this call; longer paths have more patience."""
+        """A guess of this call, with more iterations of patience for longer paths."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
@@ -179,7 +179,7 @@ class EarlierResult(NamedTuple):
 def rest_of_earlier_result(
     earlier: Path | None, path: Path, problem: DockingProblem, settings: GuessSettings
 ) -> EarlierResult | None:
-    """Return the rest of `earlier` from the problem's start; None unless clothoid, near it and with gears of `path`."""
+    """Return the rest of the clothoid path `earlier`; None if it is far from the start or has other gears."""
     if earlier is None or not all(isinstance(segment, ClothoidSegment) for segment in earlier.segments):
         return None
     count = len(path.segments)
@@ -278,7 +278,7 @@ def _pursue(
 
 
 def _advanced(line: list[tuple[float, float]], nearest: int, x: float, y: float) -> int:
-    """Index of the next local minimum of the distance, from `nearest` on."""
+    """Index of the next local minimum of the distance, starting at `nearest`."""
     best = math.hypot(line[nearest][0] - x, line[nearest][1] - y)
     while nearest + 1 < len(line):
         following = math.hypot(line[nearest + 1][0] - x, line[nearest + 1][1] - y)

@@ -2,7 +2,7 @@
 
 A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
 and linearized goal and clearance constraints with L1 penalties. Every iterate is rolled out exactly and projected onto
-the goal where possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
+the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
 ([Fletcher1985], [Nocedal2006] ch. 18).
 """
 
@@ -98,7 +98,7 @@ def search(
         guess: First variables.
         pool: Convex programs.
         max_iterations: Largest number of steps.
-        is_late: Called within every iteration; True ends the search without another result.
+        is_late: Called within every iteration; True ends the search without a further result.
     """
     settings = nlp.settings.loop
     penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
@@ -222,7 +222,7 @@ class _State:
     def overshoot(self, current: Iterate) -> float:
         """Clearance added to the buffer before the first feasible iterate [m].
 
-        Where sides roll around a corner, a step falls short by about as much as the one before it.
+        When sides roll around a corner, the shortfall of a step is about that of the step before it.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
@@ -249,7 +249,7 @@ class _State:
     def is_hopeless(self, current: Iterate) -> bool:
         """Whether no step improves a feasible iterate, or the shortfall no longer shrinks.
 
-        The penalties are raised first where the shortfall costs less than the path itself.
+        The penalties are raised first if the shortfall costs less than the path itself.
         """
         settings, penalties = self.settings, self.penalties
         if current.feasible:

@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 __all__ = ["Ends", "Formulation", "NonlinearProgram", "TracedInput", "VariableBounds", "formulate", "free_lengths"]
 
 _BRAKING_ROOM = 1.02  # times the braking distance: slack for the timing
-_EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth where the robot is at rest, too
-# [1/m]: for smaller largest curvatures, lateral distances from the input count in turning radii instead of metres.
+_EASED_MOST = 0.0025  # least weight of the curvature rate: splines stay smooth even where the robot is at rest
+# [1/m]: for a smaller largest curvature, lateral distances from the input are weighted in turning radii instead of
+# metres.
 _TRACKED = 1.5
 
 
@@ -176,7 +177,7 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Return the spans of each gear, by share of length and at least four, and the intervals per span.
+    """Return the spans of each gear, proportional to its length and at least four, and the intervals per span.
 
     Args:
         lengths: Lengths of the gears, Shape (num_gears,) [m].
@@ -211,7 +212,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
-    """Positions and normals at the nodes; headings there are the means of the neighbouring ones."""
+    """Positions and normals at the nodes; the headings at nodes are the means of the neighbouring ones."""
     heading = np.empty(basis.num_nodes)
     heading[basis.left] = traced.headings
     heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
@@ -221,7 +222,7 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
-    """The goal moved back by the final straight, with the yaw on the branch of the input."""
+    """The goal moved back by the final straight, with a yaw continuous with the input's."""
     goal = problem.goal.as_array()
     back = sign * problem.dock.final_straight
     goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
@@ -265,7 +266,7 @@ def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArr
 
 
 def _scaled(weights: Weights, curvature: float) -> Weights:
-    """The weights for a robot of this largest curvature [1/m]; robots with wide turns may leave their input farther."""
+    """The weights for a largest curvature [1/m]; robots with wide turns may deviate farther from their input."""
     return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
@@ -286,7 +287,7 @@ def _variable_bounds(
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
-    if basis.num_gears > 1:  # a robot in motion needs its first gear to stop in
+    if basis.num_gears > 1:  # a robot in motion needs the first gear for stopping
         shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem), longest[0]))
     for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
         limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))

@@ -1,7 +1,7 @@
 """Paths that turn in place: divided at the turns into pieces that are smoothed separately.
 
-Positions and headings of turns stay, so a piece has fixed poses at both ends and free curvature at turns. The rules
-near the start and the goal of the whole problem count for every piece; the whole path is certified.
+Positions and headings of turns are kept, so a piece has fixed poses at both ends and free curvature at turns. The rules
+near the start and the goal of the whole problem apply to every piece; the whole path is certified.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Joined(NamedTuple):
 
 @dataclass
 class TurningSolver:
-    """Smooths the pieces between the turns of a path; arguments as of `Solver`."""
+    """Smoother of the pieces between the turns of a path; arguments as for `Solver`."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -60,7 +60,7 @@ class TurningSolver:
     outcome: SearchOutcome = field(default_factory=SearchOutcome)
 
     def follow_strategy(self, call: Call) -> Incumbent:
-        """Return a certified path; straight pieces are kept if the whole can be certified with them.
+        """Return a certified path; straight pieces are kept if the whole path can be certified with them.
 
         Raises:
             FailedToSmoothPath: If a bound cannot be kept.
@@ -112,7 +112,7 @@ class TurningSolver:
         return found
 
     def _smoothed(self, call: Call, before: Sequence[Segment], to_search: int) -> Incumbent:
-        """One piece, smoothed in its share of the time."""
+        """Smooth one piece in its share of the time."""
         left = (1.0 - _CERTIFICATE_SHARE) * self.deadline.left / to_search
         solver = Solver(
             self.pool, self.deadline.shortened(at_most=self.deadline.elapsed + left), self.cancelled, self.settings
@@ -160,8 +160,8 @@ class TurningSolver:
 def with_turns(path: Path) -> Path:
     """Return the path with large turns without motion in its polylines as turn segments.
 
-    Grid and lattice planners make such steps. A turn at the end of a path is kept as it is: there planners overwrite
-    the heading of the last step with that of the goal.
+    Grid and lattice planners make such steps. A turn at the end of a path is kept unchanged, because planners overwrite
+    the heading of the last pose with that of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:

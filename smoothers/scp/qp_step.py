@@ -98,7 +98,7 @@ def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
     """Return the nodes whose headings the trust region bounds, evenly over the path.
 
-    Twelve are enough for 24 spans; paths with more spans need one per span, or curvatures oscillate between them.
+    Twelve nodes are enough for 24 spans; with more spans one node per span is needed, or curvatures oscillate.
     """
     return np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64)
 
@@ -133,7 +133,8 @@ def solve_step(
         nlp: Bounds and constants.
         around: Linearization.
         pool: Programs.
-        trust_region: Bound of the heading changes [rad]; times the smallest radius, of the length changes [m].
+        trust_region: Bound of the heading changes [rad]; multiplied by the smallest radius, bound of the length changes
+            [m].
         proximal: Weight of the squared motion.
         penalties: Weights of the shortfalls.
     """
@@ -170,7 +171,7 @@ def _fill_cost(
 ) -> None:
     program.h[:] = 0.0
     program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
-    diagonal = np.einsum("ii->i", program.h)  # a view
+    diagonal = np.einsum("ii->i", program.h)  # a view, not a copy
     diagonal[blocks.path] += settings.ridge
     diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
     diagonal[blocks.clearance_slack] = settings.curved_clearance_slack
@@ -258,7 +259,7 @@ _POOLS = _Pools()
 
 
 def pool_of_this_thread() -> ProgramPool:
-    """Return the pool that all smoothers of the calling thread share; programs take long to build."""
+    """Return the pool shared by all smoothers of the calling thread, because building programs takes a long time."""
     return _POOLS.pool
 
 

@@ -70,7 +70,7 @@ class Refusal(NamedTuple):
 
 
 def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, nearest: int) -> Refusal | None:
-    """Return the refusal of a start, or of gears, that no path can begin or end with; or None."""
+    """Return the refusal of a start or of gears with which no path exists; or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
         message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m at the start"
@@ -129,7 +129,7 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
     before = length - broken.s
     place = "at the goal" if before <= _GOAL_ALONE else f"on the final straight, {before:.3f} m before the goal"
     refusal = _unseen(broken, path.length - before, None)
-    message = f"{place}: {broken.message.partition(': ')[2]} (every path ends so; see dock.blind_distance)"
+    message = f"{place}: {broken.message.partition(': ')[2]} (every path ends there; see dock.blind_distance)"
     return refusal._replace(reason="approach_unseen", message=f"the dock is not in the camera's view {message}")
 
 
@@ -141,7 +141,7 @@ def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:
 
 
 def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Return the refusal of turns in place that stay at their positions; or None.
+    """Return the refusal of turns in place, whose positions are fixed; or None.
 
     Reasons are a robot that does not turn in place, a start in motion or a final straight at a turn, and obstacles.
     """
@@ -163,7 +163,7 @@ def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The first turn that touches an obstacle; turns at ends that differ from the problem's are left out."""
+    """The first turn that touches an obstacle, except at ends of the path that differ from the problem's."""
     begins = path.start.gap_to(problem.start) <= _TOLERANCE
     ends = path.end.gap_to(problem.goal) <= _TOLERANCE
     last = len(path.segments) - 1
@@ -178,13 +178,13 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Return the constraint that a failed search violates: goal, clearance or view; no proof for other inputs.
+    """Return the constraint that a failed search violates: goal, clearance or view; other inputs may succeed.
 
     Args:
         nlp: Program of the search.
         closest: Iterate with the smallest violation; its path is that of the refusal.
         problem: Problem of the path, or of a piece of it.
-        whole: Problem of the whole path, whose clearance rule counts; None: `problem`.
+        whole: Problem of the whole path, whose clearance rule applies; None: `problem`.
     """
     is_clear = closest.clearance.margin.size == 0
     if not closest.on_goal or (is_clear and nlp.view is None):
@@ -199,7 +199,7 @@ def refuse_search(
 
 
 def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The refusal of the best path found where it loses the view of the dock, or None."""
+    """The refusal at the place where the best path found loses the view of the dock, or None."""
     broken = next((one for one in prove_view(path, problem).violations if one.kind == "view"), None)
     if broken is None:
         return None
@@ -219,7 +219,7 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
 def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: float = 0.0) -> Refusal:
     """The refusal at the pose with the least clearance above the requirement, by the distances of the certificate.
 
-    The lower bounds of the search may be violated where every pose is legal.
+    The lower bounds of the search may be violated although every pose is valid.
     """
     s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
     poses = path.poses_at(s)

@@ -1,6 +1,6 @@
 """The strategy: searches from several guesses, in the order of `STRATEGY`, within a time limit.
 
-The best feasible iterate of a search is certified when the search converges or the time gets short; only certified
+The best feasible iterate of a search is certified when the search converges or the time becomes short; only certified
 paths are returned.
 """
 
@@ -75,13 +75,13 @@ class Call(NamedTuple):
     formulation: Formulation  # weights and resolution
     max_iterations: int = 60  # limit of every search
     first_only: bool = False  # whether to stop at the first certified path
-    # for a piece of a path, the problem of the whole path, whose clearance rule counts; else None
+    # for a piece of a path, the problem of the whole path, whose clearance rule applies; else None
     within: DockingProblem | None = None
     after: float = 0.0  # length of the path after the piece [m]
 
     @property
     def whole(self) -> DockingProblem:
-        """Problem whose clearance rule counts."""
+        """Problem whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
@@ -103,9 +103,9 @@ class Given(NamedTuple):
 
 
 class Search(NamedTuple):
-    """A search from a guess, with up to two repairs where its result is not certified.
+    """A search from a guess, with up to two repairs if its result is not certified.
 
-    A repair begins at the refused variables. If they were feasible, it uses three times the buffer and considers four
+    A repair begins at the rejected variables. If they were feasible, it uses three times the buffer and considers four
     times as many obstacles per interval, small ones included; if only the bound between nodes was violated, it uses
     intervals of half the length.
     """
@@ -113,7 +113,7 @@ class Search(NamedTuple):
     guess: Callable[[InitialGuesses], SearchGuess | None]  # the first variables, or None
     thoroughly: bool = False  # whether nodes are finer and small obstacles active everywhere; only among many obstacles
     after_the_goal: bool = False  # whether the search is only run if the search before it reached the goal
-    # whether the weaker clearance rule near the start counts; only for starts with too little clearance
+    # whether the weaker clearance rule near the start applies; only for starts with too little clearance
     relieved: bool = False
 
 
@@ -133,7 +133,7 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
 
 
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
-    """Return the straight line to the goal from a start on its axis, hardly longer than the final straight; or None."""
+    """Return the straight line to the goal from a start on its axis, little longer than the final straight; or None."""
     problem = call.problem
     line = straight_line(call.path, problem.start, problem.goal, settings)
     if line is None or line.length >= problem.dock.final_straight + settings.staging:
@@ -260,7 +260,7 @@ def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float
 
 @dataclass
 class Solver:
-    """Runs the strategy for one call; `cancelled` is polled every iteration."""
+    """Run of the strategy for one call; `cancelled` is polled every iteration."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -298,7 +298,7 @@ class Solver:
         return self.outcome.incumbent
 
     def _take(self, row: Given) -> bool:
-        """Certify a given path; whether the strategy ends."""
+        """Certify a given path, and return whether the strategy ends."""
         path = row.path(self.call, self.settings.anytime)
         if path is None:
             return False
@@ -309,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search, if the row applies; whether the strategy ends, with a certified path or at the time limit."""
+        """Search if the row applies, and return whether the strategy ends by a certified path or the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -328,7 +328,7 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Set the program of a row; False where the same program was searched before."""
+        """Set the program of a row; return False if the same program was searched before."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False
@@ -403,7 +403,7 @@ class Solver:
         return refuse_search(self._nlp, closest, self.call.problem, self.call.whole).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
-        """Take a given path if it is certified."""
+        """Accept a given path if it is certified."""
         certificate = self._judged(path, self.deadline.elapsed)
         if certificate.certified:
             cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)
@@ -438,7 +438,7 @@ class Solver:
             before = self.deadline.elapsed
 
     def _must_settle(self) -> bool:
-        """Whether a step must be left unfinished so that the candidate can be certified in time."""
+        """Whether a step must be abandoned so that the candidate can be certified in time."""
         return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
 
     def _consider(self, iterate: Iterate) -> None:
@@ -448,7 +448,7 @@ class Solver:
             self._candidate = iterate
 
     def _enough(self, nlp: NonlinearProgram) -> bool:
-        """Whether to stop; certifies the candidate when the time gets short."""
+        """Certify the candidate when little time remains, and return whether to stop."""
         step = self.settings.anytime.iteration_reserve * self.times.iteration
         short = not self.deadline.fits(step + self.times.reserve(has_candidate=self._candidate is not None))
         first_only = self.call.first_only
@@ -460,7 +460,7 @@ class Solver:
         return short or found
 
     def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
-        """Certify the candidate; return it if it is not certified."""
+        """Certify the candidate, and return it if the certificate fails."""
         candidate, self._candidate = self._candidate, None
         if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last
@@ -485,7 +485,7 @@ class Solver:
         return None
 
     def _judged(self, path: Path, began: float) -> Certificate:
-        """The certificate of a path; its time counts from `began` [s]."""
+        """The certificate of a path; its time is measured from `began` [s]."""
         certificate = self.call.certified(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)
         return certificate

@@ -80,7 +80,7 @@ class GuessSettings:
     turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used
     off_the_input: float = 0.15  # [m]: a fit farther from the input is compared with a tracked one
     trackable: float = 0.4  # [m]: an input that is tracked with a larger error is not drivable
-    much_nearer: float = 0.1  # of the error of the others: a smaller error is accepted as well
+    much_nearer: float = 0.1  # of the error of the others: a smaller error is also accepted
     different: float = 0.15  # [m]: closer guesses lead to the same result
     different_on_the_input: float = 0.03  # [m], for the tracked guess
     pursuit_step: float = 0.25  # of the smallest radius, at most

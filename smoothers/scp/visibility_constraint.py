@@ -4,7 +4,8 @@ A margin is the distance [m] by which the marker would have to move in the camer
 shortfalls and rows can be combined with those of clearance. Every edge of the view gives one row per node: the two
 half-planes of a cone of at most half a turn, or the nearest one of a wider cone, and the two circles of the ranges.
 Between two nodes a margin falls below its chord by an eighth of its second difference, to leading order; the margins at
-the nodes are reduced by it. The two ends of the stretch lie between nodes; their poses continue the node before.
+the nodes are reduced by that amount. The two ends of the stretch lie between nodes; their poses are extrapolated from
+the node before.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArra
     camera, mount = view.camera, view.camera.mount
     point = camera.points_seen(poses, view.marker)
     c, s = np.cos(mount.yaw), np.sin(mount.yaw)
-    turned = np.array([[c, s], [-s, c]])  # row vectors of the camera's frame into the robot's
+    turned = np.array([[c, s], [-s, c]])  # transforms row vectors from the camera's frame into the robot's
     distance = np.maximum(np.hypot(*point.T), 1e-9)
     outward = point / distance[:, None]
     normals, margins = _cone(view, point)

@@ -96,7 +96,7 @@ class _StraightBehavior(Behavior, ABC):
         """
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Begin a motion; the command has the fields of `DriveCommand`."""
+        """Start a motion; the command has the fields of `DriveCommand`."""
         self._motion = None
         context = self.context
         try:
@@ -134,7 +134,7 @@ class _StraightBehavior(Behavior, ABC):
             return _SUCCEEDED, Twist2()
         motion.speed = self._next_speed(motion, remaining)
         twist = Twist2(math.copysign(motion.speed, motion.command.speed))
-        # One cycle beyond the target, as the command holds until the next cycle.
+        # One cycle beyond the target, because the command holds until the next cycle.
         ahead = min(p.simulate_ahead_time, remaining / motion.speed + 1.0 / p.cycle_frequency)
         refusal = "" if motion.command.disable_collision_checks else self._collision(pose, twist, ahead)
         if refusal:
@@ -142,7 +142,7 @@ class _StraightBehavior(Behavior, ABC):
         return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, motion: _Motion, remaining: float) -> float:
-        """Speed towards the commanded one from which the robot can stop within the remaining distance [m/s]."""
+        """Next speed towards the commanded one that allows a stop within the remaining distance [m/s]."""
         p, highest = self.parameters, abs(motion.command.speed)
         faster = motion.speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
@@ -163,7 +163,7 @@ class _StraightBehavior(Behavior, ABC):
 
 
 class DriveOnHeading(_StraightBehavior):
-    """Drive `target` metres along the heading, forwards or (both negative) backwards, as Nav2's behavior.
+    """Drive `target` metres along the heading, forwards or (both negative) backwards, like Nav2's behavior.
 
     Codes: TIMEOUT 721, COLLISION_AHEAD 723, INVALID_INPUT 724, UNKNOWN 720.
 

@@ -32,8 +32,8 @@ class DockLayerParameters(LayerParameters):
 class DockLayer(Nav2Layer):
     """Clear the mapped cells around the docked robot, mark the dock, and free the docked robot's own cells.
 
-    A map built from scans shows the dock one or two cells too large, so that the docked robot seems to collide. The
-    layer belongs above the map's layer and below those of sensors. Parts that need a dock or the robot's footprint are
+    The dock is one or two cells too large in a map built from scans, so the docked robot appears to collide. The layer
+    belongs above the map's layer and below those of sensors. Parts that need a dock or the robot's footprint are
     skipped without one.
 
     Args:

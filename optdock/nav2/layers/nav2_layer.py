@@ -46,7 +46,7 @@ class LayerParameters(PluginParameters):
 
 
 class Nav2Layer(Layer):
-    """A layer with the parameter `enabled` that is written completely in every update and observes nothing."""
+    """A layer with the parameter `enabled` and without observations, written completely in every update."""
 
     Parameters = LayerParameters
     parameters: LayerParameters
@@ -56,11 +56,11 @@ class Nav2Layer(Layer):
         return self.parameters.enabled
 
     def reset(self) -> None:
-        """Do nothing, as nothing is observed."""
+        """Do nothing, because the layer has no observations."""
 
 
 def joined(first: Bounds, second: Bounds) -> Bounds:
-    """Return the smallest box around both.
+    """Return the smallest box around two boxes.
 
     >>> joined(NOWHERE, Bounds(0.0, 0.0, 1.0, 1.0))
     Bounds(min_x=0.0, min_y=0.0, max_x=1.0, max_y=1.0)

@@ -67,14 +67,14 @@ class StaticLayer(Nav2Layer):
         """Replace the map.
 
         Raises:
-            InvalidValue: If `grid` is no OccupancyGrid; the previous map is kept.
+            InvalidValue: If `grid` is not an OccupancyGrid; the previous map is kept.
         """
         if not isinstance(grid, OccupancyGrid):
             raise InvalidValue(f"{self.context.name}: a map must be an OccupancyGrid, got {type(grid).__name__}")
         self._map = grid
 
     def is_current(self) -> bool:
-        """Whether there is a map, and it was not declared out of date."""
+        """Whether there is a map that was not declared out of date."""
         return super().is_current() and self._map is not None
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:

@@ -1,7 +1,7 @@
 """Sequences of circular arcs and straight lines, and trees of arcs that grow from the start or the goal.
 
 An arc has a signed length, negative in reverse, and a curvature d yaw / d length that is positive to the left in either
-gear. Sequences are padded with arcs of length zero to one number of columns.
+gear. Sequences are padded with arcs of length zero to a common number of columns.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ArcTree", "Arcs", "Moves", "advance", "joined"]
 
-_NOTHING = 1e-9  # [m]: shorter arcs are no motion
+_NOTHING = 1e-9  # [m]: shorter arcs do not count as motion
 _BISECTIONS = 4
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, per collision check; blocked arcs are dropped after it
 
@@ -135,7 +135,7 @@ class ArcTree:
         effort: Effort,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
-        """Drive all moves from the nodes at `rows` as far as they are free and return the rows of the new nodes.
+        """Extend the nodes at `rows` by all moves, up to their first collision, and return the rows of the new nodes.
 
         Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
         found, in ascending order of price; None: keep all.
@@ -144,7 +144,7 @@ class ArcTree:
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
         free = _free_lengths((self.poses[node], sign, curvature), float(stations[-1]), space, effort)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
-        # The end of the free length between two stations is a station as well.
+        # The end of the free length between two stations is also a station.
         last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
@@ -188,7 +188,7 @@ class ArcTree:
 def _free_lengths(
     starts: tuple[FloatArray, FloatArray, FloatArray], longest: float, space: FreeSpace, effort: Effort
 ) -> FloatArray:
-    """Return how far arcs (start poses, signs, curvatures) are free, up to `longest`. Shape (n,) [m]."""
+    """Return the collision-free lengths of arcs (start poses, signs, curvatures), up to `longest`. Shape (n,) [m]."""
     poses, signs, curvatures = starts
 
     def are_free(rows: IntArray, lengths: FloatArray) -> BoolArray:
@@ -212,7 +212,7 @@ def _free_lengths(
             blocked[mine] = some[np.minimum(count, some.size - 1)]
             still.append(mine[count == some.size])
         going = np.concatenate(still) if still else going
-    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre is important.
     ended = np.setdiff1d(np.arange(free.size), going)
     for _ in range(_BISECTIONS if ended.size else 0):
         middle = 0.5 * (free[ended] + blocked[ended])
@@ -223,6 +223,6 @@ def _free_lengths(
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
-    """Concatenate ways to one sequence of arcs from a pose."""
+    """Concatenate several sequences of arcs to one that begins at a pose."""
     lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
     return Arcs(start[None], lengths, curvatures)

@@ -37,7 +37,7 @@ _COARSE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which the coars
 _CLOSE_POSES_PER_WIDTH = 40.0  # poses of the final check of a whole manoeuvre, per width of the robot
 _ROUGH_BATCH = 256  # words per call of the rough check
 _BATCH = 24  # words per call of the coarse check
-_NOTHING = 1e-6  # [m]: shorter arcs are not motion
+_NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 
 
 class Connections(NamedTuple):
@@ -56,7 +56,7 @@ class Connections(NamedTuple):
         )
 
     def at_prices(self, prices: FloatArray, most: float) -> Connections:
-        """Return the words cheaper than `most` at other prices, Shape (n,), in ascending order of these."""
+        """Return the words with new prices, Shape (n,), below `most`, in ascending order of the new prices."""
         order = np.argsort(prices, kind="stable")
         return self._replace(prices=prices).rows(order[prices[order] < most])
 
@@ -78,7 +78,7 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
     """Return the cheapest words of pairs of nodes in gears that start and dock allow; collisions are not checked."""
     problem, (leaving, i), (arriving, j) = space.problem, exits, entries
     pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
-    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
+    # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
     gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
     prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
     prices += stopping_cost(problem.robot.limits) * gear_changes(gears)
@@ -95,13 +95,13 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """Return every node of the first with every node of the second."""
+    """Return the pairs of every node of the first tree and every node of the second."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
     return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
 
 
 class PairWords(NamedTuple):
-    """Words of pairs of poses: index of the pair, price at full speed [s], (m,); lengths and curvatures (m, 5)."""
+    """Words between poses: index of the pair and price at full speed [s], (m,); lengths and curvatures, (m, 5)."""
 
     pair: IntArray
     driven: FloatArray

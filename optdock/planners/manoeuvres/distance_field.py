@@ -39,7 +39,7 @@ class DistanceField:
         self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: not computed yet
+        self._slots = np.full(self._tiles**2, -1)  # index of the values of a tile; -1: not computed yet
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
 
@@ -129,8 +129,9 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
 class Wavefront:
     """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
 
-    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, as an octagon: the
-    number of steps is at most the length in cells, and at most 11 % less. It advances on demand.
+    A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
+    octagon. The number of steps is a lower bound of the length in cells, too small by at most 11 %. It advances on
+    demand.
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:

@@ -2,7 +2,7 @@
 
 A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
 some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of
-`docs/theory/search.md`. Chains of short arcs, each as sharp as the wall allows, approximate this.
+`docs/theory/search.md`. This motion is approximated by chains of short arcs, each as sharp as the wall allows.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _MARGIN = 1e-4  # [m]: margin for the smoother, larger than the change of cleara
 
 
 class Exits(NamedTuple):
-    """Ways out of the start with some curvatures, and the mean free length of the first arcs [m]."""
+    """Paths out of the start with the given curvatures, and the mean free length of their first arcs [m]."""
 
     nodes: TreeNodes
     bends: tuple[float, ...]
@@ -64,7 +64,7 @@ class EndTrees:
         self.problem, self.space = problem, space
         self.radius = turning_radius(problem)
         rate = problem.robot.limits.max_curvature_rate
-        # Half of the distance over which the steering angle builds up lies before the arc.
+        # Half of the distance in which the steering angle is reached lies before the arc.
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         self._by_effort: dict[tuple[Effort, tuple[float, ...]], Exits] = {}
         # Signs of the lengths of the first motion, and of the last one backwards in time.
@@ -110,7 +110,7 @@ class EndTrees:
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
-        """Return the start and the ends of free arcs and lines out of it, continued where it is boxed in; cached."""
+        """Return the start and the ends of free arcs and lines out of it, with more arcs in a narrow place; cached."""
         key = effort._replace(nodes=0), bends
         if key not in self._by_effort:
             tree = self.from_start()
@@ -129,9 +129,10 @@ class EndTrees:
     def grown(
         self, end: TreeNodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
     ) -> tuple[IntArray, float]:
-        """Grow arcs and lines out of the nodes of an end, in several generations if hardly any is free.
+        """Grow arcs and lines out of the nodes of an end, in several generations if almost all are blocked.
 
-        Returns the rows of the new nodes, none if nothing leads out, and the mean free length of the first arcs [m].
+        Returns the rows of the new nodes, empty if all arcs are blocked, and the mean free length of the first arcs
+        [m].
         `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.
         """
         tree, first = end
@@ -168,7 +169,7 @@ class EndTrees:
         return np.array(found[::-1], dtype=np.int64)
 
     def room_before_dock(self, effort: Effort) -> float:
-        """Return the mean free length of the last arcs [m], as `grown` does for the first ones."""
+        """Return the mean free length of the last arcs [m]; `grown` returns that of the first ones."""
         tree = self._from_goal()
         moves = Moves.of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(ROOT, moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
@@ -178,7 +179,7 @@ class EndTrees:
 def turning_radius(problem: DockingProblem) -> float:
     """Return the smallest turning radius that the search uses [m].
 
-    Sharper turns than the curvature rate allows within one radian, or than within the robot itself, gain little.
+    Sharper turns than the curvature rate allows within one radian, or with a centre within the robot, gain little.
     """
     limits = problem.robot.limits
     sharpest = min(limits.max_curvature, 2.0 / problem.robot.footprint.circumscribed_radius)
@@ -201,7 +202,7 @@ def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeS
     coarse, close = (length * np.arange(1, n + 1) / n for n in (_FEW_POSES, many))
 
     def sharpest(curvatures: FloatArray, stations: FloatArray, margin: float) -> IntArray:
-        """The first column of curvatures, Shape (k, m), at which an arc is free, m where none is. Shape (k,)."""
+        """Return the first column of curvatures (k, m) at which an arc is free, m if all are blocked. Shape (k,)."""
         found = np.empty(node.size, dtype=np.int64)
         step = max(1, _AT_ONCE // (curvatures.shape[1] * stations.size))
         for some in (slice(k, k + step) for k in range(0, node.size, step)):
@@ -224,7 +225,7 @@ def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeS
         fresh = tree.add(node[kept], sign[kept] * length, side[kept] * finer[kept, best[kept]])
         is_full = np.abs(tree.curvatures[fresh]) == full
         ends.append(fresh[is_full])
-        before = tree.parents[tree.parents[fresh]]  # two more arcs at full lock, where they are free
+        before = tree.parents[tree.parents[fresh]]  # followed by two arcs at full lock if they are free
         node = fresh[~is_full | (before < 0) | (np.abs(tree.curvatures[before]) < full)]
         sign, side = tree.signs[node], np.sign(tree.curvatures[node])
     return np.concatenate(ends)

@@ -37,9 +37,8 @@ _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
 class Effort(NamedTuple):
     """Resolution of a search.
 
-    `radius`: of all arcs [m]. `margin`: kept in addition to the required clearance, for the smoother [m]. `fineness`:
-    cells of the pose grid per width of the robot. `nodes`: most nodes of hybrid A*. `start_relief`: see
-    `ClearanceRule.required_at` [m].
+    `radius`: of all arcs [m]. `margin`: additional clearance for the smoother [m]. `fineness`: cells of the pose grid
+    per width of the robot. `nodes`: most nodes of hybrid A*. `start_relief`: see `ClearanceRule.required_at` [m].
     """
 
     radius: float
@@ -50,7 +49,7 @@ class Effort(NamedTuple):
 
 
 class _Discs(NamedTuple):
-    """Centres (k, 2) [m]; radius with which they cover a body; radii (k,) of discs inside it, negative for none."""
+    """Centres (k, 2) [m]; radius of discs that cover a body; radii (k,) of discs inside it, negative: no disc."""
 
     centres: FloatArray
     cover: float
@@ -108,7 +107,7 @@ class FreeSpace:
         return DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
 
     def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
-        """Return required clearance plus the margin, which tapers off towards both ends. Shape (n,) [m]."""
+        """Return the required clearance plus the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
         rule: FloatArray = self.problem.path_clearance.required_at(

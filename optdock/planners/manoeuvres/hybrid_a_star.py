@@ -1,8 +1,8 @@
-"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as shots.
+"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as analytic expansions.
 
-[Dolgov2010] search over poses that are not rounded to a grid, keep one node per cell of a pose grid, and try from nodes
-whether the remaining way can be driven without regard to obstacles. Here the search begins at the tighter end, mostly
-the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger of the
+The method of [Dolgov2010] searches over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
+and tries from nodes the shortest path to the goal that ignores obstacles. Here the search begins at the tighter end,
+mostly the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger of the
 cheapest word and the length of the shortest way of a disc among the obstacles.
 """
 
@@ -79,16 +79,18 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres from start to goal as they are found.
 
-    The first way found is seldom the best one: once there is a plan, or a better one, the tree stops growing, but the
-    remaining words are tried while they may be cheaper.
+    The first manoeuvre found is seldom the best one: once there is a plan, the tree stops growing, but the remaining
+    words are tried while they may be cheaper.
 
     Args:
-        exits: The start, to which every node is joined, and other nodes of its tree, one of them per node in turn.
-        entries: Nodes of the goal's tree from which the search goes on; the tree grows.
+        exits: The start, to which every node is joined, and other nodes of its tree; every node is joined to one of
+            these, in turn.
+        entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
         wavefront: Wavefront from the end where the search does not begin.
-        worthwhile: Returns the price from which on a way is useless; infinite while there is no plan.
+        worthwhile: Function that returns the price at or above which a manoeuvre is useless; infinite while there is no
+            plan.
         from_start: Grow the start's tree instead, and join its nodes to the entries.
         bends: Curvatures of the arcs in addition to straight lines, in those of the smallest radius.
     """
@@ -107,7 +109,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         pairs = (shooting, aimed) if from_start else (aimed, shooting)
         words = connections(*pairs, radius, space, _WORDS_PER_NODE)
         shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
-        # Distance between the aim and the source of the wavefront: a staging pose lies before the dock.
+        # Distance between the target and the source of the wavefront: a staging pose lies before the dock.
         beyond = aims.tree.prices[aimed_at] * speed if from_start else np.where(aimed_at == 0, 0.0, np.inf)
         least = wavefront.lengths(tree.poses[shooters, :2]) - beyond
         long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
@@ -118,7 +120,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         driven = tree.prices[fresh]
         left = np.maximum(cheapest[fresh] - driven, wavefront.lengths(tree.poses[fresh, :2]) / speed)
         for bound, row in zip((driven + _GREED * left).tolist(), fresh.tolist(), strict=True):
-            if from_start or row > 0:  # the entries contain the motions into the dock in a gear that it allows
+            if from_start or row > 0:  # the entries already contain the motions into the dock in an allowed gear
                 heapq.heappush(opened, (bound, row))
         cheap, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
         yield from free_manoeuvres(cheap, exits.tree, entries.tree, space, effort, worthwhile)
@@ -132,7 +134,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 
 
 def _pairs(aims: TreeNodes, fresh: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """Return the first aim with every node, and every node with one of the other aims."""
+    """Return pairs: the first target with every node, and every node with one of the other targets."""
     first, others = aims.rows[:1], aims.rows[1:]
     aimed, shooting = np.repeat(first, fresh.rows.size), fresh.rows
     if others.size:

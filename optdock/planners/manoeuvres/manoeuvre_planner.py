@@ -58,7 +58,7 @@ _TIGHT = 0.5  # free share of the last arcs below which the dock is tight
 # nodes make one plan 2 % cheaper.
 _DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
 _TURN_TRIES = 4  # most guesses of turns and straight lines
-_STAGED = 4  # most straight runs out of a dock along a wall that arcs begin at
+_STAGED = 4  # most straight runs out of a dock along a wall at whose ends arcs begin
 _TRIES = 4  # most different guesses per stage
 _WORDS_PER_PAIR = 12  # words from the start to each staging pose
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -149,7 +149,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
 
 def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
-    """Return the message of a search without a result; it checks whether the dock can be entered straight at all."""
+    """Return the message of a search without a result, after a check whether the dock can be entered straight."""
     dock = problem.dock
     wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
     if all(runs[gear] < dock.final_straight for gear in wanted):
@@ -279,7 +279,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or its price is much higher than that of the way around the obstacles."""
+        """Whether there is no plan, or its price is much higher than that of the shortest way around the obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True
@@ -325,7 +325,7 @@ class Stages:
         pairs = all_pairs(TreeNodes(exits, np.append(0, away)), TreeNodes(entries, np.concatenate((rows, there))))
         found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
         ways = free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
-        yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # all share the arcs along the walls
+        yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # all tries share the arcs along the walls
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """Yield manoeuvres of hybrid A* with increasing effort, and None after each effort without a plan."""
@@ -375,11 +375,11 @@ class Stages:
                 return
 
     def _worthwhile(self) -> float:
-        """Return the estimated price from which on a way cannot be cheaper than the best plan."""
+        """Return the estimated price at or above which a manoeuvre cannot be cheaper than the best plan."""
         return self._better_than() - ends_cost(self.problem)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
-        """Whether a way differs from all ways offered before by more than half the width of the robot."""
+        """Whether a manoeuvre differs from all those yielded before by more than half the width of the robot."""
         places = arcs.poses_at_shares(np.linspace(0.0, 1.0, 17))[0, :, :2]
         near = 0.5 * self.problem.robot.footprint.width
         if any(np.abs(places - other).max() < near for other in self._known):

@@ -29,10 +29,10 @@ __all__ = [
     "turning_times",
 ]
 
-# [s] in addition to the time for stopping: a change of gear wears the drive, and controllers overshoot there, so each
-# one must save a second.
+# [s] in addition to the time for stopping: a change of gear wears the drive, and controllers overshoot at cusps, so
+# each cusp must save a second.
 CUSP_PRICE = 1.0
-_LEAST_MOTION = 1e-6  # [m]: shorter arcs are no motion
+_LEAST_MOTION = 1e-6  # [m]: shorter arcs do not count as motion
 _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 
@@ -42,7 +42,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
     Args:
         path: Path of any kind.
         duration: Duration of the motion along the path [s].
-        robot: Robot whose `reverse_price` counts.
+        robot: Robot with the `reverse_price`.
     """
     gears = np.array([one.direction * one.length for one in path.segments if not isinstance(one, TurnSegment)])
     return duration + CUSP_PRICE * stops(path) + float(_reversing(gears, robot).sum())
@@ -89,7 +89,7 @@ def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return shortest durations of drives from stop to stop, see `least_price`; signed lengths to [s], Shape (n, k)."""
+    """Return shortest durations [s] from stop to stop by signed lengths [m], Shape (n, k); see `least_price`."""
     limits, zone = problem.robot.limits, problem.dock.approach
     length, drives = np.abs(gears), gears != 0.0
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
@@ -186,9 +186,9 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time for setting off, the dock's slow zone and stopping, above full speed [s].
+    """Return a lower bound of the time for starting, the dock's slow zone and stopping, in addition to full speed [s].
 
-    Exact without a bound on jerk if the gears are known and the way is long enough for full speed.
+    The bound is exact without a bound on jerk if the gears are known and the way is long enough for full speed.
     """
     limits, dock, zone = problem.robot.limits, problem.dock, problem.dock.approach
     speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}

@@ -34,7 +34,7 @@ def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> F
         radius: Turning radius of all arcs [m].
 
     Returns:
-        Shape (44, n, 5) [m]; NaN where a form has no solution.
+        Shape (44, n, 5) [m]; NaN if a form has no solution.
     """
     dx, dy = (goals[:, :2] - starts[:, :2]).T / radius
     c, s = np.cos(starts[:, 2]), np.sin(starts[:, 2])

@@ -69,7 +69,8 @@ def roadmap_ways(
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres along a route, Shape (n, 2) [m], as they are found, roughly in ascending order of price.
 
-    `entries` are without the root of the goal's tree; `worthwhile` returns the price from which on a way is useless.
+    `entries` are without the root of the goal's tree; `worthwhile` returns the price at or above which a manoeuvre is
+    useless.
     """
     for price, way in _LazySearch(exits, entries, space, effort, route).ways():
         if price >= worthwhile():
@@ -120,7 +121,7 @@ class _LazySearch:
         return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
-        """Yield whole ways of free words with their prices as they are found."""
+        """Yield complete ways of free words with their prices as they are found."""
         labels: dict[int, _Label] = {}
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):
@@ -144,7 +145,7 @@ class _LazySearch:
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
     def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """Push all words out of a vertex, with the price of the way so far plus the remaining route as bound."""
+        """Push all words out of a vertex; the bound is the price of the way so far plus that of the remaining route."""
         some = slice(self._of[vertex], self._of[vertex + 1])
         changes = self._edges.begins[some] * label.gear < 0.0
         prices = label.price + self._edges.prices[some] + self._stop * changes
@@ -211,7 +212,7 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, as pushes between two walls overshoot the middle
+    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # damping, because pushes between two walls overshoot the middle
         inner = points[1:-1]
         lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)

@@ -1,9 +1,9 @@
-"""Manoeuvres of robots that turn in place, out of turns and straight lines.
+"""Manoeuvres of robots that turn in place, made of turns and straight lines.
 
 The fastest motions of a differential drive with bounded wheel speeds are such sequences on open floor [Balkcom2002].
 Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives straight and
-turns again. If obstacles block that line, it follows a shortest way around them for the disc of turning, cut short by
-lines of sight. The smoother rounds corners with enough room without a stop.
+turns again. If obstacles block that line, it follows a shortest way around them for the disc in which the robot turns,
+shortened by lines of sight. The smoother rounds corners with enough room without a stop.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turning_places", "turns_and_drives"]
 
-_NOTHING = 1e-9  # [m], [rad]: less is no motion
+_NOTHING = 1e-9  # [m], [rad]: smaller values do not count as motion
 _HEADINGS = 24  # headings at which turning in place is checked: every 15 degrees
 _COARSE = readonly(np.arange(1, 8) / 7.0)  # shares of a line at which the coarse check samples it
 _BATCH = 64  # lines per coarse check
@@ -79,7 +79,7 @@ class TurnsAndDrives(NamedTuple):
         return before, np.column_stack((before[:, :2], yaw))
 
     def poses_every(self, spacing: float, radius: float) -> FloatArray:
-        """Return poses, Shape (q, 3), between which no point within `radius` moves by more than `spacing` [m]."""
+        """Return poses, Shape (q, 3); between two of them no point within `radius` moves more than `spacing` [m]."""
         before, after = self.joints()
         blocks = []
         swept = np.where(self.rounds(), 0.0, self.turns)
@@ -119,7 +119,7 @@ def _ending_at(last: Segment, goal: Pose2) -> Segment:
     """Return the last segment with the goal itself as its last pose."""
     if isinstance(last, TurnSegment):
         return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
-    assert isinstance(last, PolylineSegment)  # nothing else is built here
+    assert isinstance(last, PolylineSegment)  # other types of segment are not built here
     poses = last.poses.copy()
     poses[-1] = goal.x, goal.y, poses[-1, 2] + math.remainder(goal.yaw - poses[-1, 2], 2.0 * math.pi)
     return PolylineSegment(poses, last.direction)
@@ -141,10 +141,10 @@ def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: 
 
 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
-    """Return distances from a pose straight on, in either gear, of places suited for a turn. Shape (n,) [m].
+    """Return distances from a pose along its axis, in either gear, of places suited for a turn. Shape (n,) [m].
 
     These are the intersection with the axis of the other end, the foot of the other end on the axis, and the places
-    with most room.
+    with the largest clearance.
     """
     ahead = np.array([math.cos(pose[2]), math.sin(pose[2])])
     across = np.array([-math.sin(other[2]), math.cos(other[2])])
@@ -169,7 +169,7 @@ def turns_and_drives(
     """Yield free manoeuvres in ascending order of price: a straight run, a turn, a line, a turn, a straight run.
 
     `exits` are the start and the ends of straight runs out of it, `entries` poses at which straight runs into the dock
-    begin; `worthwhile` returns the price from which on a manoeuvre is useless [s].
+    begin; `worthwhile` returns the price at or above which a manoeuvre is useless [s].
     """
     found = _lines(exits, entries, space, effort)
     left = {False: _TRIES, True: _TRIES}
@@ -197,7 +197,7 @@ def turns_and_drives(
 
 
 class _Lines(NamedTuple):
-    """Lines between nodes: Shape (n,), turns before and after (n, 2) [rad]; whether corners are rounded."""
+    """Lines between nodes (n,), the turns before and after each (n, 2) [rad], and whether corners are rounded."""
 
     prices: FloatArray
     exits: IntArray
@@ -289,7 +289,7 @@ def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, F
 
 
 def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
-    """Return the price at full speed with the cost of stops, as that of words [s]."""
+    """Return the price at full speed with the cost of stops, comparable with that of words [s]."""
     limits, lengths, rounds = space.problem.robot.limits, whole.lengths, whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
@@ -311,8 +311,8 @@ def routes(
 ) -> Iterator[TurnsAndDrives]:
     """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
 
-    The way is that of the disc in which the robot turns; then that of one as wide as the robot. Arguments as in
-    `turns_and_drives`.
+    The shortest way is first that of the disc in which the robot turns, then that of a disc as wide as the robot.
+    Arguments as in `turns_and_drives`.
     """
     kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
@@ -329,7 +329,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
+    """Yield ways from a node to others along shortest ways of a disc, shortened for a narrower one, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():
@@ -353,7 +353,7 @@ def _cheapest_free(
 
 
 def _spread(nodes: TreeNodes, count: int) -> list[int]:
-    """Return some of the nodes, from the cheapest to the dearest."""
+    """Return some of the nodes, from the lowest to the highest price."""
     order = np.argsort(nodes.tree.prices[nodes.rows], kind="stable")
     picked = order[np.unique(np.linspace(0.0, max(order.size - 1, 0), min(count, order.size)).astype(np.int64))]
     return [int(row) for row in nodes.rows[picked]]
@@ -368,7 +368,7 @@ def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple
 
 
 def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: FreeSpace, radius: float) -> FloatArray:
-    """Return the corners of a way that remain when it is cut short by lines of sight of a disc. Shape (k, 2)."""
+    """Return the corners of a way that remain after it is shortened by lines of sight of a disc. Shape (k, 2)."""
     some = way[np.unique(np.linspace(0, len(way) - 1, _POINTS).astype(np.int64))]
     points = np.concatenate((source[None], some[1:-1], target[None]))
     corners, at, last = [points[0]], 0, len(points) - 1

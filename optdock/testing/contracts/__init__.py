@@ -75,7 +75,7 @@ def installed_suites(samples: Mapping[str, Mapping[str, object]] | None = None) 
 
     Args:
         samples: Attributes and methods of the suite by `kind.name` of the plugin, such as `layers.StaticLayer`:
-            `plugin_parameters` to build it with, `needs_context`, `feed` and so on.
+            `plugin_parameters` for its construction, `needs_context`, `feed` and others.
 
     Raises:
         InvalidValue: If a sample has an attribute that its suite does not have.

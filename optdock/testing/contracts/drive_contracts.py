@@ -47,7 +47,7 @@ __all__ = ["BehaviorContract", "ControllerContract", "DockTypeContract", "GoalCh
 
 _REST = Twist2()
 _FAR = 100.0  # [m]
-_FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # away from every drive here
+_FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # far from every drive of this module
 _COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 60, 100, 20  # [s], and commands
 _SLACK = 1.0 + 1e-6
 _LIMIT_SLACK = 1.05  # of a speed limit: feedback may add to a reference that was slowed down
@@ -86,7 +86,7 @@ class ControllerContract(PluginContract[Controller]):
         return scene_context(scene_problem(goal=_FAR_DOCK))
 
     def exercise(self, plugin: Controller) -> object:
-        """Return the first commands along an S, from a reset on."""
+        """Return the first commands along an S, after a reset."""
         plugin.reset()
         plugin.set_path(s_curve_drive(ORIGIN))
         commands, _ = self._drive(plugin, 10)
@@ -121,7 +121,7 @@ class ControllerContract(PluginContract[Controller]):
                 self._require_arrival(run, task.path.end)
 
     def test_a_speed_limit_holds_until_it_is_removed(self) -> None:
-        """`set_speed_limit`: percent or m/s, by position or by name; 0 removes the limit; InvalidValue else."""
+        """`set_speed_limit`: percent or m/s, by position or by name; 0 removes the limit; InvalidValue otherwise."""
         free, top = self._peak_after(lambda _: None), ROBOT.limits.max_speed
         slow = 0.4 * free
         by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, False))  # noqa: FBT003 - as in Nav2
@@ -218,7 +218,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
     interface: ClassVar[type[GoalChecker]] = GoalChecker
 
     def exercise(self, plugin: GoalChecker) -> object:
-        """Return the verdicts of all queries, from a reset on."""
+        """Return the verdicts of all queries, after a reset."""
         plugin.reset()
         return tuple(plugin.is_goal_reached(*query) for query in self.queries())
 
@@ -253,7 +253,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
                 self._require_not_reached(GOAL @ Pose2(0.0, 0.0, turn), [], f"turned by {turn:.2f} rad")
 
     def test_tolerances_are_numbers_or_none(self) -> None:
-        """`tolerances`: finite and not negative, or None where the quantity is not measured."""
+        """`tolerances`: finite and not negative, or None if the quantity is not measured."""
         found = self.ready_plugin().tolerances
         require(isinstance(found, Tolerances), f"tolerances are Tolerances, got {type(found).__name__}")
         for name, value in found._asdict().items():
@@ -283,7 +283,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require(self.exercise(checker) == verdicts, "after a reset the verdicts are those of a new checker")
 
     def test_the_origin_of_the_frame_has_no_influence(self) -> None:
-        """`is_goal_reached`: the same verdicts where all poses are moved together."""
+        """`is_goal_reached`: the same verdicts if all poses are moved together."""
         for motion in (Pose2(2.0, -1.0, 0.7), Pose2(0.0, 0.0, 2.0 * math.pi)):
             here, there = self.ready_plugin(), self.ready_plugin()
             for query, moved in zip(self.queries(), self.queries(motion), strict=True):
@@ -296,7 +296,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
 
 
 class _ScriptedRobot:
-    """A clock and a robot that follows its commands exactly, or stays in place where it is `stuck`."""
+    """A clock and a robot that follows its commands exactly, or stays in place if it is `stuck`."""
 
     def __init__(self, context: PluginContext, *, stuck: bool = False) -> None:
         self.time, self.pose, self.twist, self.stuck = 100.0, ORIGIN, _REST, stuck
@@ -337,7 +337,7 @@ class BehaviorContract(PluginContract[Behavior]):
         """Return the result of `on_run`, and of the first cycle.
 
         Raises:
-            BehaviorException: If it does not begin.
+            BehaviorException: If the behavior does not begin.
         """
         begun = plugin.on_run(self.command)
         if begun.status is not BehaviorStatus.SUCCEEDED:
@@ -346,7 +346,7 @@ class BehaviorContract(PluginContract[Behavior]):
         return begun, result, (twist.linear, twist.angular)
 
     def test_it_names_its_costmaps_and_needs_on_run(self) -> None:
-        """`resource_info`, `on_run`: known before `configure`; no cycle before SUCCEEDED."""
+        """`resource_info`, `on_run`: the costmaps are known before `configure`; no cycle runs before SUCCEEDED."""
         found = self.make_plugin().resource_info
         require(isinstance(found, CostmapInfoType), f"resource_info is a CostmapInfoType, got {found!r}")
         self._require_no_cycle(self.ready_plugin(), "there is no cycle before on_run")
@@ -440,7 +440,7 @@ class DockTypeContract(PluginContract[DockType]):
     interface: ClassVar[type[DockType]] = DockType
 
     def exercise(self, plugin: DockType) -> object:
-        """Return every result over an approach that ends in contact, from a reset on."""
+        """Return every result over an approach that ends in contact, after a reset."""
         plugin.reset()
         contacts = tuple((plugin.contact(now), plugin.is_charging(now.measurements)) for now in self.approach())
         detections = tuple(tuple(plugin.detections(measurements)) for measurements in self.sightings())
@@ -450,7 +450,7 @@ class DockTypeContract(PluginContract[DockType]):
     def approach(self) -> Iterator[AtDock]:
         """Yield the cycles of an approach: half a metre, a second of pressing, then at rest with a contact signal.
 
-        Override it where contact shows in other ways.
+        Override this method if contact is detected in another way.
         """
         stamp = 0.0
         for cycle in range(350):
@@ -469,7 +469,7 @@ class DockTypeContract(PluginContract[DockType]):
             yield Measurements(0.2, GOAL @ Pose2(-0.8, 0.0, 0.0), Twist2(0.1), found)
 
     def test_results_have_the_right_types_in_every_cycle(self) -> None:
-        """`contact`, `is_charging` and the properties: for all sensor values, and where a stamp is repeated."""
+        """`contact`, `is_charging` and the properties: for all sensor values, and for repeated stamps."""
         checked, far = CheckedDockType(self.ready_plugin()), Pose2(-3.0, 0.2, 0.1)
         for now in self.approach():
             checked.contact(now)

@@ -30,10 +30,10 @@ class LayerContract(PluginContract[Layer]):
     interface: ClassVar[type[Layer]] = Layer
 
     def feed(self, layer: Layer) -> None:
-        """Give the layer observations within 2 m of the origin; by default none."""
+        """Give the layer observations within 2 m of the origin; by default no observations."""
 
     def exercise(self, plugin: Layer) -> object:
-        """Return the costs that the fed layer writes into a grid of random ones."""
+        """Return the costs that the fed layer writes into a grid of random costs."""
         self.feed(plugin)
         return _written(plugin).tobytes()
 
@@ -105,7 +105,7 @@ class LayerContract(PluginContract[Layer]):
             require(layer.is_current() is current, f"after set_current({current}) is_current() is {current}")
 
     def test_a_disabled_layer_writes_nothing(self) -> None:
-        """`is_enabled`: a layered costmap of it alone stays empty; for layers with a parameter `enabled`."""
+        """`is_enabled`: a layered costmap of one disabled layer stays empty; for layers with a parameter `enabled`."""
         from optdock.nav2.global_costmap import layered_costmap
 
         layer = self.make_plugin()

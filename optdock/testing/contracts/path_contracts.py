@@ -66,7 +66,7 @@ __all__ = ["GlobalPlannerContract", "SmootherContract", "TimeParameterizerContra
 _MOTION = Pose2(1.3, -0.7, 2.5)
 _AMPLE = 20.0  # [s]
 _SHORT = 0.05  # [m]
-_TURNING = 0.3  # [m/s], [rad/s], ...: every limit that depends on curvature; each one binds somewhere
+_TURNING = 0.3  # [m/s], [rad/s], ...: every limit that depends on curvature; each one is active somewhere
 
 
 class GlobalPlannerContract(PluginContract[GlobalPlanner]):
@@ -116,7 +116,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         require(self.exercise(planner) == before, "after a cancellation it plans as before")
 
     def test_it_fails_by_name(self) -> None:
-        """`create_plan`: PlannerException with a reason where there is no path; no other exception."""
+        """`create_plan`: PlannerException with a reason if there is no path; no other exception."""
         planner, draw = self.ready_plugin(), np.random.default_rng(3)
         odd = [(GOAL, GOAL), (GOAL @ Pose2(1e-9, 0.0, 0.0), GOAL), (Pose2(1e6, -1e6, 9.0), GOAL)]
         odd += [(GOAL @ Pose2(*draw.normal(size=3)), GOAL) for _ in range(12)]
@@ -172,7 +172,7 @@ class SmootherContract(PluginContract[Smoother]):
 
     def test_a_problem_counts_the_same_configured_and_in_the_call(self) -> None:
         """`problem`: None means the configured problem with all its obstacles; a reported certificate is correct."""
-        for top in (-0.08, 0.12):  # next to the path, and in its way
+        for top in (-0.08, 0.12):  # obstacles next to the path and on it
             rock = [[1.4, -0.3], [1.6, -0.3], [1.6, top], [1.4, top]]
             problem = scene_problem(obstacles=ObstacleSet.from_polygons([rock]))
             configured, called = self.make_plugin(), self.make_plugin()
@@ -222,7 +222,7 @@ class SmootherContract(PluginContract[Smoother]):
         require(self.exercise(smoother) == before, "after a cancellation it smooths as before")
 
     def test_a_warm_start_keeps_the_ends(self) -> None:
-        """`warm_start`: an earlier result, or a path for another problem, leaves the ends as they are."""
+        """`warm_start`: an earlier result, or a path for another problem, does not change the ends."""
         smoother = self.ready_plugin()
         path, problem = self.tasks()[0]
         earlier = smoother.smooth(path, _AMPLE, problem=problem).path
@@ -260,7 +260,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
                         yield path, limits, zone, start
 
     def test_a_motion_that_is_ok_is_certified(self) -> None:
-        """`parameterize`: OK passes `certify_trajectory`; from rest, every path here is OK."""
+        """`parameterize`: OK passes `certify_trajectory`; from rest, the status of every path here is OK."""
         plugin = self.ready_plugin()
         for path, limits, zone, (speed, acceleration) in self.cases():
             result = plugin.parameterize(path, limits, zone, start_speed=speed, start_acceleration=acceleration)
@@ -284,7 +284,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(change <= 1e-6, f"the duration stays {durations[0]} s, changed by {change} s")
 
     def test_infeasible_starts_are_statuses(self) -> None:
-        """`TimingResult`: a status other than OK, with a reason; `limit` and `at_s` where a limit is exceeded."""
+        """`TimingResult`: a status other than OK, with a reason; `limit` and `at_s` if a limit is exceeded."""
         plugin, path, limits = self.ready_plugin(), straight_drive(ORIGIN).path, MotionLimits()
         starts = {
             "1.2 times the speed limit": (1.2 * limits.max_speed, 0.0),
@@ -333,7 +333,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(is_bad, f"speed {v}, acceleration {a} is a bad start, got {found}")
 
     def test_little_time_is_a_status(self) -> None:
-        """`max_time`: TIMED_OUT without a motion where none is left; a motion found in little time is certified."""
+        """`max_time`: TIMED_OUT without a motion if no time is left; a motion found in little time is certified."""
         plugin = self.ready_plugin()
         for path, limits, zone, (speed, _) in self.cases():
             for max_time in (0.0, 0.001, 0.01) if speed == 0.0 else ():
@@ -378,7 +378,7 @@ def _outcome(smoother: Smoother, problem: DockingProblem, in_call: DockingProble
 
 
 def _least_clearance(path: Path, problem: DockingProblem) -> float:
-    """Least clearance of the poses of `path`, 0 where they touch nothing [m]."""
+    """Least clearance of the poses of `path`, 0 if they touch no obstacle [m]."""
     poses = path.sample(0.02).poses
     return float(pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=0.0)[0].min())
 

@@ -30,7 +30,7 @@ __all__ = [
 P = TypeVar("P", bound=Plugin)
 T = TypeVar("T")
 
-_CANCEL_AT = (1, 2, 100)  # polls; those that a plugin never reaches are left out
+_CANCEL_AT = (1, 2, 100)  # polls; numbers that a plugin never reaches are left out
 _SAME = 1e-6  # [m], [rad]
 
 
@@ -69,7 +69,7 @@ def refused(call: Callable[[], object], error: type[Exception], rule: str) -> Ex
 
 
 def attempted(call: Callable[[], T], error: type[Exception]) -> T | None:
-    """Return the result of a call; None where it raises `error`, which must have a message."""
+    """Return the result of a call; None if it raises `error`, which must have a message."""
     try:
         return call()
     except error as refusal:
@@ -78,7 +78,7 @@ def attempted(call: Callable[[], T], error: type[Exception]) -> T | None:
 
 
 class _PollCounter:
-    """A cancel checker that returns True from poll number `cancel_at` on; 0: never."""
+    """A cancel checker that returns True at poll number `cancel_at` and later; 0: never."""
 
     def __init__(self, cancel_at: int = 0) -> None:
         self.polls, self._cancel_at = 0, cancel_at
@@ -147,7 +147,7 @@ class PluginContract(ABC, Generic[P]):
         return plugin
 
     def test_it_is_built_in_one_call(self) -> None:
-        """`Plugin`: an instance of its interface, unconfigured once it is constructed; refuses unknown parameters."""
+        """`Plugin`: an instance of its interface, unconfigured after construction; unknown parameters are rejected."""
         plugin = self.make_plugin()
         require(isinstance(plugin, self.interface), f"it is a {self.interface.__name__}")
         require(plugin.state is LifecycleState.UNCONFIGURED, "a new plugin is unconfigured")
@@ -165,16 +165,16 @@ class PluginContract(ABC, Generic[P]):
             require(has_unit, f"parameter {known}: the unit stands in brackets or `unitless` lists it; got {text!r}")
 
     def test_a_change_has_the_effect_of_the_constructor(self) -> None:
-        """`Plugin.set_parameters`: values derived from parameters earlier change too."""
+        """`Plugin.set_parameters`: values derived earlier from the parameters change with them."""
         for name, value in _accepted_changes(self.make_plugin).items():
             changed = self.ready_plugin()
             changed.set_parameters(**{name: value})
             built = type(changed)(**changed.parameters.model_dump(by_alias=True))
             self._walk(built, "configure", "activate")
-            require(self._outcome(changed) == self._outcome(built), f"{name} = {value} counts from now on")
+            require(self._outcome(changed) == self._outcome(built), f"{name} = {value} takes effect")
 
     def test_it_works_at_every_stage(self) -> None:
-        """`Plugin`: the same results inactive, active and configured again; unconfigured a named error at most."""
+        """`Plugin`: the same results inactive, active and configured again; unconfigured, or an OptdockError."""
         plugin = self.make_plugin()
         if self.needs_context:
             refused(lambda: self.exercise(plugin), OptdockError, "unconfigured, it fails by name")

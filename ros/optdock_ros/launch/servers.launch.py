@@ -1,4 +1,4 @@
-"""The servers of optdock in the place of Nav2's servers of the same names.
+"""The servers of optdock as replacements of Nav2's servers of the same names.
 
     ros2 launch optdock_ros servers.launch.py params_file:=/path/to/nav2_params.yaml
 

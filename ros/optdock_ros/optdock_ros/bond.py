@@ -1,4 +1,4 @@
-"""The heartbeat by which Nav2's lifecycle manager recognizes that a server is alive.
+"""Heartbeat of a server for Nav2's lifecycle manager.
 
 The protocol is that of `bondcpp`: both sides of a bond publish `bond/msg/Status` with one id and an instance id per
 side, and end the bond with `active: false`. As in Nav2's servers, the manager's side is not monitored.
@@ -28,7 +28,7 @@ class Bond:
     """The server's side of a bond.
 
     The heartbeat has its own thread, so that a busy executor does not delay it. It pauses if the executor of the node
-    has not run for `TIMEOUT`, so that a node that hangs loses its bond.
+    has not run for `TIMEOUT`, so that the bond of a node that hangs is broken.
 
     Args:
         node: The server; its name is the id of the bond.

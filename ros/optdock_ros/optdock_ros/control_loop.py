@@ -1,7 +1,7 @@
 """The control loop: a thread that steps tasks at absolute deadlines, without ROS.
 
-The last command is always zero. A task ends at rest. After an exception in a cycle, or if the clock stops, the command
-is reduced to zero in a ramp within the robot's limits. Only if that fails too, the command is zero at once.
+A task ends at rest, and its last command is zero. After an exception in a cycle, or if the clock stops, the command is
+reduced to zero in a ramp within the robot's limits. If that also fails, the command is set to zero at once.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ __all__ = ["ControlLoop", "CycleTimes", "TaskRun", "may_be_preferred"]
 
 logger = logging.getLogger(__name__)
 
-# Fraction of the period after which a command is sent: nearly every cycle is done by then, so that its duration does
-# not vary the times between commands.
+# Fraction of the period after which a command is sent: nearly every cycle is done by then, so that the times between
+# commands do not depend on its duration.
 _PHASE = 0.25
 _STANDSTILL = 0.5  # [s] of wall clock without progress of the measurements' clock, after which it counts as stopped
 _PAUSE = 0.5  # [s] without a command after which bases stop by themselves; the executor's `longest_tick`
@@ -52,7 +52,7 @@ _AT_REST = 1e-9  # [m/s], [rad/s]: rounding errors of a command at rest
 class CycleTimes(NamedTuple):
     """Cycles and missed deadlines of a task, and statistics over the last `_KEPT` cycles [s].
 
-    `late` is the delay of commands, `busy` the duration of measuring and deciding.
+    `late` is the delay of commands, `busy` the duration of measuring and computing.
     """
 
     cycles: int
@@ -70,11 +70,11 @@ class TaskRun:
 
     Args:
         executor: Executor of the task.
-        measure: Returns the measurements at a time [s]; called once per cycle in the loop's thread.
+        measure: Function that returns the measurements at a time [s]; called once per cycle in the loop's thread.
         observe: Callback with measurements and step of every cycle, in the loop's thread; must return at once.
 
     Attributes:
-        done: Set when the robot stands and the last command, zero, has been sent.
+        done: Set when the robot is at rest and the last command, zero, has been sent.
         stopping: Reason of a stop from outside; empty otherwise.
     """
 
@@ -92,13 +92,13 @@ class TaskRun:
 
 
 class ControlLoop:
-    """Steps one `TaskRun` at a time.
+    """Thread that steps one `TaskRun` at a time.
 
     Args:
         robot: Robot whose limits the ramps keep.
         period: Period of the cycles [s].
-        now: Returns the time of the measurements [s].
-        send: Sends a command; called in the loop's thread.
+        now: Function that returns the time of the measurements [s].
+        send: Function that sends a command; called in the loop's thread.
         realtime: Whether the threads of this process have real-time scheduling while a task runs.
     """
 
@@ -160,8 +160,8 @@ class ControlLoop:
         self._aborted = True
         limits = self._robot.limits
         thread.join(braking_time(limits.max_speed, limits.max_deceleration, limits.max_jerk) + _SLACK)
-        if not run.done.is_set():  # a cycle hangs; a command that results from it later is not sent
-            is_free = self._sending.acquire(timeout=_SLACK)  # the middleware may hang as well
+        if not run.done.is_set():  # a cycle hangs; its late command is not sent
+            is_free = self._sending.acquire(timeout=_SLACK)  # the middleware may also hang
             self._silent = True
             try:
                 self._send(Twist2())
@@ -218,7 +218,7 @@ class ControlLoop:
                 self._busy.append(time.monotonic() - began)
                 due = deadline + _PHASE * self.period
                 time.sleep(max(0.0, due - time.monotonic()))
-                if time.monotonic() - began < _PAUSE:  # otherwise the command is outdated, and the next cycle decides
+                if time.monotonic() - began < _PAUSE:  # otherwise the command is outdated
                     self._put(step.command)
                 self._count += 1
                 self._late.append(time.monotonic() - due)
@@ -229,7 +229,7 @@ class ControlLoop:
                 self._ramp_down()
                 return self._failed(f"the clock stands still at {now:.3f} s")
             else:
-                self._put(self._sent)  # a simulated clock ticks more slowly than this loop
+                self._put(self._sent)  # a simulated clock may advance more slowly than this loop
             if self._aborted:
                 self._ramp_down()
                 return self._failed(run.stopping)
@@ -279,8 +279,8 @@ class ControlLoop:
 def prefer(policy: int, priority: int) -> None:
     """Set the scheduling of all threads of this process.
 
-    All threads, because a thread without priority that holds the interpreter lock delays the others. Threads and
-    processes that are started later have the default scheduling.
+    All threads are included, because a thread without priority that holds the interpreter lock delays the others.
+    Threads and processes that are started later have the default scheduling.
 
     Raises:
         PermissionError: If the user has no permission.

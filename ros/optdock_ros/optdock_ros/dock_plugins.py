@@ -280,7 +280,7 @@ class SimpleChargingDock(DockPlugin):
     is_charger = True
 
     def dock_type(self, settings: Mapping[str, object]) -> DockType:
-        """As `DockPlugin`; if the battery is used, docking waits for a current above the threshold."""
+        """Return the dock type, which waits for a charging current above the threshold if the battery is used."""
         if not self.uses_battery:
             return super().dock_type(settings)
         threshold = self.parameters.charging_threshold
@@ -322,7 +322,7 @@ class OwnDock(DockPlugin):
         kind = load_plugin(DockType, self.entry_point)
         names = _own_names(kind)
         self._own = {key: value for key, value in parameters.items() if key in names}
-        parse_parameters(kind.Parameters, self._own, name)  # names the block in faults
+        parse_parameters(kind.Parameters, self._own, name)  # name of the block in error messages
         super().__init__(name, {key: value for key, value in parameters.items() if key not in names})
         self.is_charger = self.waits_for_charge
 

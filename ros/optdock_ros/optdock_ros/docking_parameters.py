@@ -185,7 +185,7 @@ _TUBE = {"cross": 0.02, "yaw": 0.03}  # [m], [rad]: deviations of the study's ro
 
 
 class Docks:
-    """Dock plugins by the names of their instances, and docks by their names."""
+    """Dock plugins by the names of their instances, and docks by name."""
 
     def __init__(self, plugins: Mapping[str, DockPlugin], entries: Mapping[str, DockEntry]) -> None:
         self.plugins, self.entries = dict(plugins), dict(entries)
@@ -225,7 +225,7 @@ class Docks:
 
 
 class _Parameters(Document):
-    """Parameters, possibly of several files; a fault names the parameter only."""
+    """Parameters, possibly from several files; error messages name the parameter only."""
 
     def fault(self, keys: Keys, message: str) -> str:
         return printable(f"{'.'.join(map(str, keys))}: {message}")
@@ -257,7 +257,7 @@ class DockingSettings:
     """All parameters of the server, validated.
 
     Attributes:
-        own: Parameters at the top; the blocks follow under their names.
+        own: Parameters at the top; the other attributes are the blocks, by name.
         plugins: Dock types by name.
         dock_parameters: Block `dock` of every dock type.
         docks: Docks by name.
@@ -298,7 +298,7 @@ class DockingSettings:
             **of_goal,
         }
         if self.controller.use_collision_detection:
-            # A costmap that is new enough is passed in every cycle; a few cycles may fail.
+            # A costmap that is new enough is passed in every cycle; a few cycles may miss it.
             values["costmap_patience"] = max(0.1, 5.0 * self.period)
         return ExecutorSettings(**values)
 

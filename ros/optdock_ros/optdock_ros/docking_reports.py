@@ -54,7 +54,7 @@ class Reports:
         self._poses[name].publish(ros.pose_message(ros.imported, pose, self._frame, now))
 
     def motion(self, motion: DrivenMotion, exempt: str, now: float) -> None:
-        """Publish trajectory, markers and certificate of a new motion once; `exempt` is what it does not count."""
+        """Publish trajectory, markers and certificate of a new motion once; `exempt` names the excluded obstacles."""
         if motion is self._published:
             return
         self._published = motion

@@ -1,8 +1,8 @@
 """`docking_server`: Nav2's actions `dock_robot` and `undock_robot`, carried out by the executor.
 
 While the robot moves, none of these threads waits for another one: the node's executor stores messages; the control
-loop steps the `DockingExecutor` at `controller_frequency` and publishes cmd_vel; the thread of the goals does the rest,
-from finding the dock to merging costmaps and reporting. Paths are planned in another process.
+loop steps the `DockingExecutor` at `controller_frequency` and publishes cmd_vel; the thread of the goals does all other
+work, such as finding the dock, merging costmaps and reporting. Paths are planned in another process.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class DockingServer(Server[DockingSettings]):
         self.get_logger().info(f"ready for goals: {len(docks.plugins)} dock types, {len(docks.entries)} docks")
 
     def changed(self) -> None:
-        """Use the new settings from the next goal on."""
+        """Use the new settings for the next goals."""
         self._resources.settings = self.settings
         self._resources.docks.plugins = dict(self.settings.plugins)
 
@@ -145,7 +145,7 @@ class DockingServer(Server[DockingSettings]):
         response.success = True
         return response
 
-    # In the thread of the goals.
+    # Called in the thread of the goals.
 
     def _dock(self, goal: Goal) -> GoalOutcome:
         return self._reported(DockingTask(self._resources, goal).dock)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["DockingTask"]
 
 _DETECTIONS = (
-    15  # of a dock that is not detected later on the way: the error of their median is a third of a single one
+    15  # detections of a dock that is not detected later: the error of their median is a third of that of a single one
 )
 _FRESH = 0.5  # [s]: accepted age of a pose of the robot at rest
 _DISCHARGE = 2.0  # [s] for the battery state, published once per second, to show the end of the charge
@@ -42,7 +42,7 @@ class DockingTask:
     """The work on one goal, in the thread of the goals.
 
     `dock` and `undock` raise `Ended` with the outcome of a goal that ends early, and `OptdockError`, with Nav2's error
-    code if there is one, for a goal that cannot be worked on.
+    code if there is one, for a goal that cannot be executed.
     """
 
     def __init__(self, resources: DockingResources, goal: Goal) -> None:
@@ -161,7 +161,7 @@ class DockingTask:
         return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
 
     def _navigate(self, entry: DockEntry, plugin: DockPlugin, dock: Pose2, limit: float) -> None:
-        """Have a distant robot navigated to the staging pose; raise `Ended` on failure."""
+        """Navigate a distant robot to the staging pose; raise `Ended` on failure."""
         own, staging = self._settings.own, plugin.staging_pose(dock)
         self._resources.reports.pose("staging_pose", staging, self._resources.now())
         gap = self._robot_pose().in_frame_of(staging)

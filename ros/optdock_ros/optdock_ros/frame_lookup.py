@@ -48,23 +48,23 @@ class TransformBuffer(ros.TransformTree):
         self._jumps = node.get_clock().create_jump_callback(backwards, post_callback=lambda _: self.forget())
 
     def close(self) -> None:
-        """Destroy the subscriptions; the transforms stay."""
+        """Destroy the subscriptions; the transforms are kept."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
         self._jumps.unregister()
 
     def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> ros.Transform:
-        """As `TransformTree.lookup`; the stamp of a static transform without a given time is the current time."""
+        """Look up as `TransformTree.lookup`; without a given time, a static transform has the current time."""
         found = super().lookup(target, source, stamp, tolerance)
         return found if math.isfinite(found.stamp) else dataclasses.replace(found, stamp=now(self._node))
 
     def insert(self, message: TransformStamped, *, is_static: bool = False) -> bool:
-        """As `TransformTree.insert`; a rejected transform is logged once per pair of frames."""
+        """Insert as `TransformTree.insert`, and log a rejected transform once per pair of frames."""
         pair = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
         is_new, time = pair not in self.refused, now(self._node)
         ahead = float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec) - time
-        # As the newest transform it would stay valid and remove all others; before the first /clock there is no time.
+        # As the newest transform it would remain valid and remove all others; before the first /clock there is no time.
         if not is_static and time > 0.0 and ahead > _HISTORY:
             is_stored = self.refuse(*pair, f"is dated {ahead:.1f} s into the future")
         else:

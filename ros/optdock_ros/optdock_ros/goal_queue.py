@@ -36,7 +36,7 @@ _CANCELLED = "cancelled"
 
 
 class GoalOutcome(NamedTuple):
-    """How a goal ended: Nav2's error code, the reason, the approaches after the first one, and the result message."""
+    """Outcome of a goal: Nav2's error code, the reason, the approaches after the first one, and the result message."""
 
     success: bool
     code: int = 0
@@ -51,12 +51,12 @@ def done(text: str = "", result: Any = None) -> GoalOutcome:
 
 
 def failed(code: int, text: str, retries: int = 0) -> GoalOutcome:
-    """Return the outcome of a goal that was not reached; code 0 if nothing went wrong."""
+    """Return the outcome of a goal that was not reached; code 0 without an error."""
     return GoalOutcome(success=False, code=code, text=text, retries=retries)
 
 
 class Ended(Exception):
-    """The goal ends here, with this outcome."""
+    """End of the work on a goal, with its outcome."""
 
     def __init__(self, outcome: GoalOutcome) -> None:
         super().__init__(outcome.text)
@@ -90,7 +90,7 @@ class Goal:
         self._stop: Callable[[str], object] | None = None
 
     def end(self, reason: str) -> None:
-        """End the goal early; the first reason counts. Callable from any thread."""
+        """End the goal early; the first reason is kept. Callable from any thread."""
         self.ending = self.ending or reason
         if self._stop is not None:
             self._stop(self.ending)
@@ -117,7 +117,7 @@ class Goal:
         return failed(code, f"{self.ending}{where and ' '}{where}", retries)
 
     def publish_progress(self, state: int, retries: int = 0) -> None:
-        """Publish Nav2's number of the state and the retries, as far as the action has the fields."""
+        """Publish Nav2's number of the state and the retries, for the fields that the action has."""
         passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - self.began))).to_msg()
         message = _filled(self.kind.Feedback(), state=state, docking_time=passed, num_retries=retries)
         with suppress(RCLError):  # the goal may have ended
@@ -153,7 +153,7 @@ class GoalQueue:
 
     def _start_worker(self) -> None:
         self._jobs: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
-        # A daemon: plugin code that does not return must not keep the process from ending.
+        # A daemon: plugin code that does not return must not prevent the process from ending.
         threading.Thread(target=_work_off, args=(self._jobs,), name="goals", daemon=True).start()
 
     @property
@@ -175,7 +175,7 @@ class GoalQueue:
         return answer.result()
 
     def accept_goals(self) -> None:
-        """Accept goals from now on."""
+        """Start accepting goals."""
         self._is_open = True
 
     def close(self, reason: str) -> None:
@@ -190,7 +190,7 @@ class GoalQueue:
             current.end(reason)
 
     def join(self, patience: float) -> bool:
-        """Whether the work on all goals returns within `patience` [s].
+        """Wait until the work on all goals has returned, and return whether it did within `patience` [s].
 
         If not, the active goal is aborted, and a new thread replaces the worker thread.
         """
@@ -241,7 +241,7 @@ class GoalQueue:
             if found is None:
                 return CancelResponse.REJECT
             found.end(f"{_CANCELLED} before it began")
-        # rclpy marks the goal as canceling after this callback; it can be answered from then on.
+        # rclpy marks the goal as canceling after this callback; it can be answered after that.
         executor = self._node.executor
         assert executor is not None, "it calls this method"
         executor.create_task(self._drop, found)
@@ -263,7 +263,7 @@ class GoalQueue:
             goal = following
             self._answer(goal, self._outcome(goal))
             with self._lock:
-                if self._current is not goal:  # given up by `join`
+                if self._current is not goal:  # this thread was replaced by `join`
                     return
                 following = self._waiting.pop(goal.kind, None)
                 if following is None and self._waiting:
@@ -286,7 +286,7 @@ class GoalQueue:
             return failed(goal.kind.Result.UNKNOWN, f"{type(error).__name__}: {error}")
 
     def _answer(self, goal: Goal, outcome: GoalOutcome) -> None:
-        """Set the status of a goal and send its result: the only place where a goal ends."""
+        """Set the status of a goal and send its result; every goal ends here."""
         with self._lock:
             if goal.is_answered:
                 return
@@ -312,7 +312,7 @@ class GoalQueue:
             server = self._servers.get(goal.kind)
             if server is not None:
                 server.notify_execute(handle, lambda _: result)
-        except Exception as error:  # the node may be gone; the next goal must not wait for ever
+        except Exception as error:  # the node may have been destroyed; the next goal must not wait forever
             self._node.log_error(error, "a result cannot be sent")
 
 

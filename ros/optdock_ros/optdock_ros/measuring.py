@@ -47,9 +47,10 @@ class Measuring:
     Args:
         rules: Frames and largest ages.
         frames: Transforms.
-        detect: Returns the detection of a message, given the pose of its frame in the robot's; None: no detections.
-        contact: Returns the contact at a time [s]; None if unknown.
-        current: Returns the current into the battery [A] at a time [s]; None if unknown.
+        detect: Function that returns the detection of a message, given the pose of its frame in the robot's; None: no
+            detections.
+        contact: Function that returns the contact at a time [s]; None if unknown.
+        current: Function that returns the current into the battery [A] at a time [s]; None if unknown.
 
     Attributes:
         faults: Causes of missing measurements: `transform`, `odometry`, `costmap`, `detection`.
@@ -112,8 +113,8 @@ class Measuring:
         if is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
             twist = Twist2()
         if twist is None:
-            # A stop must begin with the velocity just received, even if its stamp is of another clock; but not with
-            # one that was received before this process was suspended.
+            # A stop must begin with the velocity just received, even if its stamp is of another clock, but not with a
+            # velocity that was received before this process was suspended.
             is_new = monotonic() - min(self._heard_at, measured_before) <= self._rules.odom_tolerance
             twist = self._heard if is_new else Twist2()
         contact, odometry = self._contact(now), self._odometry_pose
@@ -195,7 +196,7 @@ class Measuring:
         return tuple(found)
 
     def _detection(self, message: Any, now: float) -> Detection | None:
-        """Return the detection of a message; None while its transform may arrive; raise if it is invalid or old."""
+        """Return the detection of a message; None while its transform may arrive; raise if invalid or too old."""
         stamp, frame = ros.seconds(message.header.stamp), message.header.frame_id
         age = now - stamp
         if age > self._rules.detection_timeout or age < -_AHEAD:

@@ -1,7 +1,7 @@
 """Costmaps of several topics merged into one in the planning frame.
 
-Unknown cells count as occupied, and a cell that overlaps several cells of another grid gets the worst of their costs:
-whatever is certified in the merged costmap also holds in its sources.
+Unknown cells count as occupied, and the cost of a cell that overlaps several cells of another grid is the worst of
+their costs: a certificate for the merged costmap also holds for its sources.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def cropped(costmap: Costmap, box: Box) -> Costmap:
 
 
 def joined(wide: Costmap, local: Costmap) -> Costmap:
-    """Merge a wide map with the local costmap: the larger cost of both, but the local cost where the map is unknown.
+    """Merge a wide map with the local costmap: the larger of both costs, the local cost where the map is unknown.
 
     Both are in one frame; the grid is that of `local`.
     """
@@ -78,7 +78,7 @@ def joined(wide: Costmap, local: Costmap) -> Costmap:
     reach = 0 if same else math.ceil(0.5 * ratio)
     data = _spread(wide, reach).cost_at(_centres(origin, side, columns, rows)).reshape(rows, columns)
     i, j = (-low).tolist()
-    window = data[j : j + local.rows, i : i + local.columns]  # a view
+    window = data[j : j + local.rows, i : i + local.columns]  # a view, not a copy
     is_seen = local.data != NO_INFORMATION
     before = np.where(window == NO_INFORMATION, FREE_SPACE, window)
     window[is_seen] = np.maximum(before, local.data)[is_seen]
@@ -101,7 +101,7 @@ def _centres(low: FloatArray | tuple[float, float], side: float, columns: int, r
 def _spread(costmap: Costmap, reach: int) -> Costmap:
     """Give every cell the worst cost within `reach` cells; occupied is worse than unknown.
 
-    The grid grows by one more cell, for cells of another grid that extend half a cell beyond it.
+    The grid is extended by one more cell, for cells of another grid that extend half a cell beyond it.
     """
     edge = reach + 1
     padded = np.pad(_RANK[costmap.data], edge, constant_values=int(_RANK[NO_INFORMATION]))

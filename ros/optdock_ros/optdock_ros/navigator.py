@@ -1,4 +1,4 @@
-"""The way to the staging pose by the action `navigate_to_pose`, as in Nav2's docking server."""
+"""Navigation to the staging pose by the action `navigate_to_pose`, as in Nav2's docking server."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["Navigator"]
 
 _ATTEMPTS = 2  # as Nav2's docking server
-_ANSWER = 2.0  # [s] for the server to appear, and for it to accept a goal, as there
+_ANSWER = 2.0  # [s] for the server to appear, and for it to accept a goal, as in Nav2's docking server
 
 
 class Navigator:
@@ -43,7 +43,7 @@ class Navigator:
             pose: Pose to navigate to.
             tree: Behaviour tree; empty for the navigator's default.
             limit: Time limit of all attempts [s].
-            is_over: Waits for a moment and returns whether to give up; called repeatedly.
+            is_over: Function that waits for a moment and returns whether to abort; called repeatedly.
         """
         until, fault = time.monotonic() + limit, ""
         for _ in range(_ATTEMPTS):
@@ -59,7 +59,7 @@ class Navigator:
         sent = self._client.send_goal_async(wanted)
         if not _waited(sent.done, min(until, time.monotonic() + _ANSWER), is_over):
             sent.add_done_callback(_cancel_when_accepted)
-            return "it does not answer"
+            return "it does not respond"
         handle = sent.result()
         if handle is None or not handle.accepted:
             return "the goal was rejected"
@@ -76,7 +76,7 @@ class Navigator:
 
 
 def _waited(condition: Callable[[], bool], until: float, is_over: Callable[[], bool]) -> bool:
-    """Wait for a condition; whether it has become true in time."""
+    """Wait for a condition, and return whether it has become true in time."""
     while not condition():
         if is_over() or time.monotonic() > until:
             return False

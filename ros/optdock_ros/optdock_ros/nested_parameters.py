@@ -73,7 +73,7 @@ _MISSPELT = 0.86
 
 
 class BlockReader:
-    """Reads nested parameters; collects `faults`, one line each, and `ignored`, the dotted names that are not read."""
+    """Reader of nested parameters that collects `faults`, one line each, and `ignored`, names that are not read."""
 
     def __init__(self, block: Mapping[str, object]) -> None:
         self.block = block

@@ -1,8 +1,8 @@
 """The base of the servers: lifecycle, parameters, and the start and end of a server's process.
 
 All parameters of a server are validated together into one frozen value, `Server.settings`: at configure, where all
-faults are reported, and at every later change, which is applied as a whole or not at all. Work in progress keeps the
-settings that it began with.
+faults are reported, and at every later change, which is applied as a whole or not at all. Work in progress continues
+with the settings at its beginning.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Server(LifecycleNode, Generic[S]):
     Attributes:
         settings: Result of `check`; set from configure to cleanup.
         is_active: Whether the node is active.
-        owns_process: Whether the node has the process to itself; set by `run`.
+        owns_process: Whether the node is the only one of the process; set by `run`.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
@@ -91,7 +91,7 @@ class Server(LifecycleNode, Generic[S]):
         self.add_on_set_parameters_callback(self._validate_change)
         self.add_post_set_parameters_callback(self._apply_change)
 
-    # For subclasses.
+    # Methods for subclasses.
 
     def check(self, block: dict[str, object]) -> S:
         """Return all parameters, a nested block, as one frozen value.
@@ -278,7 +278,7 @@ def _bond_of(node: Server[Any], block: dict[str, object]) -> Bond | None:
 
 
 class _Leave(Exception):
-    """The thread of the executor is to end."""
+    """Request that the thread of the executor ends."""
 
 
 def leave() -> None:
@@ -289,15 +289,15 @@ def leave() -> None:
 def spin(executor: Executor) -> None:
     """Run an executor until its task is `leave`; exceptions of callbacks are logged.
 
-    The executor must not be shut down before: an executor of rclpy that is shut down between two waits begins another
-    wait, which nothing ends.
+    The executor must not be shut down earlier: an executor of rclpy that is shut down between two waits begins another
+    wait, which never ends.
     """
     while not _has_left(executor):
         pass
 
 
 def _has_left(executor: Executor) -> bool:
-    """Run callbacks until one raises; whether that was `leave`."""
+    """Run callbacks until one raises, and return whether that was `leave`."""
     try:
         executor.spin()
     except (_Leave, ExternalShutdownException):
@@ -308,14 +308,14 @@ def _has_left(executor: Executor) -> bool:
 
 
 def _end_at_signals(ended: threading.Event) -> None:
-    """Have SIGINT and SIGTERM set `ended`; a further signal after `_PATIENCE` kills the process."""
+    """Set `ended` on SIGINT and SIGTERM; a further signal after `_PATIENCE` kills the process."""
     first = math.inf
 
     def _end(number: int, _frame: object) -> None:
         nonlocal first
         now = time.monotonic()
         first = min(first, now)
-        if now - first > _PATIENCE:  # an impatient second ctrl-C must not interrupt the ramp of a moving robot
+        if now - first > _PATIENCE:  # a second ctrl-C must not interrupt the ramp of a moving robot
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
         ended.set()

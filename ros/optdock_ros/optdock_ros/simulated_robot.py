@@ -139,7 +139,7 @@ class SimulatedRobotNode:
     # The world.
 
     def _begin(self, world: SimulationParameters) -> None:
-        """Put the robot at its start; odometry goes on as for a robot that is lifted."""
+        """Put the robot at its start; the odometry continues as for a robot that is lifted."""
         self._world, self._robot = world, world.robot()
         self._began = self._now
         self._command, self._commanded, self._commands, self._watchdog_stops = Twist2(), -math.inf, 0, 0
@@ -157,11 +157,11 @@ class SimulatedRobotNode:
         self._topics.static_transforms.publish(TFMessage(transforms=[camera_transform(world, self._stamp)]))
 
     def _run(self) -> None:
-        """Step the world in time; an exception ends the process, because a world that stands still is misleading."""
+        """Step the world in time; an exception ends the process, because a frozen simulation would be misleading."""
         period = 1.0 / self._world.values["rate"]
         pace = self._world.values["speed"] or 1.0
         origin, ticks = time.monotonic(), 0
-        if self._topics.clock is None:  # the start has taken time
+        if self._topics.clock is None:  # the time that the start has taken is not simulated
             self._epoch = 1e-9 * self.node.get_clock().now().nanoseconds
         try:
             while not self._ended.is_set():
@@ -288,7 +288,7 @@ class SimulatedRobotNode:
         )
 
     def _publish_costmap(self, frame: str, stamp: float) -> None:
-        """Publish the outline and, as Nav2, the whole window after it has moved, otherwise the changed part."""
+        """Publish the outline and, like Nav2, the whole window after it has moved, otherwise the changed part."""
         values, here = self._world.values, self._odometry
         cell = float(values["costmap.resolution"])
         window = self._surroundings(cell, round(values["costmap.size"] / cell))
@@ -296,7 +296,7 @@ class SimulatedRobotNode:
         if before is None or before.origin != window.origin or before.data.shape != window.data.shape:
             self._topics.costmap.publish(ros.costmap_message(ros.imported, window, frame, stamp))
         else:
-            middle = len(window.data) // 2  # the robot's own cell, which a scanner clears every time
+            middle = len(window.data) // 2  # the robot's own cell, which is cleared in every scan
             changed = np.concatenate((np.argwhere(before.data != window.data), [[middle, middle]]))
             (y, x), (y_end, x_end) = changed.min(axis=0).tolist(), (changed.max(axis=0) + 1).tolist()
             part = stamped(CostmapUpdate, stamp, frame, x=x, y=y, size_x=x_end - x, size_y=y_end - y)
@@ -419,7 +419,7 @@ def points_along(outlines: FloatArray, step: float) -> FloatArray:
     """
     begins = outlines.reshape(-1, 2)
     ways = np.roll(outlines, -1, axis=1).reshape(-1, 2) - begins
-    counts = np.maximum(1, np.ceil(4.0 * np.hypot(*ways.T) / step).astype(int))  # a quarter of a cell apart
+    counts = np.maximum(1, np.ceil(4.0 * np.hypot(*ways.T) / step).astype(int))  # points a quarter of a cell apart
     shares = np.concatenate([np.arange(count) / count for count in counts.tolist()])
     found: FloatArray = np.repeat(begins, counts, axis=0) + shares[:, None] * np.repeat(ways, counts, axis=0)
     return found

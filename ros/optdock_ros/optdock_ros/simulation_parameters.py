@@ -134,7 +134,7 @@ class SimulationParameters:
         self.robot()
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """Return three numbers, or none if the default is empty."""
+        """Return three numbers, or no numbers if the default is empty."""
         found = tuple(finite_number(value, name) for value in self.values[name])
         if len(found) != 3 and not (len(found) == 0 and not PARAMETERS[name][0]):
             raise InvalidValue(f"{name}: must be three numbers, got {list(found)}")

@@ -67,7 +67,7 @@ _DEFAULT = "simple_smoother"  # Nav2's default plugin, and its class
 _DEFAULT_CLASS = "nav2_smoother::SimpleSmoother"
 _SPACINGS = 0.01, 0.1  # [m]: bounds on the spacing of the poses of a curve
 _END_TOLERANCE = 1e-3  # [m]: above rounding errors
-_NO_HEADING = 1.0  # [rad] between heading and travel: more than a raw path has in one step
+_NO_HEADING = 1.0  # [rad] between heading and travel: larger than in any step of a raw path
 _JOIN = 5.0  # [s] for a smoother to return once its goal is ended; those of this library check every 5 ms
 
 
@@ -101,7 +101,7 @@ class SmootherServerParameters(ServerParameters):
 
 @dataclass(frozen=True)
 class NamedSmoother:
-    """A smoother of the parameters, with hints for those that are not read; each goal gets a new instance."""
+    """A smoother of the parameters, with hints for those that are not read; a new instance is made for each goal."""
 
     name: str
     choice: PluginChoice
@@ -144,8 +144,8 @@ class SmoothingTask:
         costmap: Part of the costmap around the path, or None.
         whole: The whole costmap, or None.
         frame: Frame of the goal's path.
-        seen: Pose of that frame in the frame of the costmap. Its inverse in the plane is the way back, also for a frame
-            that is tilted.
+        seen: Pose of that frame in the frame of the costmap. The inverse of its projection onto the plane transforms
+            results back, even if the frame is tilted.
         spacing: Spacing of the poses that are returned of a curve [m].
     """
 
@@ -188,7 +188,7 @@ class SmoothingTask:
             hint = ""
             if certificate is not None and certificate.certified:
                 proven, side = certificate.min_clearance, self.whole.resolution
-                hint = f"; its certified clearance is {proven:.3f} m, less than a cell of {side:g} m: ask for that much"
+                hint = f"; its certified clearance is {proven:.3f} m, less than a cell of {side:g} m: require that much"
             raise SmoothedPathInCollision(
                 f"Smoothed Path collided at X: {x:.3f} Y: {y:.3f} Theta: {yaw:.3f} (pose {at} of {len(poses)}){hint}",
                 where={"pose": [x, y, yaw], "index": at},
@@ -253,7 +253,7 @@ class SmootherServer(Server[SmootherSettings]):
         self._footprint: FootprintTopic | None = None
 
     def check(self, block: dict[str, object]) -> SmootherSettings:
-        """As `Server.check`."""
+        """Return all parameters, as described for `Server.check`."""
         given = block.get("smoother_plugins", [_DEFAULT])
         names = tuple(map(str, given)) if isinstance(given, list | tuple) else ()
         if names == (_DEFAULT,):
@@ -321,7 +321,7 @@ class SmootherServer(Server[SmootherSettings]):
         self._parts.close()
         self._costmap = self._footprint = None
 
-    # In the thread of the goals.
+    # Called in the thread of the goals.
 
     def _smooth(self, goal: Goal) -> GoalOutcome:
         try:
@@ -341,7 +341,7 @@ class SmootherServer(Server[SmootherSettings]):
         if smoother is None:
             raise InvalidSmoother(f"Invalid Smoother: {asked!r}; available: {', '.join(known)}")
         task = self._task(request.path, settings)
-        request.path.poses = []  # rclpy keeps the request as long as the result
+        request.path.poses = []  # rclpy keeps the request until the result expires
         seconds = request.max_smoothing_duration.sec + 1e-9 * request.max_smoothing_duration.nanosec
         with smoother.active(PluginContext(smoother.name, task.costmap, task.footprint)) as plugin:
             found = plugin.smooth(task.path, seconds, problem=task.problem, cancel_checker=goal.should_end)
@@ -405,7 +405,7 @@ class SmootherServer(Server[SmootherSettings]):
         return footprint
 
     def _check_age(self, topic: str, stamp: float, settings: SmootherSettings) -> None:
-        """Raise `SurroundingsError` for a stamp that is too old, or as far in the future."""
+        """Raise `SurroundingsError` for a stamp that is too old, or too far in the future."""
         age, most = now(self) - stamp, settings.own.costmap_timeout
         if 0.0 < most < abs(age):
             fault = f"is {age:.2f} s old" if age > 0.0 else f"is dated {-age:.2f} s into the future"

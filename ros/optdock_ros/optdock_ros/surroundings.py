@@ -43,11 +43,11 @@ _MOST_UPDATES = 32  # stored at most; then they are applied
 # [m]: an outline transformed back from the map's frame as float32 varies by micrometres, 4 of them at 100 m from the
 # origin, more than the 2 that a contact tolerates. So it is rounded, and smaller changes are ignored.
 _SAME_OUTLINE = 1e-4
-_DIGITS = 4  # after the point: a tenth of a millimetre
+_DIGITS = 4  # decimals: a tenth of a millimetre
 
 
 class SurroundingsError(OptdockError):
-    """A topic has no message, an invalid one or an old one."""
+    """A topic has no message, or an invalid or old one."""
 
 
 class CostmapTopic:
@@ -107,7 +107,7 @@ class CostmapTopic:
             return None
 
     def _take_whole(self, message: Any) -> None:
-        with self._lock:  # keep the updates: those that are newer may arrive first
+        with self._lock:  # keep the updates: newer ones may arrive before their costmap
             self._whole = message
 
     def _take_part(self, message: Any) -> None:
@@ -224,7 +224,7 @@ def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -
 
 
 def nav2_footprint(footprint: str, robot_radius: float, padding: float) -> Footprint:
-    """Return the outline of Nav2's three parameters, the last two in metres; an empty footprint is a round robot.
+    """Return the outline of Nav2's three parameters, the last two in metres; an empty footprint means a round robot.
 
     Raises:
         InvalidValue: If the parameters are invalid.

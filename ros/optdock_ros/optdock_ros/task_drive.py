@@ -1,4 +1,4 @@
-"""The drive of a goal: an executor's task, from the first messages until the robot stands."""
+"""The drive of a goal: an executor's task, from the first messages until the robot is at rest."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class DockingResources:
         return now(self.node)
 
     def waited(self, goal: Goal, ask: Callable[[], T]) -> T:
-        """Return the result of `ask`; ask again for 2 s while it raises `OptdockError`, and the goal goes on."""
+        """Return the result of `ask`; repeat the call for 2 s while it raises `OptdockError` and the goal is active."""
         until = time.monotonic() + _FIRST_MESSAGES
         while True:
             goal.check_end()
@@ -106,14 +106,14 @@ class DockingResources:
 
 
 class _WatchedPlanning(ThreadPlanning):
-    """Plans in the planning process, and keeps the motion that is driven."""
+    """Planning in another process that also stores the motion being driven."""
 
     def __init__(self, process: PlanningProcess) -> None:
         super().__init__(process.planned)
         self.motion: DrivenMotion | None = None
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """As `ThreadPlanning.poll`."""
+        """Return the result as `ThreadPlanning.poll` does, and store a new motion."""
         result = super().poll(stamp)
         if result is not None:
             self.motion = result.motion or self.motion
@@ -121,7 +121,7 @@ class _WatchedPlanning(ThreadPlanning):
 
 
 class TaskDrive:
-    """A task `what` of the executor for one goal; the robot stands before and after it.
+    """A task `what` of the executor for one goal; the robot is at rest before and after it.
 
     Attributes:
         executor: The executor, which estimates the pose of the dock.
@@ -165,7 +165,7 @@ class TaskDrive:
         self._feedback_at = self._reported_at = -math.inf
 
     def run(self) -> GoalOutcome:
-        """Drive until the robot stands; raise `Ended` if the drive cannot begin."""
+        """Drive until the robot is at rest; raise `Ended` if the drive cannot begin."""
         try:
             with self._topics.detecting(self._plugin, self._measuring, self._goal):
                 self._wait_for_surroundings()
@@ -200,7 +200,7 @@ class TaskDrive:
                 raise Ended(failed(DockRobot.Result.UNKNOWN, "the planning process does not start"))
 
     def _driven(self) -> TaskRun:
-        """Return the task after its end; the robot stands, also after an exception."""
+        """Return the task after its end; the robot is at rest, even after an exception."""
         self._goal.check_end()
         settings = self._settings
         loop = self._resources.loop = ControlLoop(
@@ -231,7 +231,7 @@ class TaskDrive:
             self._goal.changed.set()
 
     def _contact(self, now: float) -> bool | None:
-        """Return the contact by a switch, and by stalled joints until the robot has stopped; None without both."""
+        """Return the contact by a switch or, until the robot has stopped, by stalled joints; None without both."""
         plugin, state = self._plugin, self.executor.state
         switched = plugin.is_switched(self._topics.newest(plugin.contact_topic), now)
         if not plugin.parameters.use_stall_detection:
@@ -282,7 +282,7 @@ class TaskDrive:
             reports.motion(self._planning.motion, self._exempt(), time_now)
 
     def _exempt(self) -> str:
-        """Return a description of the obstacles that no certificate of this task counts."""
+        """Return a description of the obstacles that are excluded from the certificates of this task."""
         if self._local is None:
             return "any obstacle but the station's outline: controller.use_collision_detection is false"
         margin = self._settings.dock_parameters[self._plugin.name].contact_margin

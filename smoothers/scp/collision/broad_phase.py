@@ -30,7 +30,7 @@ class Pairs(NamedTuple):
 
 
 def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
-    """Return the pairs whose boxes are within `reach` [m]; where there are many, the nearest few of each interval."""
+    """Return the pairs whose boxes are within `reach` [m]; of many pairs, the nearest few of each interval."""
     row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
     apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
     near = np.flatnonzero(apart < reach)
@@ -117,7 +117,7 @@ def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes)
 
 
 def _nearest(row: IntArray, apart: FloatArray, scene: Scene) -> BoolArray:
-    """Whether each pair is among the nearest few of its row; more are kept of those that may be too close."""
+    """Whether each pair is among the nearest few of its row; more pairs are kept if they may be too close."""
     order = np.lexsort((apart, row))
     first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
     rank = np.empty(row.size, dtype=np.int64)

@@ -49,7 +49,7 @@ class Points(NamedTuple):
 
 
 class Body(NamedTuple):
-    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2); boxes (parts, 2).
+    """Convex parts of the footprint, padded to equal vertex counts: vertices, normals (parts, v, 2); boxes (parts, 2).
 
     `reach`: distance of every vertex from the origin (parts, v). `radius`: largest of them. `width`: thickness [m].
     """
@@ -63,7 +63,7 @@ class Body(NamedTuple):
     width: float
 
 
-# The part of the clearance rule that decides.
+# The part of the clearance rule that applies.
 DOCKING, FULL, LEAVING, UNDOCKING = range(4)
 
 

@@ -1,12 +1,12 @@
 """Linearization: the active set of near pairs, and their clearance as linear rows, exact to first order.
 
 Separating planes: a row moves the hull point over the obstacle at a tangent coordinate, a mix of two hull vertices,
-possibly of different nodes. Rows of whole vertices above a fixed plane would be safe too, but could not let a side roll
-around a corner.
+possibly of different nodes. Rows of whole vertices above a fixed plane would also be safe, but would not allow a side
+to roll around a corner.
 
-Covering discs: where the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may
-point to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so discs along
-the centre line agree on the side; they have an exact signed distance to the obstacle.
+Covering discs: if the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may point
+to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so neighbouring discs
+along the centre line are pushed to the same side; they have an exact signed distance to the obstacle.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class ActivePairs(NamedTuple):
 
 
 def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
-    """Return all near pairs, or at most `most` planes where there are more.
+    """Return all near pairs, or a selection with at most `most` planes.
 
-    While the path is not clear of many pairs, a small obstacle gets planes only in the intervals where the body comes
-    closest: the rows of neighbouring intervals are nearly equal and would displace those of other obstacles.
+    While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest:
+    the rows of neighbouring intervals are nearly equal and would displace those of other obstacles.
     """
     settings, worst = scene.settings, float(found.margin.min(initial=np.inf))
     deep = _deeply_penetrating(found.margin, worst, scene.body.width, settings)
@@ -65,7 +65,7 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Pairs whose overlap determines no side, with their neighbours where one is very deep. Shape (p,)."""
+    """Pairs whose overlap is too deep to determine a side, and the neighbours of very deep ones. Shape (p,)."""
     if worst >= -settings.deep * width:
         return np.zeros(margin.size, dtype=np.bool_)
     least = -settings.deep if worst >= -settings.very_deep else settings.near_deep
@@ -106,7 +106,7 @@ class ClearanceRows(NamedTuple):
 def linearized_clearance(
     scene: Scene, basis: Basis, rollout: Rollout, by: Sensitivity, found: Clearance, active: ActivePairs
 ) -> ClearanceRows:
-    """Return the rows of the active pairs; those that move only the given start are left out."""
+    """Return the rows of the active pairs, except rows that depend only on the given start pose."""
     if found.margin.size == 0:
         return ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
     rows = separating_plane_rows(basis, rollout, by, found, active.separated, scene.settings)

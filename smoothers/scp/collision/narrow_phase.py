@@ -6,8 +6,8 @@ g'' is the second derivative of its coordinate along n. The area that the vertex
 
     min over H of (n.v - required - sag) - max over the obstacle of n.q
 
-above the requirement: a lower bound for any n, between the nodes too. g'' is taken at both ends; within the interval
-it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
+above the requirement: a lower bound for any n, also between the nodes. g'' is evaluated at both ends; within the
+interval it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
 
 The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. Hulls of two
 neighbouring nodes are those of [Schulman2014]. Arrays hold one pair per column for contiguous reductions.
@@ -85,10 +85,11 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 
 
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
-    """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
+    """Requirement of every hull vertex, such that no point of the chord between the two nodes is below the requirement.
 
-    Every part of the rule is convex in the distance and the smallest one counts; where the part changes within an
-    interval the larger value of both ends is safe. Next to the start only the right end is raised: the left is given.
+    Every part of the rule is convex in the distance, and the smallest one applies; if the part changes within an
+    interval, the larger value of both ends is safe. Next to the start only the right end is raised, because the left
+    pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -163,7 +164,7 @@ def best_separating_axes(
 
 
 def _stacked(*points: Points) -> Points:
-    """Stack the rows of several."""
+    """Stack the rows of several sets of vectors."""
     return Points(*(np.concatenate(values) for values in zip(*points, strict=True)))
 
 
@@ -207,7 +208,7 @@ def _closest(hull: Points, outline: Points) -> tuple[IntArray, IntArray]:
 
 
 def _unit(vectors: Points, fallback: Points) -> Points:
-    """Vectors scaled to length 1; the fallback where they are shorter than 1e-9."""
+    """Vectors scaled to length 1; the fallback if they are shorter than 1e-9."""
     length = np.hypot(vectors.x, vectors.y)
     short = length < 1e-9
     if not short.any():
@@ -237,7 +238,7 @@ class Chords(NamedTuple):
 
 
 def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -> Chords:
-    """Return all chords between points at tangent coordinates `along`, Shape (k, p); of many points the lowest."""
+    """Return all chords between points at tangent coordinates `along`, Shape (k, p), or the lowest of them."""
     columns = np.arange(along.shape[1])
     if along.shape[0] > settings.lowest_vertices:
         lowest = np.argmin(height, axis=0)
@@ -259,7 +260,7 @@ def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:
-    """The normal of the hull's lower edge over the obstacle's support point, where it separates more."""
+    """The normal of the hull's lower edge over the obstacle's support point, if its separation is larger."""
     support = outline.at(np.argmax(outline.along(axis), axis=0))
     lines = chords(hull.across(axis), hull.along(axis), settings)
     share, spans = lines.levels(support.across(axis))
