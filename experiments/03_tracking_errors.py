@@ -52,7 +52,7 @@ DEAD = replace(SLUGGISH, linear_dead_band=0.03, angular_dead_band=0.05)
 
 
 class World(NamedTuple):
-    """Name, actuation of the drive, localization noise, `preview` of the controller (None: identified) and rate [Hz]."""
+    """Name, actuation, localization noise, `preview` of the controller (None: identified) and rate [Hz]."""
 
     name: str
     actuation: Actuation

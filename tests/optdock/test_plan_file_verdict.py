@@ -136,7 +136,7 @@ def test_every_ratio_must_be_proven(problems):
     ("change", "said"),
     [
         (lambda d: d["certificate"].update(certified=False), "certificate.certified is false, the path is certified"),
-        (lambda d: d["certificate"].update(violations=[{"kind": "clearance"}]), "certificate.violations are there"),
+        (lambda d: d["certificate"].update(violations=[{"kind": "clearance"}]), "certificate.violations is not empty"),
         (lambda d: d["certificate"].update(nearest="the moon"), "no obstacle has this name"),
         (lambda d: d["certificate"].update(nearest=""), "certificate.nearest is empty"),
         (lambda d: d["certificate"].update(min_clearance=None), "certificate.min_clearance is inf m"),

@@ -384,7 +384,7 @@ def test_turns_without_limits_cannot_be_timed():
     for limits in (MotionLimits(), MotionLimits(max_yaw_rate=1.0)):
         result = NearOptimal().parameterize(ROUTE, limits, SpeedZone())
         assert result.status is TimingStatus.FAIL
-        assert "this is unlimited: set max_yaw_rate and max_yaw_acceleration" in result.reason
+        assert "requires the limits max_yaw_rate and max_yaw_acceleration" in result.reason
     slow = dataclasses.replace(LIMITS, max_yaw_rate=1e-4)
     assert "takes more than 3600 s" in NearOptimal().parameterize(STILL, slow, SpeedZone()).reason
 

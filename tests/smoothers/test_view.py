@@ -196,7 +196,7 @@ def test_a_search_in_vain_names_the_view_and_the_place(cases):
     task = seen_problem(cases, Pose2(2.5, 0.8, 0.0), blinkered, visible=2.4)
     guess = cases.kinked((0.0, 0.0), (1.0, 0.0), (1.5, 0.8), (2.5, 0.8))
     with pytest.raises(
-        FailedToSmoothPath, match=r"view: .*leaves the camera's view at s = .* of 4\.0 degrees"
+        FailedToSmoothPath, match=r"view: .*leaves the camera's view at s = .* at most 4\.0 degrees"
     ) as caught:
         CasadiSmoother().smooth(guess, 2.0, problem=task)
     assert caught.value.where["reason"] == "view"

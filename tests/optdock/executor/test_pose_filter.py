@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
-from optdock.executor import estimation
+from optdock.executor import pose_filter
 from optdock.executor.pose_filter import DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.model.measurements import OdometryPose
@@ -328,8 +328,8 @@ def test_scattered_outliers_cause_no_jump():
 def test_rotation_by_wheel_slip_is_estimated_quickly(monkeypatch):
     """Four measurements correct 90 % of a slip within the gate; without the test of innovations 60 %."""
     left, slip = [], 3.0 * SIGMA[1]
-    for sudden in (estimation._SUDDEN, 1):
-        monkeypatch.setattr(estimation, "_SUDDEN", sudden)
+    for sudden in (pose_filter._SUDDEN, 1):
+        monkeypatch.setattr(pose_filter, "_SUDDEN", sudden)
         found, pose = started(), START
         for k in range(1, 64):
             step = Pose2(0.01, 0.0, 0.0)
