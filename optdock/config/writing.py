@@ -127,7 +127,7 @@ def _blocks_as(first: Costmap, second: Costmap) -> bool:
 
 
 def _name_from(folder: Path, file: Path) -> str:
-    """Path of a file relative to a folder; absolute without a relative path."""
+    """Path of a file relative to a folder, or its absolute path if no relative one exists."""
     try:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # another drive

@@ -46,7 +46,7 @@ FINEST = 4  # level of the finest tiles
 
 
 class CellGrid(NamedTuple):
-    """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
+    """Grid of cells at every level, as in `ImpossibilityProof`; the single tile of level `-above` covers the grid."""
 
     origin: FloatArray
     cell: float

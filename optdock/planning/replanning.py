@@ -149,8 +149,8 @@ class Replanned:
     def proven(self) -> bool:
         """Whether clearance and limits are proven from the current pose until the motion ends.
 
-        False only for a stop, which is then the fastest one. A certificate is a plain value, so the certificate of a
-        stop is computed again here.
+        False only for a stop, which is then the fastest one. Any caller can construct a certificate, so a stop is
+        certified again here.
         """
         if self.way is None or self.plan is not None:
             return self.way is not None

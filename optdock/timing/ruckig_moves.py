@@ -349,7 +349,7 @@ def _phase_rows(moves: list[tuple[MotionState, Phases]]) -> tuple[FloatArray, Fl
 
 
 def _add_jumps(bounds: ReferenceBounds, samples: _Samples, excess: FloatArray) -> None:
-    """Raise the excess of the samples before jumps of the curvature rate to that at the jumps."""
+    """Raise the excess of the last sample before each jump of the curvature rate to the excess at the jump."""
     places = bounds.limits.s[bounds.jumps]
     ends = np.append(samples.begins[1:], samples.s.size) - 1
     first = np.searchsorted(places, samples.s[samples.begins])

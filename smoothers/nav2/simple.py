@@ -81,7 +81,7 @@ class SimpleSmoother(PieceSmoother):
     parameters: SimpleParameters
 
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return a piece with its refinements, Shape (n, 3); each begins only if the pass before it converged."""
+        """Return the smoothed piece, Shape (n, 3); a refinement begins only if the pass before it converged."""
         if len(poses) <= _UNTOUCHED_POSES:
             return None
         points, end = self._sweep_until_still(poses[:, :2], run)
