@@ -4,8 +4,8 @@
 found, or the time has run out:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
-2. An examined tile has blocked cells, cells that appear open, and narrow ones. Connected cells of one kind are one node
-   of a graph.
+2. Each cell of an examined tile is blocked, appears open, or is neither, which is called narrow. Connected cells of one
+   kind are one node of a graph.
 3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These are split.
 
 A tile takes a few milliseconds: its cells share one lattice of distances from the obstacles, which every disc of the

@@ -105,7 +105,10 @@ class SpeedCaps:
         return math.isfinite(self.drive.max_steering_rate)
 
     def steering_slowness(self, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-        """Return 1 / the cap of the steering rate, at curvatures and their rates. Shape (n,) [s/m]."""
+        """Return the reciprocal of the largest speed that the steering rate permits at each curvature and its rate.
+
+        Shape (n,) [s/m].
+        """
         return self.drive.steering_per_metre(curvature, rate) / self.drive.max_steering_rate
 
     def tightest(self, bend: float, rate: float) -> str:

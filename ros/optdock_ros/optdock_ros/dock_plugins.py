@@ -361,7 +361,7 @@ DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
 
 
 def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
-    """Return the dock plugin of a class of Nav2 or of a dock type.
+    """Return the class of the dock plugin for the name of a Nav2 class or of a dock type.
 
     Args:
         name: Name of the instance, for messages.

@@ -227,7 +227,7 @@ def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class RobotParameters:
-    """The block `robot`; the outline of the document is a placeholder if `footprint` is None."""
+    """Parameters of the block `robot`; the outline in `document` is a placeholder if `footprint` is None."""
 
     document: RobotDocument
     footprint: Footprint | None
