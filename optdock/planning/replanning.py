@@ -404,7 +404,7 @@ class _Replanning:
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
-        """Whether the running plan, driven at its present rate, satisfies all rules of the new problem except clearance."""
+        """Whether the running plan, driven at its present rate, satisfies the new problem's rules except clearance."""
         before, world, path, rate = self.drive.plan.problem, self.drive.world, self.drive.path, self.drive.state.rate
         if rate > 1.0:
             law = self.drive.plan.trajectory.time_law

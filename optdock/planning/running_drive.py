@@ -56,8 +56,9 @@ class DriveState(NamedTuple):
 class BranchPoint(NamedTuple):
     """A place on the running trajectory, and the state of the robot there.
 
-    `time`: on the trajectory's own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: no path remains.
+    `time`: on the trajectory's own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot,
+    the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: no path
+    remains.
     """
 
     time: float

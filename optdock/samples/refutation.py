@@ -237,7 +237,7 @@ class _Rules:
     def _at_most(
         self, kind: str, values: FloatArray, limit: FloatArray | float, rough: float = 0.0, first: int = 0
     ) -> None:
-        """Compare values of the samples from `first` on with their limit and report the worst; `rough`: their accuracy."""
+        """Compare values from sample `first` on, accurate to `rough`, with their limit; report the worst."""
         limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
         beyond = values - rough - limits * (1.0 + TOLERANCE) - _ARITHMETIC
         beyond = np.where(np.isnan(beyond), np.inf, beyond)

@@ -148,7 +148,7 @@ class Grid(NamedTuple):
 
 
 def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
-    """Return knots from `first` to `last`, one step of profile time apart (two at constant speed), and at large jumps."""
+    """Return knots from `first` to `last`, one step of profile time apart (constant speed: two), and at large jumps."""
     limits, step = bounds.limits, bounds.step
     clock = _cruise_clock(bounds, profile)
     jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
