@@ -211,7 +211,6 @@ _CONSTRUCTORS: dict[str, _Constructor] = {
         lambda: {
             "costmap": Costmap(np.array([[0, 254]]), 0.5),
             "unknown_is_obstacle": True,
-            "threshold": 254,
             "region": ([0.0, 0.0], [1.0, 1.0]),
             "border": True,
         },
