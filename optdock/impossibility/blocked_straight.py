@@ -55,7 +55,7 @@ class BlockedPose:
         obstacle: Name of the nearest obstacle.
     """
 
-    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     gear: Annotated[int, Strict(), Field(ge=-1, le=1)]
     before: _Number

@@ -87,7 +87,7 @@ class Bottleneck:
         between: Names of the nearest obstacles on both sides, one or two.
     """
 
-    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", allow_inf_nan=False)
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     x: _Number
     y: _Number
