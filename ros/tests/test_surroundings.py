@@ -139,21 +139,29 @@ def outline(node: Node) -> Iterator[tuple[FootprintTopic, TransformBuffer]]:
     buffer.close()
 
 
-def test_outline_is_transformed_to_the_robot(
-    outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
+def publish_first_outline(
+    outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client, stood: Pose2
 ) -> None:
+    """Publish the transform and the outline of a robot at a pose in the map, and wait until both have arrived."""
     topic, buffer = outline
-    assert not topic.is_heard
-    with pytest.raises(SurroundingsError, match="no footprint yet"):
-        topic.newest()
-    client_node.until(world._footprint.get_subscription_count)
-    stood = Pose2(130.0, -95.0, 0.8)  # where a float tells 8 micrometres: four times what contact forgives
     client_node.until(
         lambda: world.transform("map", "base_link", stood) or "base_link" in buffer.frames, what="a transform"
     )
     world.transform("map", "base_link", stood)
     world.footprint(stood, "map")
     client_node.until(lambda: topic.is_heard)
+
+
+def test_outline_is_transformed_to_the_robot(
+    outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
+) -> None:
+    topic, _ = outline
+    assert not topic.is_heard
+    with pytest.raises(SurroundingsError, match="no footprint yet"):
+        topic.newest()
+    client_node.until(world._footprint.get_subscription_count)
+    stood = Pose2(130.0, -95.0, 0.8)  # where a float tells 8 micrometres: four times what contact forgives
+    publish_first_outline(outline, world, client_node, stood)
     found, stamp = topic.newest()
     assert np.abs(found.vertices - OUTLINE.vertices).max() < 1e-12
     assert abs(world.now() - stamp) < 5.0
@@ -170,16 +178,11 @@ def test_known_outline_is_used_until_the_transform_arrives(
     outline: tuple[FootprintTopic, TransformBuffer], world: Surroundings, client_node: Client
 ) -> None:
     """An older transform would displace the outline of a moving robot."""
-    topic, buffer = outline
+    topic, _ = outline
     topic.tolerance = 10.0
     client_node.until(world._footprint.get_subscription_count)
     stood = Pose2(1.0, 2.0, 0.3)
-    client_node.until(
-        lambda: world.transform("map", "base_link", stood) or "base_link" in buffer.frames, what="a transform"
-    )
-    world.transform("map", "base_link", stood)
-    world.footprint(stood, "map")
-    client_node.until(lambda: topic.is_heard)
+    publish_first_outline(outline, world, client_node, stood)
     found, stamp = topic.newest()
     time.sleep(0.05)
     moved = Pose2(1.1, 2.0, 0.3)
