@@ -1,4 +1,4 @@
-"""Validation of measurements, which are dropped if invalid, and of a dock type's values, which raise an error."""
+"""Validation of inputs: invalid measurements are dropped, invalid values of a dock type raise an error."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Intake(NamedTuple):
     """The valid part of a set of measurements.
 
     Attributes:
-        measurements: Invalid fields are replaced by their neutral value; an invalid stamp by NaN.
+        measurements: Measurements with neutral values in place of invalid fields, and NaN in place of an invalid stamp.
         has_twist: Whether the body velocity is valid.
         faults: Event name and received value of each invalid field.
     """
@@ -39,7 +39,7 @@ class Intake(NamedTuple):
 
 
 def usable(given: object) -> Intake:
-    """Return the valid part of measurements; accepts any object, None included."""
+    """Return the valid part of measurements; any object is accepted, including None."""
     if not isinstance(given, Measurements):
         return Intake(Measurements(math.nan, None), has_twist=False, faults=(_fault("measurements", given),))
     kept: dict[str, Any] = given._asdict()
@@ -80,7 +80,7 @@ def _is_none_or(accepts: Callable[[object], bool]) -> Callable[[object], bool]:
     return lambda value: value is None or accepts(value)
 
 
-# For each field: the test of validity, and the neutral value that replaces an invalid one.
+# For each field: the test of validity, and the neutral value that replaces an invalid value.
 _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
     "stamp": (_is_finite, math.nan),
     "pose": (_is_none_or(_is_a(Pose2)), None),
@@ -99,7 +99,7 @@ class CheckedDockType:
     """A dock type whose return values are validated; exceptions of the dock type are passed on.
 
     Raises:
-        PluginError: From every method and property, if the value violates the contract of `DockType`.
+        PluginError: In every method and property, if the returned value violates the contract of `DockType`.
     """
 
     def __init__(self, dock_type: DockType) -> None:

@@ -46,9 +46,10 @@ class Situation:
         estimate: Robot relative to the dock.
         scene: Obstacles and planning problems.
         staging: Staging poses.
-        interruption: Name and reason of an external interruption, such as a clock that jumped; empty without one.
+        interruption: Name and reason of an external interruption, such as a jump of the clock; empty without an
+            interruption.
         commanded: The last command; set before every cycle.
-        felt: Contact found by the dock type in this cycle, at any distance from the dock.
+        felt: Contact reported by the dock type in this cycle, at any distance from the dock.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Situation:
         return self.braking_time_from(self.problem.robot.limits.max_speed)
 
     def braking_time_from(self, speed: float) -> float:
-        """Upper bound of the braking time from a speed [m/s], exact if the deceleration reaches its limit [s]."""
+        """Return an upper bound of the braking time from a speed [m/s], exact if full deceleration is reached [s]."""
         limits = self.problem.robot.limits
         return speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
 
@@ -114,7 +115,7 @@ class Situation:
 
     @property
     def is_located(self) -> bool:
-        """Whether the pose is known: by localization, or over a short distance by odometry with the dock detected."""
+        """Whether the pose is known by localization or, over a short distance with the dock detected, by odometry."""
         perception, patience = self.perception, self.settings.pose_patience
         if not perception.started or perception.twist_age > patience:
             return False
@@ -140,7 +141,7 @@ class Situation:
         """Check that a motion may continue.
 
         Raises:
-            Interrupted: If the robot is held, or its pose, odometry or costmap are missing.
+            Interrupted: If the robot is held, the clock was interrupted, or the pose, odometry or costmap is missing.
         """
         if self.is_held:
             raise Interrupted(HELD, "the task continues when it is released")
@@ -156,7 +157,7 @@ class Situation:
             raise Interrupted("no costmap", f"the last one is {perception.costmap_age:.2f} s old")
 
     def feel(self) -> None:
-        """Update `felt` by the dock type, once the pose of the robot is known."""
+        """Update `felt` with the result of the dock type, provided that the pose of the robot is known."""
         found, perception = self.perception.measurements, self.perception
         if found is not None and perception.started:
             at_dock = AtDock(self.now, found, self.commanded, perception.robot_from_dock, self.estimate.is_near)
@@ -179,13 +180,13 @@ class Situation:
 
 
 class ControlCycles:
-    """The progress of a task from cycle to cycle.
+    """Progress of a task over its control cycles.
 
     Attributes:
         state: State of the executor.
         cancelled: Set to True to cancel the task.
-        is_ending: Set to True for the last stop, which neither cancellation nor timeout ends.
-        deviation: Robot relative to the nearest pose of the path; None while no path is driven.
+        is_ending: Set to True during the final stop, which is not interrupted by cancellation or timeout.
+        deviation: Pose of the robot relative to the nearest pose of the path; None while no path is driven.
         began: Time at which the task began [s].
         period: Duration of the last cycle [s].
     """
@@ -222,7 +223,7 @@ class ControlCycles:
             raise TaskFailed(EndingKind.TIMEOUT, f"{passed:.1f} s passed while {self.state.value}")
 
     def stop(self) -> Cycles:
-        """Brake until command and odometry are at rest."""
+        """Brake until the robot is at rest, by command and by odometry."""
         situation, before, since = self.situation, self.state, self.now
         self.deviation = None
         while not situation.stands:
@@ -237,7 +238,7 @@ class ControlCycles:
         """Wait at rest until pose and costmap are up to date.
 
         Raises:
-            TaskFailed: If they are missing for too long.
+            TaskFailed: If the pose or the costmap is missing for too long.
         """
         situation, settings = self.situation, self.situation.settings
         while situation.is_held:
@@ -257,7 +258,7 @@ class ControlCycles:
             yield from self.cycle(STOP)
 
     def stop_after(self, stopped: Interrupted) -> Cycles:
-        """Report the reason of an interruption, unless it has been reported already, and brake."""
+        """Report the reason for an interruption, unless it has been reported already, and brake."""
         if stopped.name != self.situation.interruption[0]:
             self.report(stopped.name, stopped.reason)
         yield from self.stop()

@@ -1,7 +1,7 @@
-"""Actions at the dock: detect it at rest, confirm that the robot is docked, press, back out, correct small errors.
+"""Actions at the dock: detection at rest, confirmation, pressing, backing out, correction of small errors.
 
-The motions here are short, straight or in place, and not planned; each is checked against the obstacles by time of
-impact before it is driven.
+The motions in this module are short, straight or in place, and not planned. Before each motion is driven, its time of
+impact with the obstacles is checked.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ __all__ = ["Nudge", "back_out", "confirm", "has_arrived", "perceive", "press", "
 _INSTANT = 1e-9  # [s], and as a negligible share [1]
 
 # Detections at rest.
-# [s] for a detection in the dock: at 10 Hz with half of the detections lost, one of 1000 takes longer.
+# [s] to wait for a detection in the dock: at 10 Hz with half of the detections lost, one wait in 1000 takes longer.
 _CONFIRMATION = 1.0
-_HIDDEN_FOR = 2.5  # [s] time for a person to walk away from in front of a dock that was detected from close by
-# Margins to the tolerances in standard deviations: for a robot whose dock was detected in place, and for one whose last
-# detection is from before.
+_HIDDEN_FOR = 2.5  # [s] for a person to walk out of the camera's view of a dock that was detected from close by
+# Margins to the tolerances, in standard deviations: after a detection from the present place, and after a detection
+# from an earlier place.
 _SURE_SEEN, _SURE_UNSEEN = 2.0, 1.0
-_UNSURE_WAY = 0.04  # [m] within which two detections are required: a single one may be wrong without being rejected
+_UNSURE_WAY = 0.04  # [m] within which two detections are required, because a single wrong one may be accepted
 _UNSEEN_WAY = 0.015  # [m]: over a shorter distance, wheel slip does not turn a robot by a degree
 
 # Contact and backing out.
-_CLEAR_OF_CONTACT = 0.005  # [m] from which a path is planned; closer, noise could turn contact into overlap
+_CLEAR_OF_CONTACT = 0.005  # [m] of clearance from which a path is planned; with less, noise may look like overlap
 _BACK_OUT_SPEED = 0.1  # [m/s]: above the dead band of either wheel, so that the robot does not turn in contact
 _BACK_OUT_HORIZON = 0.5  # [s] over which backing out must be free of collisions
 _CREEP = 1e-6  # [m/s]: does not move the robot, but steers the wheels to the commanded curvature
@@ -79,7 +79,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
     """Wait at rest until the dock has been detected often enough.
 
     Raises:
-        TaskFailed: If it is not detected within the timeout.
+        TaskFailed: If the dock is not detected often enough within the timeout.
     """
     settings, detections = cycles.situation.settings, cycles.situation.perception.detections
     if not settings.use_detections or cycles.situation.estimate.is_found:
@@ -119,7 +119,7 @@ def wait_for_detection(cycles: ControlCycles) -> Cycles:
 
 
 def confirm(cycles: ControlCycles) -> Cycles:
-    """Confirm at rest that the robot is docked; wheel slip over the last centimetres is only visible in the detections.
+    """Confirm at rest that the robot is docked; only detections reveal wheel slip over the last centimetres.
 
     Raises:
         Interrupted: If the robot is outside of the tolerances.
@@ -146,7 +146,7 @@ def confirm(cycles: ControlCycles) -> Cycles:
 
 
 def has_arrived(cycles: ControlCycles) -> Generator[Target, None, bool]:
-    """Whether a robot that was stopped on its way into the dock is docked, for instance by its momentum."""
+    """Whether a robot that was stopped on its way into the dock is docked all the same, for instance by momentum."""
     situation = cycles.situation
     if situation.dock_type.is_pressed_on or situation.is_held:
         return False
@@ -251,14 +251,14 @@ class Nudge:
         self._cycles, robot = cycles, cycles.situation.problem.robot
         width = robot.limits.track_width
         self._lever = 0.5 * width if width > 0.0 else _WHEELS_WITHIN * robot.footprint.inscribed_radius  # [m]
-        self._left_out: FloatArray = np.zeros(2)  # by the dead bands of the left and the right wheel [m]
+        self._left_out: FloatArray = np.zeros(2)  # lost in the dead bands of the left and the right wheel [m]
 
     def _rims(self, linear: float, angular: float) -> tuple[float, float]:
-        """Distances or speeds of the left and the right wheel [m], [m/s]."""
+        """Return the distances [m] or speeds [m/s] of the left and the right wheel."""
         return linear - self._lever * angular, linear + self._lever * angular
 
     def _body_motion(self, left: float, right: float) -> Twist2:
-        """Inverse of `_rims`."""
+        """Return the motion of the robot for distances or speeds of the wheels; the inverse of `_rims`."""
         return Twist2(0.5 * (left + right), 0.5 * (right - left) / self._lever)
 
     @property
@@ -289,10 +289,10 @@ class Nudge:
         return True
 
     def _once(self) -> Generator[Target, None, bool]:
-        """Make one motion of `run`; return False if no motion is needed.
+        """Make one motion of `run`; return False if no motion is needed or possible.
 
-        The distance lost to the dead band of a wheel is added to the next motion. A drive with dead bands moves one
-        wheel at a time, because otherwise the wheel with the smaller dead band would move alone and turn the robot.
+        The distance lost to the dead band of a wheel is added to the next motion. If the drive has dead bands, one
+        wheel moves at a time; otherwise only the wheel with the smaller dead band might move and turn the robot.
         """
         situation, perception = self._cycles.situation, self._cycles.situation.perception
         footprint = situation.problem.robot.footprint
@@ -300,8 +300,8 @@ class Nudge:
         has_dead_band = float(self._left_out.max()) > _DEAD_BAND
         if missing == Twist2() or (has_dead_band and situation.estimate.is_within_tolerances(_SURE_SEEN)):
             return False
-        # The heading is corrected first: the distance is then driven straight, and the limits of the two motions stay
-        # separate.
+        # The heading is corrected first, so that the distance is then driven straight and each motion has separate
+        # limits.
         way = 0.0 if missing.angular and not has_dead_band else missing.linear
         left, right = self._rims(way, missing.angular)
         if has_dead_band:
@@ -312,7 +312,8 @@ class Nudge:
         free = free_motion(footprint, everything, robot, motion, 1.0, overlap=situation.estimate.reach_of_contact).free
         ways = np.array([free * left, free * right])
         commanded = self._body_motion(*(ways + np.sign(ways) * self._left_out).tolist())
-        # Without the assumed dead band, the robot may press against its station, but against no other obstacle.
+        # If the assumed dead band does not exist, the robot may press against its station, but not against other
+        # obstacles.
         if free < _LEAST_FREE or free_motion(footprint, others, robot, commanded, 1.0).free < 1.0:
             return False
         before = np.array(self._rims(perception.forward, perception.turned))
@@ -328,7 +329,8 @@ class Nudge:
     def _roll(self, motion: Twist2) -> Cycles:
         """Command a distance [m] and a rotation [rad] from rest, and wait for the drive to respond.
 
-        The end is found by integrating the commands, independently of the delay of the drive.
+        The end of the motion is determined by integrating the commands, so it does not depend on the delay of the
+        drive.
 
         Raises:
             Interrupted: If the motion cannot continue.

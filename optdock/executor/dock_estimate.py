@@ -1,4 +1,4 @@
-"""The robot relative to the dock: errors, uncertainty, and the errors that a path or the feedback can still correct."""
+"""Robot relative to the dock: errors, uncertainty, and the errors that a path or the feedback can still correct."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ __all__ = [
     "staging_distance",
 ]
 
-# [m]: distance over which lateral errors decay: the TrackingController's convergence_distance, and its shortest value
-# before the dock, at 0.1 m/s with a drive that is 0.25 s late.
+# [m]: distance over which lateral errors decay: the convergence_distance of the TrackingController, and its shortest
+# value before the dock, at 0.1 m/s with a drive delay of 0.25 s.
 DECAY, SHORTEST_DECAY = 0.25, 0.08
 _LEAST_STAGING, _MOST_STAGING = 0.7, 3.0  # [m]: Nav2's staging_x_offset; more than 3 m of space is rarely free
-_STORED_OFFSET = 0.15  # [m] to the side that an approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
+_STORED_OFFSET = 0.15  # [m]: lateral offset that an approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
 
-# Standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in 400 is off
-# by more than one further standard deviation.
+# Number of standard deviations that the tolerances of the dock must exceed: at the edge of a tolerance, one docking in
+# 400 is off by more than one further standard deviation.
 _CERTAINTY = 2.0
 _BLINK = 1.0  # [s]: shorter times without a detection have no effect
-_HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: one gap in 250 at 10 Hz, half of it lost
+_HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: 1 gap in 250 at 10 Hz with half lost
 LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
 _NEAR = 0.25  # [m]: distance of a detection from close by
 NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
@@ -48,8 +48,9 @@ LAST_LOOK = 0.2  # [m] before the dock within which an uncertain robot continues
 def reachable_offset(distance: float, limits: MotionLimits) -> float:
     """Return the largest lateral offset of a forward path that begins and ends in the same direction [m].
 
-    Four equal pieces with the curvature rising and falling at its largest rate c give c d^3 / 32; two arcs of the
-    largest curvature k, one left and one right, give k d^2 / 4. No path within the limits exceeds either.
+    Four equal pieces with the curvature rising and falling at its largest rate c give an offset of c d^3 / 32. Two arcs
+    of the largest curvature k, one to the left and one to the right, give k d^2 / 4. No path within the limits exceeds
+    either value.
 
     Args:
         distance: Length d of the path [m].
@@ -64,9 +65,9 @@ def reachable_offset(distance: float, limits: MotionLimits) -> float:
 
 
 def can_be_planned_away(offset: float, turn: float, distance: float, gear: float, limits: MotionLimits) -> bool:
-    """Whether a path with half the largest curvature and curvature rate corrects an error over a distance.
+    """Whether a path with half the largest curvature and curvature rate can correct an error over a distance.
 
-    The other half is a reserve for the curvature at which the path begins.
+    The other half is reserved for the curvature at the start of the path.
 
     Args:
         offset: Offset to the left of the path [m].
@@ -98,9 +99,9 @@ def left_at_dock(offset: float, turn: float, distance: float, gear: float, decay
 
 
 def staging_distance(problem: DockingProblem) -> float:
-    """Return the distance before the docked pose at which an approach can correct a wrongly stored dock [m].
+    """Return the distance from the docked pose at which an approach can still correct an error of the stored dock [m].
 
-    At least Nav2's 0.7 m; otherwise the distance for an offset of 15 cm, plus the final straight.
+    The distance allows a lateral correction of 15 cm before the final straight, and is at least Nav2's 0.7 m.
     """
     needed = _LEAST_STAGING
     limits = problem.robot.limits
@@ -110,10 +111,10 @@ def staging_distance(problem: DockingProblem) -> float:
 
 
 class DockEstimate:
-    """The estimated pose of the robot in the frame of the dock, compared with tolerances and standard deviations.
+    """Estimated pose of the robot in the frame of the dock, compared with tolerances and standard deviations.
 
     Attributes:
-        approach_gear: Gear of the last segment of the last motion into the dock; None before.
+        approach_gear: Gear of the last segment of the last motion into the dock; None before the first motion.
     """
 
     def __init__(self, problem: DockingProblem, settings: ExecutorSettings, perception: Perception) -> None:
@@ -131,7 +132,7 @@ class DockEstimate:
         return 1.0 if direction is DockDirection.FORWARD else -1.0
 
     def errors(self) -> list[tuple[float, float, float]]:
-        """Return (error, standard deviation, tolerance) along, across [m] and in yaw, in (-pi, pi] [rad]."""
+        """Return (error, standard deviation, tolerance) along [m], across [m] and in yaw [rad], in (-pi, pi]."""
         accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
         sigma = self.perception.sigma_after(0.0)
         tolerances = accepted.along, accepted.cross, accepted.yaw
@@ -166,7 +167,7 @@ class DockEstimate:
 
     @property
     def may_have_turned(self) -> bool:
-        """Whether, by localization, the robot has turned beyond the yaw tolerance since the last detection."""
+        """Whether localization and odometry differ by more than the yaw tolerance since the last detection."""
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
 
     def will_know(self, left: float) -> bool:
@@ -176,7 +177,7 @@ class DockEstimate:
         return all(_CERTAINTY * found <= most for found, most in pairs)
 
     def is_within_tolerances(self, certainty: float) -> bool:
-        """Whether the robot is within the tolerances less `certainty` standard deviations, at most half of each."""
+        """Whether the errors are within the tolerances, each reduced by `certainty` standard deviations or to half."""
         return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors())
 
     @property
@@ -193,7 +194,7 @@ class DockEstimate:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the required number of detections was accepted and not contradicted by newer ones."""
+        """Whether the required number of detections was accepted and newer detections do not contradict them."""
         detections = self.perception.detections
         return detections.count >= self.settings.least_detections and not detections.is_contradicted
 
@@ -207,7 +208,7 @@ class DockEstimate:
 
     @property
     def is_found(self) -> bool:
-        """Whether the pose of the dock is accurate enough for an approach, which corrects errors in its second half."""
+        """Whether the pose of the dock is accurate enough for an approach that corrects errors in its second half."""
         if self.is_known:
             return True
         place, turn = (_CERTAINTY * sigma for sigma in self.perception.sigma)
@@ -229,10 +230,10 @@ class DockEstimate:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether a dock that should be visible is not detected while an error could still be corrected.
+        """Whether the dock should be visible but is not detected, while an error could still be corrected.
 
         If the camera has never detected the dock from close by, no detection is expected there, provided that odometry
-        is accurate enough up to the dock. After `LONGEST_HIDDEN` the result is False again.
+        is accurate enough for the remaining distance. After `LONGEST_HIDDEN` without a detection the result is False.
         """
         age, left = self.perception.detection_age, self.left
         if not (_HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= LAST_LOOK):

@@ -1,4 +1,4 @@
-"""`DockingExecutor`: one command per set of measurements, at any rate, until the task ends."""
+"""`DockingExecutor`: computes one command per set of measurements, at any rate, until the task ends."""
 
 from __future__ import annotations
 
@@ -49,28 +49,29 @@ _FEEDBACK = {
 _SIMPLE_DOCK_SETTINGS = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
 _STILL = 1e-8  # [m/s], [rad/s]: rounding of a completed stop, below the effect of any jerk limit
 _TURNING = 0.005  # [m/s]: a robot that turns at a lower target speed counts as turning in place
-_MOST_REPEATS = 25  # cycles with the same stamp: measurements at 10 Hz at the fastest control rate, and a reserve
+_MOST_REPEATS = 25  # cycles with the same stamp: 20 for measurements at 10 Hz and control at 200 Hz, and a reserve
 _LATE = 1.5  # factor on the usual period above which a cycle is late
-_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: that of 200 Hz, to limit changes of commands
+_FIRST_PERIOD = 0.005  # [s] assumed until two cycles have passed: the period at 200 Hz, for small changes
 
 
 class DockingExecutor:
-    """Dock or undock a robot, cycle by cycle; the caller provides clock and thread.
+    """Dock or undock a robot, one control cycle at a time; the caller provides the clock and the thread.
 
     Args:
-        problem: Robot, stored dock, obstacles and clearance; its start is not used.
-        settings: Settings; None: the defaults.
+        problem: Robot, stored dock, obstacles and clearance; the start of the problem is not used.
+        settings: Settings of the executor; None: the default values.
         task: `dock` or `undock`.
-        controller: Name, name with parameters, or plugin that is not configured.
-        goal_checker: Goal checker that decides whether the robot is docked; of the same forms as `controller`.
-        dock_type: Kind of dock, of the same forms as `controller`; None: a `SimpleDock` with parameters from the
+        controller: Controller, given by name, by name and parameters, or as an unconfigured plugin.
+        goal_checker: Goal checker that decides whether the robot is docked, given in the same ways as `controller`.
+        dock_type: Dock type, given in the same ways as `controller`; None: a `SimpleDock` with parameters from the
             settings.
-        planning: Planning that runs the jobs; None: `InlinePlanning`, with results after 20 ms by the stamps.
+        planning: Planning interface that runs the jobs; None: `InlinePlanning`, whose results arrive after 20 ms on the
+            clock of the stamps.
         log: Log to write; None: no log.
-        last_command: Last command before the task, for a robot in motion; None: the first measured velocity.
+        last_command: Last command before the task, if the robot is in motion; None: the first measured velocity.
 
     Raises:
-        InvalidValue: If an argument is of another class, the task is unknown, a parameter of a plugin is wrong, or a
+        InvalidValue: If an argument has the wrong type, the task is unknown, a parameter of a plugin is invalid, or a
             setting duplicates a parameter of the given `dock_type`.
         PluginError: If a plugin is unknown.
     """
@@ -182,7 +183,7 @@ class DockingExecutor:
         return step
 
     def _completed(self, intake: Intake) -> Measurements:
-        """Replace a missing stamp by that of the next period, and a missing twist by the last command."""
+        """Replace a missing stamp by the last one plus a period, and a missing twist by the last command."""
         found = intake.measurements
         names = {name for name, _ in intake.faults}
         for name, detail in intake.faults:
@@ -219,7 +220,7 @@ class DockingExecutor:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
     def _tick(self, stamp: float) -> tuple[float, float]:
-        """Return the time since the last cycle on a clock without jumps, and the time for changes of commands [s]."""
+        """Return the time since the last cycle on the monotonic clock, and the time for changes of commands [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1
@@ -294,7 +295,7 @@ class DockingExecutor:
 
 
 def _dock_type(choice: DockTypeLike | None, settings: ExecutorSettings) -> DockType:
-    """Return the chosen dock type, or the one described by the settings; raise InvalidValue if both are given."""
+    """Return the chosen dock type, or a `SimpleDock` with the settings; raise InvalidValue if both are given."""
     described = {name: getattr(settings, name) for name in _SIMPLE_DOCK_SETTINGS}
     if choice is None:
         return SimpleDock(**described)

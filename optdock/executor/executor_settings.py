@@ -1,4 +1,4 @@
-"""Settings of the executor: times, distances, sensors; with Nav2's names and values if they exist."""
+"""Settings of the executor: times, distances and sensors, with Nav2's names and default values where they exist."""
 
 from __future__ import annotations
 

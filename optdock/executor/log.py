@@ -1,7 +1,7 @@
-"""Docking logs, format `optdock-log/1`: one JSON value per line, written as the task runs, and read back bit for bit.
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back bit for bit.
 
-The first line contains the task: the problem as a scenario, its costmap, settings and plugins. Every cycle follows with
-the results of planning, the measurements, the command and the events. A crash truncates at most the last line.
+The first line contains the task: the problem as a scenario, its costmap, settings and plugins. The lines of every cycle
+follow: results of planning, measurements, command and events. A crash truncates at most the last line.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ class Cycle(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DockingLog:
-    """A log that has been read.
+    """A docking log that has been read from a file.
 
     Args:
         source: File name.
         task: The task.
         cycles: The control cycles.
-        cut_off: Whether the last line was incomplete and left out.
+        cut_off: Whether the last line was incomplete and omitted.
     """
 
     source: str
@@ -118,18 +118,18 @@ class DockingLog:
 
 
 class LogWriter(AbstractContextManager["LogWriter"]):
-    """Writer of a log, line by line; a context manager.
+    """Context manager that writes a log line by line.
 
     Args:
-        target: The file; an existing one is replaced.
-        flush: Flush every cycle, so that no cycle is lost in a crash of the program.
+        target: File to write; an existing file is replaced.
+        flush: Whether to flush the file in every cycle, so that a crash of the program loses no cycle.
 
     Raises:
         InvalidFile: If the file cannot be written.
 
     Attributes:
-        failure: Reason for which writing has ended; empty without a failure. The robot continues, for instance when the
-            disk is full.
+        failure: Reason why writing has ended, such as a full disk; empty without a failure. The task continues after a
+            failure.
     """
 
     def __init__(self, target: str | Path, *, flush: bool = True) -> None:
@@ -171,7 +171,7 @@ class LogWriter(AbstractContextManager["LogWriter"]):
         self._write({"cancel": True})
 
     def planned(self, result: PlanResult, frame: str) -> None:
-        """Write a result of planning in the next cycle."""
+        """Write a planning result that belongs to the next cycle."""
         value: dict[str, object] = {
             "number": result.number,
             "outcome": result.outcome.value,
@@ -185,7 +185,7 @@ class LogWriter(AbstractContextManager["LogWriter"]):
         self._write({"planned": value})
 
     def verdict(self, verdict: Verdict) -> None:
-        """Write a verdict of planning in the next cycle."""
+        """Write a planning verdict that belongs to the next cycle."""
         self._write({"verdict": list(verdict)})
 
     def cycle(self, measurements: Measurements, step: Step) -> None:
@@ -311,7 +311,7 @@ def _plan_values(motion: DrivenMotion, frame: str) -> object:
 
 
 def read_log(source: str | Path) -> DockingLog:
-    """Read a log; a last line cut off by a crash is left out.
+    """Read a log; a last line that was truncated by a crash is omitted.
 
     Raises:
         InvalidFile: If the file cannot be read, is not a log, or is damaged; the message names file and line.
@@ -354,7 +354,7 @@ def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
 
 @contextmanager
 def _errors_located(source: Path, line: int) -> Iterator[None]:
-    """Add file and line to the errors of a line."""
+    """Raise errors of a line as `InvalidFile`, with the file name and the line number."""
     try:
         yield
     except ValidationError as error:
@@ -406,7 +406,7 @@ class _TaskLine(_Line):
     last_command: tuple[float, float] | None = None
 
     def read(self) -> Task:
-        """Return the task; raise InvalidValue if its problem differs from the logged one."""
+        """Return the task; raise InvalidValue if the fingerprint of its problem differs from the logged fingerprint."""
         costmap = None if self.costmap is None else self.costmap.costmap()
         problem = problem_of(ScenarioDocument.model_validate(self.problem), costmap)
         dock = dataclasses.replace(problem.dock, tolerances=DockTolerances(**self.tolerances.model_dump()))
@@ -445,7 +445,7 @@ class _PlannedValues(_Line):
     plan: dict[str, JsonValue] | None = None
 
     def read(self, source: str) -> Planned:
-        """Return the result of planning; raise InvalidValue if it lacks a path or phases."""
+        """Return the result of planning; raise InvalidValue if its plan has no path or no phases."""
         result = PlanResult(self.number, Outcome(self.outcome), None, self.starts_at, self.reason, self.code)
         if self.plan is None or self.start is None:
             return Planned(result)

@@ -1,8 +1,8 @@
-"""The estimated poses of the robot and the dock, updated by every set of measurements.
+"""Estimated poses of the robot and the dock, updated with every set of measurements.
 
-Two filters use the same odometry: one estimates the robot in the map, from the localization, the other in the frame of
-the dock, from the detections. Accuracy at the dock depends on the second one only; the first one serves for obstacles
-and for a dock that has not been detected yet.
+Two filters use the same odometry. The first filter estimates the robot in the map, from the localization; the second
+filter estimates the robot in the frame of the dock, from the detections. Accuracy at the dock depends only on the
+second filter. The first filter is used for obstacles, and for a dock that has not been detected yet.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 __all__ = ["DockDetections", "Perception", "covariance_from_dock"]
 
-_MISSED = 0.5  # [s] without a measurement after which the log reports it
+_MISSED = 0.5  # [s] without a measurement after which the gap is reported in the log
 _STALE = 1.0  # [s]: older detections are not used
 _VAGUE = 1.0  # [m], [rad]: detections with a larger standard deviation are not used
 _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: keeps the covariance regular; smaller than the noise of any detector
-# [s]: detections stamped farther ahead of the clock are not used; a smaller lead above `AHEAD`, the rounding of stamps,
-# is replaced by the present stamp.
+# [s]: detections with stamps farther ahead of the clock are not used; stamps that are ahead by less, but by more than
+# the rounding `AHEAD`, are replaced by the present stamp.
 _CLOCKS_APART = 0.25
-_LATE = 0.04  # [s]: an estimated delay of the detections above which the log reports it
+_LATE = 0.04  # [s]: estimated delay of the detections above which the delay is reported in the log
 # Near the dock, wheel slip after a gap in the detections is added to the covariance, because too few detections follow
 # to average it out: a slipping wheel loses 20 to 60 % of its travel.
 _NEAR_DOCK, _USUAL_GAP = 0.25, 0.01  # [m]
@@ -43,13 +43,13 @@ _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
 
 
 class Perception:
-    """Estimates of the robot, of the dock, and of one relative to the other.
+    """Estimated poses of the robot, of the dock, and of the robot relative to the dock.
 
     Attributes:
         stamp: Stamp of the last measurements on the monotonic clock [s].
         measurements: The last measurements.
         costmap: The newest costmap; None before the first.
-        detections: Detections of the dock and the robot in its frame.
+        detections: Detections of the dock, and the robot in the frame of the dock.
         way: Distance driven, by odometry [m].
         forward: Signed distance driven, negative in reverse, by odometry [m].
         turned: Signed angle turned to the left, by odometry [rad].
@@ -100,7 +100,7 @@ class Perception:
 
     @property
     def costmap_age(self) -> float:
-        """Time since the last costmap, even an unchanged one, or since the first measurements [s]."""
+        """Time since the last costmap, changed or not, or since the first measurements without a costmap [s]."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
@@ -117,7 +117,7 @@ class Perception:
     def unseen_turn(self) -> float:
         """Rotation of the localization against the odometry since the last detection [rad].
 
-        A rotation by wheel slip is not visible in the odometry, but in the localization.
+        A rotation by wheel slip changes the localization, but not the odometry.
         """
         return normalize_angle(self.dock.yaw - self.detections.seen_yaw) if self.sees_dock else 0.0
 
@@ -133,7 +133,7 @@ class Perception:
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of the dock relative to the robot: the larger of along and across [m], and yaw [rad]."""
+        """Standard deviations of the dock relative to the robot: position, along or across [m], and yaw [rad]."""
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
@@ -148,7 +148,7 @@ class Perception:
     def sigma_after(self, way: float) -> tuple[float, float, float]:
         """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
 
-        Along, across [m] and in yaw [rad] in the frame of the dock, without another detection.
+        The values are along [m], across [m] and in yaw [rad] in the frame of the dock, if no further detection is made.
         """
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
         if not self._settings.use_detections:  # independent of the orientation of the dock in the map
@@ -180,7 +180,7 @@ class Perception:
         self._report_lost()
 
     def _locate(self, measurements: Measurements) -> bool:
-        """Update the robot in the map; return False if its pose has never been measured."""
+        """Update the pose of the robot in the map; return False if the pose has never been measured."""
         robot, stamp, pose = self._robot, self.stamp, measurements.pose
         measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
         if self._reckoning is None:
@@ -223,7 +223,7 @@ class Perception:
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:
-        """Covariance of the robot in the frame of the stored dock, Shape (3, 3)."""
+        """Return the covariance of the robot in the frame of the stored dock, Shape (3, 3)."""
         settings = self._settings
         return covariance_from_dock(
             self._robot.pose.in_frame_of(self._stored), settings.stored_position_sigma, settings.stored_yaw_sigma
@@ -258,7 +258,7 @@ class DockDetections:
         seen_from: Smallest distance from the docked pose at which the dock was detected [m]; infinite before the first
             detection.
         seen_yaw: Yaw of the dock in the fixed frame at the last detection [rad].
-        too_far: Distance of the last detection that was too far from the stored dock [m]; 0 without one.
+        too_far: Distance of the last detection that was too far from the stored dock [m]; 0 without such a detection.
     """
 
     def __init__(
@@ -293,7 +293,7 @@ class DockDetections:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the newest detections agree with each other and not with the estimate."""
+        """Whether the newest detections agree with each other but not with the estimate."""
         return self._settings.use_detections and self.filter.is_contradicted
 
     @property
@@ -302,7 +302,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """Return the distance from the place of the last or, with `times` 2, the previous detection [m], or inf."""
+        """Return the distance from the place of the last detection, or the one before (`times=2`) [m]; may be inf."""
         seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
         if not seen >= self.filter.remembered_from:
             return math.inf
@@ -312,7 +312,7 @@ class DockDetections:
         """Process new detections.
 
         Args:
-            found: Detections in any order, on their own clock.
+            found: Detections in any order, with stamps on the clock of the detections.
             stamp: Present time on the monotonic clock [s].
             offset: Monotonic clock minus the clock of the detections [s].
             way: Distance driven by odometry [m].
@@ -345,7 +345,7 @@ class DockDetections:
         self._report_delay()
 
     def _not_ahead(self, detection: Detection) -> Detection:
-        """Replace a stamp ahead of the clock by the present one; the filter estimates the true delay."""
+        """Replace a stamp ahead of the clock by the present stamp; the filter estimates the true delay."""
         ahead = detection.stamp - self._now
         if not AHEAD < ahead <= _CLOCKS_APART:
             return detection
@@ -371,7 +371,7 @@ class DockDetections:
         return self.filter.correct(detection.stamp, seen, noise, may_move=not is_far, slip=slip)
 
     def _report_delay(self) -> None:
-        """Report once that the stamps of the detections do not fit the odometry."""
+        """Report once if the stamps of the detections do not fit the odometry."""
         delay, sigma = float(self.filter.systematic[2]), math.sqrt(max(float(self.filter.covariance[5, 5]), 0.0))
         if not self._delay_reported and abs(delay) > _LATE and sigma < 0.25 * abs(delay):
             self._delay_reported = True
@@ -382,9 +382,10 @@ class DockDetections:
 
 
 def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
-    """Return the covariance of the robot in the frame of the dock, given that of the dock in the frame of the robot.
+    """Return the covariance of the robot in the frame of the dock, from errors of the dock in the frame of the robot.
 
-    With D the dock in the frame of the robot and T its inverse, an error of D's yaw rotates the robot about the dock.
+    Let D be the pose of the dock in the frame of the robot, and T the inverse of D. An error of D's yaw rotates the
+    robot about the dock.
 
     Args:
         robot: T.

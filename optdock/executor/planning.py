@@ -55,16 +55,16 @@ class Outcome(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
-    """A motion to drive, and the problem that it was certified for.
+    """A motion to drive, and the problem for which it was certified.
 
     Args:
         trajectory: Time-parameterized path.
         problem: Start, goal and obstacles.
-        plan: Plan with this motion; None for a motion from a log, or one that only brakes.
-        start_relief: From the certificate, see `Tube` [m].
+        plan: Plan that contains this motion; None for a motion from a log and for a braking motion.
+        start_relief: Start relief in the certificate, see `Tube` [m].
 
     Raises:
-        InvalidValue: If `plan` is not a `DockPlan`, or contains another motion.
+        InvalidValue: If `plan` is not a `DockPlan`, or contains a different motion.
     """
 
     trajectory: Trajectory
@@ -96,10 +96,10 @@ class Job(NamedTuple):
         problem: Problem to plan.
         budget: Wall-clock time [s].
         running: Motion being driven; None at rest.
-        time: Time of the reference on the running motion's own clock [s].
+        time: Time of the reference on the clock of the running motion [s].
         rate: Rate of that clock [1].
         pose: Measured pose of the robot.
-        lead: Time from `time` until the new motion takes over [s].
+        lead: Time between `time` and the takeover by the new motion [s].
         moved: Displacement of the running motion as a whole, because the estimated dock has moved since it was planned;
             None: no displacement.
     """
@@ -123,9 +123,9 @@ class PlanResult(NamedTuple):
         number: Number of the job.
         outcome: Outcome.
         motion: New motion; None if there is none.
-        starts_at: Time of the takeover on the running motion's own clock [s].
+        starts_at: Time of the takeover on the clock of the running motion [s].
         reason: Reason why there is no new motion, with the name of the error.
-        code: Nav2's code of that error.
+        code: Nav2's code of the error; 0 without an error.
     """
 
     number: int
@@ -143,9 +143,9 @@ class Verdict(NamedTuple):
     """Result of a clearance check of the rest of a motion; true if the clearance is kept.
 
     Attributes:
-        holds: Whether the rest keeps its clearance.
+        holds: Whether the rest of the motion keeps its clearance.
         reason: The obstacle and its place.
-        at_time: Time at which the motion would reach the obstacle, on its own clock [s].
+        at_time: Time at which the motion would reach the obstacle, on the clock of the motion [s].
     """
 
     holds: bool
@@ -160,10 +160,10 @@ class Planning(Protocol):
     """Interface that runs the planning jobs of an executor, one at a time."""
 
     def submit(self, job: Job) -> None:
-        """Start a job; the result of the job before is dropped."""
+        """Start a job; the result of the previous job is dropped."""
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """Return the result of the last job once; None before and after."""
+        """Return the result of the last job once, when it is available; None otherwise."""
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
         """Return whether a motion keeps its clearance to the obstacles of a costmap after a time [s]."""
@@ -213,7 +213,7 @@ class InlinePlanning(Planning):
         patience: Factor on the wall-clock budgets, so that results do not depend on the load of the machine [1].
 
     Raises:
-        InvalidValue: If the latency is negative, the patience not > 0, or one of them is not finite.
+        InvalidValue: If the latency is negative, the patience is not positive, or either value is not finite.
     """
 
     def __init__(self, latency: float = 0.02, patience: float = 5.0) -> None:
@@ -239,7 +239,7 @@ class InlinePlanning(Planning):
 class ThreadPlanning(Planning):
     """Planning in a thread.
 
-    A running job is not interrupted: its budget bounds it, and the next job begins after it.
+    A running job is not interrupted; its duration is limited by its budget, and the next job begins when it has ended.
 
     Args:
         plan: Function that runs a job; `PlanningProcess.planned` runs it in another process.
@@ -251,7 +251,7 @@ class ThreadPlanning(Planning):
         self._result: Future[PlanResult] | None = None
 
     def submit(self, job: Job) -> None:
-        """Queue the job and drop any job that waits."""
+        """Queue the job and drop any waiting job."""
         if self._result is not None:
             self._result.cancel()
         self._result = self._thread.submit(self._plan, job)
@@ -264,7 +264,7 @@ class ThreadPlanning(Planning):
         return future.result()
 
     def close(self) -> None:
-        """Drop jobs that wait; the thread ends after the running job, without blocking the caller."""
+        """Drop waiting jobs; the thread ends after the running job, without blocking the caller."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
 
@@ -333,7 +333,7 @@ class RecordedPlanning(Planning):
         """Return the verdict recorded in this cycle.
 
         Raises:
-            InvalidValue: If none was recorded: the replay differs from the recorded task.
+            InvalidValue: If no verdict was recorded in this cycle, because the replay differs from the recorded task.
         """
         if not self._verdicts:
             raise InvalidValue("replay: the log contains no verdict for this cycle")
@@ -341,7 +341,7 @@ class RecordedPlanning(Planning):
 
 
 class PlanRequests:
-    """Jobs of a task by number; results of outdated jobs are dropped.
+    """Numbered jobs of a task; results of outdated jobs are dropped.
 
     Attributes:
         pending: Whether a result is expected.
@@ -353,7 +353,7 @@ class PlanRequests:
         self.pending = False
 
     def submit(self, job: Job) -> int:
-        """Submit a job and return its number; the result of the job before is dropped."""
+        """Submit a job and return its number; the result of the previous job is dropped."""
         self._number += 1
         self.pending = True
         self._planning.submit(job._replace(number=self._number))
@@ -364,10 +364,10 @@ class PlanRequests:
         self.pending = False
 
     def result(self, now: float) -> PlanResult | None:
-        """Return the result of the last job once at a time [s]; None before and after.
+        """Return the result of the last job once, when it is available at the time `now` [s]; None otherwise.
 
         Raises:
-            TaskFailed: If a new motion is not certified; recorded motions are exempt, because they drive no robot.
+            TaskFailed: If a new motion is not certified; recorded motions are exempt, because no robot drives them.
         """
         result = self._planning.poll(now)
         if result is None or not self.pending or result.number != self._number:

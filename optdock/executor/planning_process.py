@@ -1,7 +1,7 @@
 """Planning in another process, because planning in a thread blocks the interpreter for milliseconds at a time.
 
-`ThreadPlanning(process.planned)` sends jobs to the process. Costmaps and motions are sent once, so that the values
-cached in them stay available on either side.
+`ThreadPlanning(process.planned)` sends jobs to the process. Every costmap and motion is sent only once, so that the
+values cached in these objects stay available in both processes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MARGIN = 5.0  # [s] beyond its budget until a job counts as lost and the proces
 
 
 class PlanningProcess:
-    """A planning process: started at once, warm after some seconds, and replaced if it dies.
+    """A planning process that starts immediately, is warm after some seconds, and is replaced if it dies.
 
     The process ends when `close` is called or the parent process ends.
     """
@@ -56,7 +56,7 @@ class PlanningProcess:
     def wait_until_warm(self, timeout: float = _WARM_UP_TIME) -> bool:
         """Wait at most `timeout` [s] for libraries and caches; return whether they are loaded.
 
-        A process that has died is replaced, and becomes warm later.
+        A process that has died is replaced; the new process becomes warm later.
         """
         with self._lock:
             if self._closed or self._worker.wait_until_warm(timeout):
@@ -120,7 +120,7 @@ class _Worker(NamedTuple):
         return self.is_warm.is_set()
 
     def ask(self, job: Job) -> PlanResult | str:
-        """Return the result, or the reason for which the process must be replaced."""
+        """Return the result, or the reason why the process must be replaced."""
         try:
             if not self.wait_until_warm(_WARM_UP_TIME):
                 return f"the planning process has not started: {self._exit}"
@@ -171,7 +171,7 @@ def _work(line: Connection) -> None:
 
 
 class _Shared:
-    """Pickler that sends every costmap and motion once, and afterwards a reference to it."""
+    """Pickler that sends every costmap and motion once, and afterwards only a reference to it."""
 
     def __init__(self, side: str) -> None:
         self._side, self._count = side, 0
@@ -193,7 +193,7 @@ class _Shared:
         return unpickler.load()
 
     def _named(self, value: object) -> object:
-        """Name and parts of a shared object; a reference without parts if it was sent or received before."""
+        """Return the name and parts of a shared object, or only a reference if it was sent or received before."""
         if not isinstance(value, Costmap | DrivenMotion):
             return None
         for table in (self._sent, self._received):

@@ -1,7 +1,7 @@
 """Obstacles around the robot, staging poses, and the planning problems built from the newest estimates.
 
-The station is one or two cells too large in a costmap, so the docked robot would collide with the part that it must
-touch. The cells at the touching edge of the docked robot, the contact zone, are freed before planning.
+In a costmap the station is one or two cells too large, so the docked robot would collide with the part of the station
+that it must touch. The cells at the touching edge of the docked robot, the contact zone, are freed before planning.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def contact_reach(costmap: Costmap, margin: float) -> float:
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
     """Return the costmap with the cells at the touching edge of the docked robot freed.
 
-    Only cells within the margin, or a cell and a half, of that edge are freed, so that obstacles in the way of the
-    robot are kept.
+    Only cells within the margin of that edge, or within a cell and a half if this is larger, are freed, so that
+    obstacles in the way of the robot are kept.
 
     Args:
         costmap: Costmap in the frame of the dock.
@@ -160,7 +160,7 @@ class StagingPoses:
         return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
 
     def turned_round(self) -> tuple[Pose2, ...]:
-        """Return the staging poses turned by half a turn, to detect a dock that is entered in reverse."""
+        """Return the staging poses rotated by 180 degrees, to detect a dock that is entered in reverse."""
         return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.poses())
 
     def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:

@@ -1,11 +1,12 @@
-"""Pose estimation: dead reckoning, corrected by measured poses that are late, noisy or wrong.
+"""Pose estimation: dead reckoning, corrected by measured poses that may be late, noisy or wrong.
 
 `DeadReckoning` integrates poses and twists of the odometry. `PoseFilter` is an extended Kalman filter ([Thrun2005] ch.
-3 and 7, [BarShalom2001]) of the pose in a fixed frame, the map or the frame of a dock. Its state also contains errors
-of the odometry: a scale of the distance, a rotation per distance, and the delay of the measurements.
+3 and 7, [BarShalom2001]) of the pose in a fixed frame, the map or the frame of a dock. Its state also contains
+systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements against the
+odometry.
 
-Measurements outside the gate are set aside; a few of them that agree within a short time move the estimate. Innovations
-with a persistent sign contradict the model and increase the covariance.
+Measurements outside the gate are set aside; if a few of them agree within a short time, the estimate moves there.
+Innovations with a persistent sign contradict the model and increase the covariance.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ __all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
 AHEAD = 0.01  # [s]: rounding and jitter of stamps; stamps further ahead come from another clock
-# A larger difference of the odometry's pose to the integrated twists means that its frame has restarted: far above the
-# error of the twists, plus the distance of a fast robot while twists are missing.
+# A larger difference between the pose of the odometry and the integrated twists means that the odometry's frame has
+# restarted. The bounds are far above the error of the twists, and include the motion of a fast robot without twists.
 _LEAP = 0.3, 0.5  # [m], [rad]
 _FASTEST = 3.0, 6.0  # [m/s], [rad/s]
-_IDLE = 0.05, 0.1  # [m], [rad] by the twists with a constant pose: the driver does not fill in the pose
+_IDLE = 0.05, 0.1  # [m], [rad] by the twists at a constant pose: beyond, the driver does not fill in the pose
 
 
 class DeadReckoning:
     """Pose of the robot by odometry, relative to its first pose.
 
-    Poses of the odometry are joined by their increments, so that a restart of its frame has no effect. Twists are
-    integrated from the newest pose until now, or without poses over the whole time.
+    Increments of the odometry's poses are accumulated, so that a restart of its frame has no effect. Twists are
+    integrated from the newest pose to the present, or over the whole time if there are no poses.
 
     Args:
         stamp: Stamp of the first reading [s].
@@ -65,9 +66,9 @@ class DeadReckoning:
         """Advance to `stamp` [s] and return the motion since the last reading, in the frame of the last pose.
 
         Args:
-            stamp: Not before the last one [s].
+            stamp: Stamp of the reading, not before the last one [s].
             twist: Body velocity.
-            odometry: Newest pose; repeated and older ones are ignored.
+            odometry: Newest pose; repeated and older poses are ignored.
         """
         before, period = self.pose, stamp - self._stamp
         if period > 0.0:
@@ -116,7 +117,7 @@ def _is_beyond(gap: Pose2, most: tuple[float, float]) -> bool:
 
 
 def _between(readings: list[tuple[float, Pose2]] | deque[tuple[float, Pose2]], stamp: float) -> Pose2:
-    """Pose at a stamp, interpolated along arcs; constant before the first and after the last reading."""
+    """Return the pose at a stamp, interpolated along arcs; constant before the first and after the last reading."""
     after = bisect_right(readings, stamp, key=_stamp_of)
     if after == 0:
         return readings[0][1]
@@ -131,7 +132,7 @@ def _stamp_of(reading: tuple[float, Pose2]) -> float:
 
 
 def _arc(step: Pose2) -> Twist2:
-    """Constant twist that moves by `step` in one second; the inverse of `Pose2.moved`."""
+    """Return the constant twist that moves by `step` in one second; the inverse of `Pose2.moved`."""
     half = 0.5 * normalize_angle(step.yaw)
     grow = half / math.sin(half) if abs(half) > 1e-9 else 1.0
     c, s = math.cos(half), math.sin(half)
@@ -165,34 +166,35 @@ class OdometryErrors(NamedTuple):
 
 
 Verdict = Literal["accepted", "rejected", "moved", "forgotten"]
-GATE = 16.27  # squared Mahalanobis distance in three dimensions, exceeded by one measurement of 1000
+GATE = 16.27  # squared Mahalanobis distance in three dimensions, exceeded by one measurement in 1000
 _ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement closer than this is rejected
 _MEMORY = 2.0  # [s] for which motion is stored for late measurements, and rejected measurements are kept
 _LONGEST_DELAY = 0.5  # [s]: bound of the estimated delay
 _INNOVATIONS = 8  # number of innovations whose mean is tested
-_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations after a wheel slip; the gate is exceeded by one mean of 100
-_SLIPPED = 0.05  # [m] in the last two seconds below which a jump is no wheel slip
-_CLOSE_GATE = 4.11  # of chi-squared with three degrees of freedom, for a probability of 75 %
+_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations after a wheel slip; the gate is exceeded by one mean in 100
+_SLIPPED = 0.05  # [m] driven in the last two seconds below which a jump does not count as wheel slip
+_CLOSE_GATE = 4.11  # 75 % quantile of chi-squared with three degrees of freedom
 _ESTABLISHED = 8  # accepted measurements; an earlier jump may correct a wrong first pose
 _SLIP_MEMORY = 2.0  # [m] after which the expectation of another slip has decayed to a third
 _DOUBT = 3.0  # factor on the prior of the systematic errors after innovations with a persistent sign
 
 
 class PoseFilter:
-    """Filter of the robot's pose in a fixed frame, from dead reckoning and measured poses at any rates.
+    """Filter of the robot's pose in a fixed frame, from dead reckoning and measured poses at any rate.
 
     Args:
         errors: Errors of the odometry.
         confirmations: Number of agreeing rejected measurements that move the estimate.
-        fewer_when_close: Reduction of that number if they agree within the 75 % bound of their noise.
+        fewer_when_close: Reduction of `confirmations` if the measurements agree within the 75 % bound of their noise.
 
     Attributes:
-        covariance: Of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
+        covariance: Covariance of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
             Shape (6, 6).
         systematic: Estimated scale [1], drift [rad/m] and delay [s], Shape (3,).
         accepted: Number of accepted measurements.
-        jump: Displacement of the estimate by the last correction, in its frame, if it moved to rejected measurements.
-        rejected: Number of measurements rejected in a row.
+        jump: Displacement of the estimate, in the frame of the earlier estimate, if the last correction moved it to
+            rejected measurements; None otherwise.
+        rejected: Number of consecutive rejected measurements.
         doubts: Number of increases of the covariance by innovations with a persistent sign.
         measured_at: Stamp of the newest accepted measurement [s]; -inf before the first.
 
@@ -244,7 +246,7 @@ class PoseFilter:
         return self._reckoned[0][0] if self._reckoned else math.inf
 
     def start(self, stamp: float, pose: Pose2, covariance: FloatArray) -> None:
-        """Start, or restart with the estimated systematic errors kept.
+        """Start the filter, or restart it with the estimated systematic errors kept.
 
         Args:
             stamp: Present time [s].
@@ -333,8 +335,9 @@ class PoseFilter:
                 applied only if the measurement is accepted.
 
         Returns:
-            `accepted`; `rejected` outside the gate; `moved` if the estimate moved to this measurement and others that
-            agree; `forgotten` if it is older than the stored motion or from the future.
+            `accepted`; `rejected` if the measurement is outside the gate; `moved` if the estimate moved to this and
+            other agreeing measurements; `forgotten` if the measurement is older than the stored motion or in the
+            future.
         """
         pose, delay = self.pose, float(self.systematic[2])
         if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
@@ -395,7 +398,7 @@ class PoseFilter:
         return found
 
     def _with_slip(self, along: float, yaw: float) -> FloatArray:
-        """Covariance with a slip along the heading [m] and in yaw [rad], Shape (6, 6)."""
+        """Return the covariance increased by a slip along the heading [m] and in yaw [rad], Shape (6, 6)."""
         c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
         found: FloatArray = self.covariance.copy()
         found[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
@@ -415,7 +418,7 @@ class PoseFilter:
         self.systematic[2] = min(max(self.systematic[2], -_LONGEST_DELAY), _LONGEST_DELAY)
 
     def _velocity_at(self, stamp: float) -> FloatArray:
-        """Velocity in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
+        """Return the velocity in the fixed frame at a stamp, Shape (3,) [m/s, m/s, rad/s]."""
         reckoned = self._reckoned
         after = min(max(bisect_right(reckoned, stamp, key=_stamp_of), 1), len(reckoned) - 1)
         if len(reckoned) < 2:
@@ -457,12 +460,12 @@ class PoseFilter:
         return "moved"
 
     def _driven(self) -> float:
-        """Distance of the stored motion [m]."""
+        """Return the distance driven in the stored motion [m]."""
         poses = [pose for _, pose in self._reckoned]
         return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
 
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
-        """Increase the covariance if the innovations have a persistent sign; those of a correct model are white."""
+        """Increase the covariance if the innovations have a persistent sign; a correct model has white innovations."""
         self._whitened.append(whitened)
         for count in range(2, min(_SUDDEN, len(self._whitened)) + 1):
             total = np.sum(list(self._whitened)[-count:], axis=0)
@@ -488,10 +491,10 @@ class _Outside(NamedTuple):
 
     Attributes:
         stamp: Stamp of the measurement [s].
-        now: Pose of the robot at its arrival, by this measurement.
-        reckoned: Dead reckoning at its arrival.
+        now: Pose of the robot at the arrival of the measurement, according to the measurement.
+        reckoned: Pose by dead reckoning at the arrival of the measurement.
         noise: Covariance, Shape (3, 3).
-        accepted_since: Number of measurements accepted since.
+        accepted_since: Number of measurements accepted since then.
         is_measured: False for a supposed pose.
     """
 
@@ -513,7 +516,7 @@ _STEPS = 4  # of the prediction over a straight motion: the covariance couples y
 def _grown(
     covariance: FloatArray, before: Pose2, after: Pose2, step: Pose2, period: float, errors: OdometryErrors
 ) -> FloatArray:
-    """Covariance after a step of odometry, Shape (6, 6)."""
+    """Return the covariance after a step of odometry, Shape (6, 6)."""
     way, turn = step.x, abs(normalize_angle(step.yaw))
     driven = math.hypot(step.x, step.y)
     middle = before.yaw + 0.5 * normalize_angle(step.yaw)

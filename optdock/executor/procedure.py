@@ -1,7 +1,7 @@
-"""Docking and undocking procedure: the attempts, their plans and drives; each `yield` is one control cycle.
+"""Docking and undocking procedure: attempts with their plans and drives; each `yield` is one control cycle.
 
-An early end of a motion, an attempt or the task is an exception, which is caught by the part that can respond. Every
-wait and every motion has a timeout.
+The early end of a motion, an attempt or the task is signalled by an exception, and handled by the function that catches
+it. Every wait and every motion has a timeout.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ logger = logging.getLogger(__name__)
 # [m] beyond the distance over which no rotation is allowed, for errors of the estimate and of the braking distance.
 _UNDOCKING_MARGIN = 0.03
 _PLANNING_PATIENCE = 5.0  # [s] beyond the budget: a planning thread may share its core
-_MOST_BLOCKS = 5  # stops in one approach or drive until it counts as failed
+_MOST_BLOCKS = 5  # stops in one approach or drive after which it counts as failed
 
 
 class Procedure:
@@ -142,9 +142,10 @@ class Procedure:
         return EndingKind.UNDOCKED, ""
 
     def _perceive_from_somewhere(self) -> Cycles:
-        """Detect the dock from the present pose or a staging pose; for docking in reverse, also from one turned round.
+        """Detect the dock from the present pose or a staging pose; for docking in reverse, also from a reversed one.
 
-        A front camera cannot detect a dock that is entered in reverse; odometry leads from the turned pose into it.
+        A front camera cannot detect a dock while the robot enters it in reverse. The dock is then detected from the
+        reversed pose, and the robot drives into it by odometry.
         """
         situation, staging = self._situation, self._situation.staging
         views = [staging.poses, *([staging.turned_round] if situation.estimate.gear < 0.0 else [])]
@@ -163,7 +164,7 @@ class Procedure:
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _approach(self) -> Generator[Target, None, EndingKind]:
-        """Plan from rest and drive; after an interruption plan again, or raise AttemptFailed after too many."""
+        """Plan from rest and drive; plan again after an interruption, raise AttemptFailed after too many of them."""
         cycles, patience = self.cycles, self._situation.settings.obstacle_patience
         blocks, blocked_since = 0, cycles.now
         self._situation.dock_type.reset()
@@ -189,7 +190,7 @@ class Procedure:
                 yield from wait_for_detection(cycles)
 
     def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
-        """Plan into the dock; without a path since a time [s], wait for the obstacle to go, or raise NoWay."""
+        """Plan into the dock; if no path was found since a time [s], wait for the obstacle to move, or raise NoWay."""
         yield from self.cycles.locate()
         result = yield from self._travel.planned(self._situation.scene.to_dock())
         if result.motion is None:
@@ -199,14 +200,14 @@ class Procedure:
         return result
 
     def _attempt(self, motion: DrivenMotion) -> Generator[Target, None, EndingKind]:
-        """Drive into the dock; raise Interrupted if the robot is not docked, AttemptFailed if that is unknown."""
+        """Drive into the dock; raise Interrupted if the robot is not docked, or AttemptFailed if this is unknown."""
         situation = self._situation
         docked = yield from self._travel.drive(motion, State.APPROACHING)
         if docked is None and situation.dock_type.is_pressed_on:
             return (yield from press(self.cycles))
         yield from self.cycles.stop()
         if docked is EndingKind.DOCKED_BY_SIGNAL and not situation.has_signal:
-            # The feedback was driving back when the signal was received.
+            # The feedback was moving the robot back when the signal was received.
             self.cycles.report("contact lost again", situation.estimate.where)
             docked = yield from press(self.cycles)
         if not situation.dock_type.is_pressed_on:
@@ -216,7 +217,7 @@ class Procedure:
         return docked or EndingKind.DOCKED_BY_DISTANCE
 
     def _return(self, *, is_blocked: bool) -> Cycles:
-        """Drive to a staging pose; after a blocked approach only to one from which there is a path into the dock."""
+        """Drive to a staging pose; after a blocked approach, only to a staging pose with a path into the dock."""
         places = self._situation.staging.poses
         if is_blocked:
             found = yield from self._travel.staging_pose_on_a_path()
@@ -264,7 +265,7 @@ class Travel:
                 return PlanResult(number, Outcome.FAILED, reason="planning does not respond")
 
     def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
-        """Return the result of a plan to the first reachable place, or the result for the last place if all fail."""
+        """Plan to the places in order; return the result for the first reachable place, or for the last place."""
         *others, last = places
         for number, place in enumerate(others, start=1):
             result = yield from self.planned(self._situation.scene.to(place))
@@ -274,7 +275,7 @@ class Travel:
         return (yield from self.planned(self._situation.scene.to(last)))
 
     def staging_pose_on_a_path(self) -> Generator[Target, None, Pose2 | None]:
-        """Return the first staging pose with plans to it and from there into the dock; None if there is none."""
+        """Return the first reachable staging pose with a path into the dock; None if there is none."""
         scene = self._situation.scene
         for place in self._situation.staging.poses():
             if (yield from self.planned(scene.to(place))).motion is None:
@@ -288,7 +289,7 @@ class Travel:
         """Wait at most a second for a new costmap after a failed plan.
 
         Raises:
-            NoWay: If there has been no path since `since` [s] for longer than `obstacle_patience`.
+            NoWay: If `obstacle_patience` has passed since `since` [s] without a path.
         """
         cycles, perception = self._cycles, self._situation.perception
         patience = self._situation.settings.obstacle_patience

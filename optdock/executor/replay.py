@@ -22,7 +22,7 @@ class Replay(NamedTuple):
 
     Attributes:
         cycles: Number of cycles of the log.
-        differs_at: First cycle with a different command; None if all are the same, bit for bit.
+        differs_at: First cycle with a different command; None if all commands are equal bit for bit.
         command: Command of the replay in that cycle.
         off_path: Largest lateral and heading deviation from the path [m, rad].
         estimates: Estimated poses of the robot, Shape (n, 3).
@@ -43,7 +43,7 @@ def replay(log: DockingLog) -> Replay:
 
     Raises:
         PluginError: If a plugin of the log is not installed.
-        InvalidValue: If its parameters do not fit the installed one.
+        InvalidValue: If the logged parameters of a plugin are not valid for the installed plugin.
     """
     planning, task = RecordedPlanning(), log.task
     executor = DockingExecutor(

@@ -60,7 +60,8 @@ class SimpleDockParameters(PluginParameters):
 class SimpleDock(DockType):
     """Dock type with contact by the external signal, a charging current, and (with `contact: touch`) a stall.
 
-    A stall is a command above twice `stall_speed` for at least `stall_time` with an odometry speed below `stall_speed`.
+    A stall is detected if, for at least `stall_time`, the commanded speed is above twice `stall_speed` and the odometry
+    speed is below `stall_speed`.
 
     Args:
         **parameters: Fields of `SimpleDockParameters`.
@@ -80,7 +81,7 @@ class SimpleDock(DockType):
         self._stalled_since: float | None = None
 
     def contact(self, now: AtDock) -> Contact | None:
-        """Return a signal at any place, but a stall only near the dock, because obstacles stop robots elsewhere."""
+        """Return a signal at any place, but a stall only near the dock; elsewhere, an obstacle may stop the robot."""
         p = self.parameters
         if not self._is_stalled(now):
             self._stalled_since = None
@@ -108,7 +109,7 @@ class SimpleDock(DockType):
         return self._is_charged(measurements)
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return the poses of the parameters, for any gear; without them, one pose on the axis of the dock."""
+        """Return the poses of the parameters, for any gear; if there are none, one pose on the axis of the dock."""
         p = self.parameters
         if p.staging_poses:
             return tuple(Pose2(*pose) for pose in p.staging_poses)
@@ -120,7 +121,7 @@ class SimpleDock(DockType):
         return self.parameters.back_out_distance
 
     def reset(self) -> None:
-        """Forget a stall in progress."""
+        """Discard the beginning of a stall in progress."""
         self._stalled_since = None
 
     def _is_charged(self, measurements: Measurements) -> bool:

@@ -189,15 +189,15 @@ class TaskFailed(Exception):
 
 
 class AttemptFailed(TaskFailed):
-    """The current approach has failed; another one may succeed."""
+    """The current approach has failed; another approach may succeed."""
 
 
 class NoWay(AttemptFailed):
-    """No path into the dock was found for longer than the executor waits for obstacles."""
+    """No path into the dock was found within the time that the executor waits for obstacles to move away."""
 
 
 class Interrupted(Exception):
-    """The current motion cannot continue; another one from the same place may succeed."""
+    """The current motion cannot continue; another motion from the same place may succeed."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(reason)

@@ -55,11 +55,11 @@ _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: with u
 _NOISE_SIGMAS = 1.5  # standard deviations below which an error counts as noise
 _NOISE_GAIN = 1.0  # [1/s]: noise of the commands over noise of the pose, with usual gains
 _CHECK_PERIOD = 0.1  # [s] between two checks of the remaining error
-_AFTER_REFUSAL = 3.0  # factor on the pause between plans after one that failed
+_AFTER_REFUSAL = 3.0  # factor on the pause between plans after a failed plan
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is polled, and a reserve
 _LATE = 0.05  # [s]: a later takeover would move the reference by millimetres
 _SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the speed before a dock
-_STALE_STOP = 0.3  # [s] before an obstacle's braking distance until which a new plan is awaited
+_STALE_STOP = 0.3  # [s] beyond the braking time before an obstacle, at which waiting for a new plan ends
 
 # A plan from rest after an obstacle has gone.
 _FROM_REST_BUDGET = 0.2  # [s]; usual plans take 30 to 90 ms
@@ -68,7 +68,7 @@ _AROUND = 1.0  # [m] around the straight line to the goal in which obstacles are
 _PAUSE = 3.0  # factor on the usual pause between two plans
 
 # The tube.
-_WATCHED = 0.005  # [m]: leaving a narrower tube, as at a contact, does not start a plan, because noise can cause it
+_WATCHED = 0.005  # [m]: leaving a narrower tube, such as at contact, does not start a plan, as noise may be the cause
 _LAST_REPLAN = 0.15  # [m] before the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
@@ -85,7 +85,7 @@ class TrajectoryDrive:
     Attributes:
         motion: Motion being driven.
         docked: Kind of docking at the end of an approach; None if the robot is not known to be docked.
-        deviation: Robot relative to the nearest pose of the path; None before the first cycle.
+        deviation: Pose of the robot relative to the nearest pose of the path; None before the first cycle.
     """
 
     def __init__(  # noqa: PLR0913 - the parts of a drive
@@ -122,7 +122,7 @@ class TrajectoryDrive:
         self._become(motion)
 
     def _set_path(self, motion: DrivenMotion, start_stamp: float | None) -> None:
-        """Configure the controller for a motion; raise AttemptFailed if it cannot follow it."""
+        """Configure the controller for a motion; raise AttemptFailed if the controller cannot follow the motion."""
         self._configure(motion)
         try:
             self._controller.set_path(motion.trajectory, start_stamp=start_stamp)
@@ -146,7 +146,7 @@ class TrajectoryDrive:
         return settings.max_undocking_time if state is State.UNDOCKING else settings.dock_approach_timeout
 
     def is_over(self) -> bool:
-        """Whether the motion ends in this cycle: at its end, or with the robot docked.
+        """Whether the motion ends in this cycle, because its end is reached or the robot is docked.
 
         Raises:
             Interrupted: If the motion cannot continue.
@@ -213,7 +213,7 @@ class TrajectoryDrive:
             raise Interrupted("detection missing", reason)
 
     def _share_while_hidden(self) -> float:
-        """Share of the planned speed at which corrections stay possible during the wait for a hidden dock."""
+        """Return the share of the planned speed that keeps corrections possible during the wait for a hidden dock."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)
@@ -230,7 +230,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """The pose for the controller; in an approach, relative to the dock, which may have moved since the plan."""
+        """Pose for the controller; in an approach, it is relative to the dock, which may have moved since planning."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 
@@ -243,7 +243,7 @@ class TrajectoryDrive:
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time of the reference on the trajectory's own clock [s], and its rate.
+        """Time of the reference on the clock of the trajectory [s], and its rate.
 
         For a controller without a reference in time, this is the time at which the plan passes the place of the robot.
         """
@@ -266,7 +266,7 @@ class TrajectoryDrive:
         along, _, yaw = situation.estimate.errors()  # a lateral error can no longer be corrected
         is_noise = all(abs(error) <= _NOISE_SIGMAS * sigma for error, sigma, _ in (along, yaw))
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
-            return None  # the feedback still corrects
+            return None  # the feedback is still correcting the error
         path = [Pose2(-0.1 * situation.estimate.gear, 0.0, 0.0), goal]
         is_reached = self._goal_checker.is_goal_reached(relative, goal, situation.twist, path)
         return EndingKind.DOCKED_BY_DISTANCE if is_reached else None
@@ -357,7 +357,7 @@ class TrajectoryDrive:
         )
 
     def _leaves_error(self, time: float) -> bool:
-        """Whether feedback would leave an error at the dock that is large enough to plan again.
+        """Whether feedback would leave an error at the dock that is large enough to justify a new plan.
 
         Raises:
             Interrupted: If the remaining error would exceed the tolerances, and only a change of gear could correct it.
@@ -392,7 +392,7 @@ class TrajectoryDrive:
         """Take over a planned motion if it is useful.
 
         Raises:
-            Interrupted: If there is no continuation, or a much shorter one from rest.
+            Interrupted: If there is no continuation, or a motion from rest is much shorter.
         """
         situation, settings = self._situation, self._situation.settings
         if self._is_from_rest:
@@ -420,11 +420,11 @@ class TrajectoryDrive:
 
 
 class TubeMonitor:
-    """The place of the robot on a path, and whether it is within the certified tube.
+    """Place of the robot on a path, with a check whether the robot is within the certified tube.
 
     Attributes:
-        deviation: Robot relative to the nearest pose of the path; None before the first update.
-        time: Time at which the plan passes the place of the robot, on the trajectory's own clock; non-decreasing [s].
+        deviation: Pose of the robot relative to the nearest pose of the path; None before the first update.
+        time: Time at which the plan passes the place of the robot, on the clock of the trajectory; non-decreasing [s].
     """
 
     def __init__(
@@ -445,7 +445,7 @@ class TubeMonitor:
         return float(np.interp(s, *self._times_of_places))
 
     def update(self, robot: Pose2, time: float) -> bool:
-        """Update the place of the robot, with the time of the reference on the trajectory's own clock, >= 0 [s].
+        """Update the place of the robot; `time` is the time of the reference on the trajectory's clock, >= 0 [s].
 
         Returns:
             Whether the robot has just left the tube at a place where a new plan is useful.
@@ -495,7 +495,7 @@ class _SampledPath:
 
 
 class ShorterWay:
-    """Search for a shorter motion from rest while a motion is driven around an obstacle that has gone."""
+    """Search for a shorter motion from rest while a motion avoids an obstacle that has since disappeared."""
 
     def __init__(self, situation: Situation, planned_among: Costmap | None) -> None:
         self._situation, self._planned_among = situation, planned_among
@@ -503,17 +503,17 @@ class ShorterWay:
         self._submitted_at = -math.inf
 
     def check_next_costmap(self) -> None:
-        """Compare the next costmap with the one of the plan."""
+        """Let the next call of `may_exist` compare its costmap with the costmap of the plan."""
         self._is_new = True
 
     def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
-        """Whether an obstacle has gone in the newest costmap and a plan from rest may be shorter than the motion.
+        """Whether an obstacle has disappeared from the newest costmap and a plan from rest may be shorter.
 
         Args:
             motion: Motion being driven.
-            time: Time of the reference on the motion's own clock [s].
+            time: Time of the reference on the clock of the motion [s].
             pose: Robot in the frame of the motion.
-            costmap: The newest one.
+            costmap: Newest costmap; None without one.
         """
         situation, end = self._situation, motion.trajectory.path.end
         pause = _PAUSE * situation.settings.replan_pause
@@ -528,7 +528,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return the job that plans from the place of a stop; start and costmap of the problem `here` are replaced."""
+        """Return a job that plans from the place of a stop; start and costmap of the problem `here` are replaced."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)
@@ -542,7 +542,7 @@ class ShorterWay:
         """Check that the result of the job is not a reason to stop the motion.
 
         Raises:
-            Interrupted: If the result is so much shorter that the robot should stop for it.
+            Interrupted: If the new motion is so much shorter that a stop is justified.
         """
         if result.motion is not None and self._is_better(result.motion.trajectory.duration, motion, time):
             left = motion.trajectory.duration - time
