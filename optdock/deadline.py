@@ -20,7 +20,7 @@ class OutOfTime(Exception):
 
 
 def never_late() -> bool:
-    """Return False: the default `is_late` without a deadline."""
+    """Return False; the default of `is_late` without a deadline."""
     return False
 
 
@@ -43,7 +43,7 @@ class Deadline:
     Args:
         seconds: Wall-clock allowance [s]; infinite without a deadline.
         clock: Function that returns monotonic seconds.
-        stop: Polled together with the clock; True makes the deadline pass immediately.
+        stop: Function that is polled together with the clock; if it returns True, the deadline passes immediately.
 
     >>> now = iter([10.0, 10.2, 10.6])
     >>> deadline = Deadline(0.5, lambda: next(now))

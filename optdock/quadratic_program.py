@@ -1,6 +1,6 @@
 """Dense convex quadratic programs of fixed size, solved in place by DAQP [Arnstrom2022].
 
-Construction takes as long as several solutions; a program is constructed once per size and solved repeatedly.
+Construction takes as long as several solutions, so a program is constructed once per size and solved repeatedly.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 
 
 class DenseProgram:
-    """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, with `h` positive definite.
+    """Program `min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, with `h` positive definite.
 
     The arrays have the names of the formula and are in Fortran order. They are filled in place and must not be
     replaced, because casadi's buffers read them without a copy.
 
     Args:
         size: Number of variables.
-        rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
+        rows: Number of general constraints; unused constraints keep zero rows and infinite bounds.
         most_iterations: Maximum number of active-set iterations; None for DAQP's default.
     """
 
@@ -55,7 +55,7 @@ class DenseProgram:
         return buffer, run
 
     def solve(self) -> FloatArray | None:
-        """Return the minimizer, Shape (size,), or None if DAQP finds none."""
+        """Return the minimizer, Shape (size,), or None if DAQP does not find a solution."""
         try:
             self._run()
         except RuntimeError:  # casadi raises no other exception, e.g. if a lower bound exceeds its upper bound

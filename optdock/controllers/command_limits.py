@@ -1,17 +1,17 @@
-"""Limits on commands: the command nearest to the wanted one that can follow the last one, with limits up to the jerk.
+"""Limits on commands: the reachable command nearest to the desired command, within limits up to the jerk.
 
-The speed is a second-order limiter. A reachable command passes unchanged, so a feed-forward within the limits has no
-lag; otherwise the acceleration changes by no more than the jerk, and decreases early enough that the speed reaches the
-wanted one without overshoot: relative to the feed-forward, over a difference d, at an acceleration of at most
+The speed passes through a second-order limiter. A reachable command is not changed, so a feed-forward within the limits
+has no lag. Otherwise the acceleration changes by no more than the jerk limit, and decreases early enough that the speed
+reaches the desired speed without overshoot: at a difference d, the acceleration relative to the feed-forward is at most
 sqrt(2 jerk d).
 
-A limit that speed and turn share (wheels, lateral acceleration, yaw rate of steered wheels) is checked over the time in
-which a positive acceleration decreases to zero at the largest jerk, while the turn decreases. A command is accepted
-only if both together stay within the limit until then, so that a next command exists. The speed is reduced first, then
-the turn.
+A limit that depends on both speed and turn (wheel speeds, lateral acceleration, yaw rate of steered wheels) is checked
+over the time in which a positive acceleration decreases to zero at the largest jerk, while the turn decreases. A
+command is accepted only if speed and turn keep the limit during this time, so that a next command exists. Otherwise the
+speed is reduced first, then the turn.
 
-The lateral jerk is bounded by the rate of the turn alone. The limits above have priority. Braking in a bend also has
-priority, because its lateral jerk can only be compensated by leaving the bend.
+The lateral jerk is limited only by the rate of change of the turn, and the limits above have priority. Braking in a
+bend also has priority, because its lateral jerk could only be compensated by leaving the bend.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ __all__ = ["CommandLimiter", "fastest_slope", "rate_limited", "smooth_slope"]
 _NO_ARC = 1e-9  # [m/s]: the curvature of a slower command is undefined
 _ROUNDING = 1e-15  # [m/s]: a smaller difference to the wanted command counts as zero
 _CREEPING = 0.005  # [m/s]: the curvature of a slower command is too inaccurate for the angle of steered wheels
-_SAME_ARC = 1.5  # ratio of the speed to the wanted one beyond which the curvature of the wanted command is meaningless
+_SAME_ARC = 1.5  # ratio of the speed to the desired speed beyond which the curvature is not kept
 _EXACT = 1.0 + 1e-12  # rounding of a motion at its limits
-_NO_JERK = 1e-6  # of the limit: rounding of the jerk that the target does not use
+_NO_JERK = 1e-6  # share of the limit: rounding of the jerk that the target does not use
 _HALVINGS = 40  # of a bisection, to rounding
 _EQUAL = 0.99  # of a period: jitter of a clock
 _SLOWER = 1.2  # times the usual period: bound on late calls
@@ -43,11 +43,11 @@ _QUARTER = 1.57  # [rad]: largest steering angle
 
 
 class CommandLimiter:
-    """Limiter of each command by the previous one.
+    """Limiter of each command, based on the previous command.
 
     Attributes:
         command: The last command.
-        acceleration: Change of its speed [m/s^2]; 0 after a restart.
+        acceleration: Acceleration of the last command [m/s^2]; 0 after a restart.
         curvature: Curvature of the last command in motion [1/m]; None if unknown.
     """
 
@@ -55,7 +55,7 @@ class CommandLimiter:
         self.restart(Twist2())
 
     def restart(self, command: Twist2) -> None:
-        """Restart at the robot's velocity, at a steady speed."""
+        """Restart at the velocity of the robot, with zero acceleration."""
         self.command = command
         self.acceleration = 0.0
         self._period, self._usual = 0.0, math.inf  # the last period, and the expected ones
@@ -92,7 +92,7 @@ class CommandLimiter:
         in_place: bool,
         room: float = math.inf,
     ) -> Twist2:
-        """Return the command nearest to `wanted` that the last one can become.
+        """Return the command nearest to `wanted` that is reachable from the last command.
 
         Speed, yaw rate, wheel speed, lateral acceleration, acceleration, jerk, yaw acceleration, curvature and steering
         rate are within the limits; so is the lateral jerk, except while braking in a bend. At rest a command of almost
@@ -100,12 +100,13 @@ class CommandLimiter:
 
         Args:
             wanted: Sum of feed-forward and feedback.
-            feed_forward: Feed-forward; the rate of change of the command converges to that of the feed-forward.
+            feed_forward: Feed-forward command; the rate of change of the returned command converges to its rate of
+                change.
             period: Time since the last command [s], > 0.
             limits: Limits of the robot.
             drive: Kind of drive.
-            in_place: Whether a differential drive may turn tighter than its smallest radius: if the reference turns in
-                place, or is at its end.
+            in_place: Whether a differential drive may turn more tightly than its smallest radius, because the reference
+                turns in place or is at its end.
             room: Distance in which the robot must be able to stop [m].
         """
         free = in_place and drive is Drive.DIFFERENTIAL
@@ -138,11 +139,11 @@ class CommandLimiter:
         return command
 
     def _between(self, period: float) -> float:
-        """Return the time between the middles of the last period and this one [s]."""
+        """Return the time between the middles of the last and the present period [s]."""
         return 0.5 * (period + (self._period or period))
 
     def _slope(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration towards the wanted speed, without regard to the turn."""
+        """Return the acceleration towards the desired speed, without considering the turn."""
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # the age of the last command is unknown
@@ -175,7 +176,7 @@ class CommandLimiter:
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced to the limits that it shares with the turn if the jerk allows it."""
+        """Return the acceleration, reduced to the limits shared with the turn as far as the jerk allows."""
         forward, rise = math.copysign(1.0, slope), abs(slope)
         speed = forward * self.command.linear  # negative: the speed decreases towards rest
         top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
@@ -199,7 +200,7 @@ class CommandLimiter:
         return _Turn(_approach(before, wanted, most, most), least, limits.max_yaw_acceleration, steered=False)
 
     def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> _Turn:
-        """Return the reachable curvature of steered wheels, by the steering rate and the yaw acceleration."""
+        """Return the reachable curvature of steered wheels within the limits of steering rate and yaw acceleration."""
         before, base = self.curvature, limits.wheelbase
         asked = wanted.angular / wanted.linear if abs(wanted.linear) > _NO_ARC else before or 0.0
         low, high = -limits.max_curvature, limits.max_curvature
@@ -225,9 +226,9 @@ class CommandLimiter:
 
 
 class _Turn(NamedTuple):
-    """Yaw rate, or curvature of steered wheels: the nearest reachable to the wanted one, and the smallest reachable.
+    """Reachable yaw rate, or curvature of steered wheels: the nearest to the desired value, and the smallest.
 
-    `fade`: rate at which its size can decrease later.
+    `fade` is the rate at which the magnitude can decrease later.
     """
 
     wanted: float
@@ -237,7 +238,7 @@ class _Turn(NamedTuple):
 
 
 def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limits: MotionLimits) -> float:
-    """Return the largest turn up to the wanted one that the speed allows, now and while the acceleration decreases."""
+    """Return the largest turn up to `turn.wanted` that the speed allows, now and while the acceleration decreases."""
     speed, rise = math.copysign(1.0, slope) * linear, abs(slope) - 0.5 * limits.max_jerk * period
     both = ((speed, rise),) if speed >= 0.0 else ((speed, rise), (-speed, 0.0))
     amount = _largest(
@@ -249,10 +250,10 @@ def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limi
 
 
 def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
-    """Whether a command is within the limits that speed and turn share, now and while both decrease fastest.
+    """Whether a command keeps the limits shared by speed and turn, now and while both decrease as fast as possible.
 
-    `speed` and `rise`, the acceleration at the end of the period, are positive in the direction of the rise; `amount`
-    is the size of the turn.
+    `rise` is the acceleration at the end of the period; `speed` and `rise` are positive in the direction of this
+    acceleration. `amount` is the magnitude of the turn.
     """
     rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
     shared: tuple[tuple[int, float, float, float], ...]
@@ -296,7 +297,7 @@ def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, floa
 
 
 def _rise_to(gap: float, jerk: float, period: float) -> float:
-    """Return the largest acceleration a that can decrease to zero within the speed `gap`, for any later periods.
+    """Return the largest acceleration a that can decrease to zero within a speed increase `gap`, for any later periods.
 
     The speed rises by another u^2 / (2 jerk) with u = a - jerk * period / 2, the acceleration at the end of the period.
     """
@@ -315,7 +316,7 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
-    """Return the distance of full braking from a speed and an acceleration along the travel [m]."""
+    """Return the full braking distance from a speed and an acceleration along the direction of travel [m]."""
     if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
         return 0.0
     state = 0.0, v, a
@@ -327,8 +328,8 @@ def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     """Return the largest deceleration of the coming period.
 
-    After rest it is an acceleration in the other direction, with its own limit a. While the deceleration decreases from
-    b to a, the speed changes by (b^2 - a^2) / (2 jerk).
+    Once the robot is at rest, the deceleration is an acceleration in the opposite direction, with a different limit a.
+    While the deceleration decreases from b to a, the speed changes by (b^2 - a^2) / (2 jerk).
     """
     most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
     until_rest = speed / most
@@ -348,16 +349,18 @@ def smooth_slope(
 ) -> float:
     """Return the slope in the next period of a value that has to reach and follow a moving target.
 
-    The slope relative to the target must decrease by the part of `jerk` that the target's own jerk does not use, or is
-    so small that the value arrives no later than that jerk ends.
+    The slope relative to the target is limited so that it can decrease to zero with the part of `jerk` that the jerk of
+    the target does not use. If it is larger, the slope at which the value arrives when the jerk of the target ends is
+    the limit.
 
     Args:
         missing: Difference of target and value before the period.
         target_slope: Slope of the target.
-        slope: Slope of the value in the period before.
+        slope: Slope of the value in the previous period.
         jerk: Largest change of a slope per time.
-        periods: The period, the time between its middle and that of the one before, and the expected periods [s].
-        target_jerk: Change of the target's slope per time, and how long it may last [s].
+        periods: Next period, time between the middles of the previous and the next period, and expected later periods
+            [s].
+        target_jerk: Change of the target's slope per time, and its longest possible duration [s].
     """
     period, between, usual = periods
     changes, lasts = target_jerk
@@ -369,7 +372,7 @@ def smooth_slope(
 
 
 def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
-    """Return the largest slope of a period that can decrease to zero within `gap`, over `usual` periods after it."""
+    """Return the largest slope of a period that can decrease to zero within `gap` over later periods `usual`."""
     if usual >= _EQUAL * period:
         return fastest_slope(gap, jerk, period)
     low, high = 0.0, gap / period
@@ -384,7 +387,7 @@ def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
 def fastest_slope(gap: float, jerk: float, period: float) -> float:
     """Return the largest slope that can decrease to zero within `gap`, by at most `jerk` * `period` per period.
 
-    In these units slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
+    In units of jerk * period, slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
     step = jerk * period
     units = max(gap, 0.0) / (step * period)
@@ -393,7 +396,7 @@ def fastest_slope(gap: float, jerk: float, period: float) -> float:
 
 
 def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
-    """Return the command nearest to `wanted` that `previous` can become within `period` [s], without a jerk limit.
+    """Return the command nearest to `wanted` that is reachable from `previous` in `period` [s], without a jerk limit.
 
     Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
     """

@@ -18,8 +18,8 @@ __all__ = ["ControlClock", "DelayEstimate"]
 
 _FIRST = 0.005  # [s]: assumed before the first call, so that its command is also admissible at 200 Hz
 _LONGEST = 0.5  # [s]: after a longer silence the response to the last command is unknown
-_MOST_GROWTH = 2.0  # bound on one late call in the filtered period
-_SMOOTHING = 0.2  # weight of the newest period in the filtered one
+_MOST_GROWTH = 2.0  # factor on the filtered period that bounds the effect of one late call
+_SMOOTHING = 0.2  # weight of the newest period in the filtered period
 
 _LONGEST_LATENCY = 0.2  # [s]
 _LATENCIES = readonly(np.linspace(0.0, _LONGEST_LATENCY, 11))  # [s], of the models
@@ -36,9 +36,9 @@ class ControlClock:
     """Period of the calls, measured from their stamps.
 
     Attributes:
-        now: Stamp of the last call [s]; None before the first.
+        now: Stamp of the last call [s]; None before the first call.
         elapsed: Time between the last two calls [s], at most half a second.
-        period: Filtered period, the estimate of the coming one [s].
+        period: Filtered period, the estimate of the next period [s].
         learnt: Whether the last call was the first one with a measured period.
         silent: Whether the last call was the first, or came after more than half a second.
     """
@@ -55,7 +55,7 @@ class ControlClock:
         """Register a call.
 
         Args:
-            stamp: Time of the call [s]; None: now, on the context's clock.
+            stamp: Time of the call [s]; None: the present time on the context's clock.
             context: Context with the clock and the name for messages.
             period: Fixed period [s]; None: measured.
 
@@ -111,7 +111,7 @@ class DelayEstimate:
 
     @property
     def latency_and_lag(self) -> tuple[float, float]:
-        """The delay split into latency and lag as in the best model [s]."""
+        """Latency and lag [s]: the delay, split in the same ratio as in the best model."""
         whole = float(_DELAYS.flat[self._best])
         lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
         return self.delay - lag, lag
@@ -139,7 +139,7 @@ class DelayEstimate:
         self.delay += min(max(wanted - self.delay, -step), step)
 
     def _simulate(self, begin: float, period: float) -> None:
-        """Advance every model by one period, through the commands in force during it."""
+        """Advance every model by one period, with the commands in force during this period."""
         since, commands = np.array(self._since), np.array(self._commands)
         start, end = begin - _LATENCIES, begin - _LATENCIES + period
         first = np.searchsorted(since, start, side="right") - 1

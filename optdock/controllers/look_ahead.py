@@ -1,6 +1,6 @@
-"""Collision check of a command: the footprint along the motion to a stop, among the obstacles of the context.
+"""Collision check of a command: checks the footprint along the motion to a stop against the obstacles of the context.
 
-The motion consists of the commands under way in the drive, one period of the new command, and braking.
+The motion consists of the commands that the drive has not yet executed, one period of the new command, and braking.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SPACING = 0.03  # [m], largest motion of a point of the footprint between two p
 _DEEPER = 1e-6  # [m], rounding of a depth that does not increase
 _TOUCHING = 1e-3  # [m], largest distance of a contact
 _AT_CONTACT = 0.1  # [m], distance from the pose of an intended contact, above noise and overshoot
-_MARGIN = 0.5  # [m] around the motion in which obstacles are kept from call to call
+_MARGIN = 0.5  # [m] around the motion in which obstacles are cached between calls
 
 
 class Obstruction(NamedTuple):
@@ -52,7 +52,7 @@ def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, 
 
 
 class LookAhead:
-    """Search for obstacles along motions, with a cache of those around the robot until they change."""
+    """Search for obstacles along motions, with a cache of the obstacles around the robot until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None
@@ -62,8 +62,9 @@ class LookAhead:
     ) -> Obstruction | None:
         """Return the obstacle that the footprint enters deepest along a motion; None without a collision.
 
-        In an obstacle that contains the robot at the first pose the depth must not increase. Contact with the station,
-        and near a pose of `contacts` with the obstacles touched there, is intended and may be as deep as `tolerance`.
+        If the robot overlaps an obstacle at the first pose, the depth must not increase. Contact with the station is
+        intended, and so is contact near a pose of `contacts` with the obstacles touched at that pose; it may be as deep
+        as `tolerance`.
 
         Args:
             context: Footprint and obstacles; without a footprint nothing is checked.
@@ -103,7 +104,7 @@ class LookAhead:
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-        """Return the obstacles of the context in a box and around it, from the present costmaps."""
+        """Return the obstacles of the context in and around a box, from the present costmaps."""
         around = self._around
         if around is None or around.context is not context or not around.contains(lower, upper):
             around = self._around = _Around(context, lower - _MARGIN, upper + _MARGIN)
@@ -111,7 +112,7 @@ class LookAhead:
 
 
 class _Grid:
-    """The obstacles of a costmap in a box, updated when its cells there have changed."""
+    """Obstacles of a costmap in a box, updated when the cells in the box have changed."""
 
     def __init__(self, grid: Costmap, lower: FloatArray, upper: FloatArray) -> None:
         self._grid, self._box = grid, (lower, upper)
@@ -132,7 +133,7 @@ class _Grid:
 
 
 class _Around:
-    """The obstacles of a context in a box."""
+    """Obstacles of a context in a box."""
 
     def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
         self.context, self._lower, self._upper = context, lower, upper

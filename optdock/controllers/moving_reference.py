@@ -1,6 +1,6 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-Another trajectory may take over in motion: the reference changes from one to the other where the newer one begins.
+Another trajectory may take over in motion: the reference changes to the new trajectory where the latter begins.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ReferenceProgress", "ReferenceState", "TrajectoryReference", "peaks", "rate_for_turning", "waiting_rate"]
 
-_AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
+_AT_REST = 1e-6  # [m/s]: a reference at rest may change its rate at once
 _STEADY = 1e-3  # [1/s]: a slower change of the rate counts as zero
 _AT_START = 0.05  # [m]: a robot within this distance of the start begins there
 _BEYOND = 1e-6  # [m]: after a cusp
@@ -36,7 +36,7 @@ _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1
 class ReferenceProgress(NamedTuple):
     """Progress of a controller.
 
-    `time`: of the reference, on the clock of the trajectory given last [s]; negative until that one takes over.
+    `time`: time of the reference on the clock of the last given trajectory [s]; negative until its takeover.
     `rate`: rate of the reference [1].
     """
 
@@ -45,11 +45,12 @@ class ReferenceProgress(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """The reference after the preview, where the feed-forward is taken from.
+    """The reference after the preview, from which the feed-forward is taken.
 
-    `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory along its
-    travel, at rate 1 [m/s, m/s^2]; in a turn in place those of the yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0 in a turn
-    in place. `left`: distance to the end [m]. `to_rest`: distance to the next rest, a cusp or the end [m].
+    `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: values of the trajectory along
+    the direction of travel, at rate 1 [m/s, m/s^2]; in a turn in place, values of the yaw [rad/s, rad/s^2]. `gear`: 1
+    or -1, 0 in a turn in place. `left`: distance to the end [m]. `to_rest`: distance to the next rest, a cusp or the
+    end [m].
     """
 
     twist: Twist2
@@ -63,7 +64,8 @@ class Ahead(NamedTuple):
 class ReferenceState(NamedTuple):
     """The reference at one instant.
 
-    `gear`: 1 or -1, 0 in a turn in place; `turn`: 1 or -1 there, 0 elsewhere. `ahead`: the reference after the preview.
+    `gear`: 1 or -1, 0 in a turn in place. `turn`: 1 or -1 in a turn in place, 0 elsewhere. `ahead`: the reference after
+    the preview.
     """
 
     pose: Pose2
@@ -72,19 +74,19 @@ class ReferenceState(NamedTuple):
     ahead: Ahead
 
     def lag_of(self, error: Pose2) -> float:
-        """Return the lead of the reference along the travel or turn [m or rad]; `error` in the robot's frame."""
+        """Return the lead of the reference along the travel or turn [m or rad]; `error` is in the robot's frame."""
         return error.x * self.gear + error.yaw * self.turn
 
 
 class _Joint(NamedTuple):
-    """Change to `trajectory` at `time` [s] of the one before, whose speed there is `faster` times the new one."""
+    """Change to `trajectory` at `time` [s] of the previous trajectory, whose speed is `faster` times the new speed."""
 
     time: float
     trajectory: Trajectory
     faster: float
 
     def rate_after(self, before: float) -> float:
-        """Return the rate at which the new trajectory is as fast as the old one at the rate `before`."""
+        """Return the rate at which the new trajectory is as fast as the previous trajectory at the rate `before`."""
         return min(1.0, before * self.faster) if math.isfinite(self.faster) else 1.0
 
 
@@ -95,12 +97,12 @@ def _joint(before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
 
 
 class TrajectoryReference:
-    """The present set-point: `trajectory` at time `time`, which advances by `rate` seconds per second.
+    """Present set-point: the state of `trajectory` at `time`, which advances by `rate` seconds per second.
 
     The commands are ahead of the reference by a preview that compensates the delay of the drive. If the preview or the
     rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate and
-    every acceleration by its square. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum `rate^2 *
-    acceleration + speed * d rate/dt` keeps the limits, and it begins and ends smoothly.
+    every acceleration by its square. A change of rate adds `speed * d rate/dt`. The change begins and ends smoothly,
+    and is bounded so that the sum `rate^2 * acceleration + speed * d rate/dt` keeps the limits.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -118,12 +120,12 @@ class TrajectoryReference:
 
     @property
     def last(self) -> Trajectory:
-        """The trajectory given last."""
+        """The last given trajectory."""
         return self._joints[-1].trajectory if self._joints else self.trajectory
 
     @property
     def progress(self) -> ReferenceProgress:
-        """Progress on the clock of the trajectory given last."""
+        """Progress on the clock of the last given trajectory."""
         if not self._joints:
             return ReferenceProgress(self.time, self.rate)
         left = self._joints[0].time - self.time + sum(joint.time for joint in self._joints[1:])
@@ -131,15 +133,15 @@ class TrajectoryReference:
 
     @property
     def ends(self) -> FloatArray:
-        """Start and end pose of the present trajectory and end pose of the last one, Shape (3, 3)."""
+        """Start and end pose of the present trajectory and end pose of the last trajectory, Shape (3, 3)."""
         poses = self.trajectory.path.start, self.trajectory.path.end, self.last.path.end
         return np.array([pose.as_array() for pose in poses])
 
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
-        """Let `trajectory` take over `lead` seconds from now, and cancel later takeovers.
+        """Schedule a takeover by `trajectory` in `lead` seconds, and cancel later takeovers.
 
-        The place of the change is fixed by the present rate: a later change of the rate moves the instant, so that the
-        reference does not jump. A standing reference waits.
+        The place of the change is determined by the present rate. If the rate changes later, the time of the takeover
+        changes, and the reference does not jump. A reference at rest changes at once and waits at the new start.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()
@@ -151,7 +153,7 @@ class TrajectoryReference:
         self._joints.append(_joint(shown, at, trajectory))
 
     def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
-        """Set the lead of the commands [s], by a shift of the reference before its end unless `at_once`."""
+        """Set the lead of the commands [s]; unless `at_once`, the reference is shifted by the change before its end."""
         if self.time + self._preview > 0.0 and not at_once and not self.finished:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
@@ -196,7 +198,7 @@ class TrajectoryReference:
         return poses
 
     def trajectory_ahead(self, preview: float) -> tuple[Trajectory, float]:
-        """Return the trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
+        """Return the trajectory in force `preview` seconds from now, and the time on its clock at that moment [s]."""
         trajectory, time, _ = self._at(preview)
         return trajectory, time
 
@@ -207,13 +209,13 @@ class TrajectoryReference:
         return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
 
     def next_arc(self) -> Twist2:
-        """Return direction and curvature of the path at the commands, at a cusp those of the next gear, as a twist."""
+        """Return direction and curvature of the path at the commands as a twist; at a cusp, values of the next gear."""
         shown, time, _ = self._at(self._preview)
         s = np.array([min(self._place(shown, time) + _BEYOND, shown.path.length)])
         return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
 
     def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
-        """Return poses over the next `distance` [m] of the path, offset by `pose` relative to `now`; None beyond it.
+        """Return poses over the next `distance` [m], offset by `pose` relative to `now`; None beyond the path.
 
         Shape (n, 3).
         """
@@ -236,14 +238,14 @@ class TrajectoryReference:
 
     @staticmethod
     def _place(trajectory: Trajectory, time: float) -> float:
-        """Return the distance along a trajectory at a time of its clock [m]."""
+        """Return the distance along a trajectory at a time on its clock [m]."""
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
 
-        The first rate makes the reference no faster than the robot at `linear` m/s; from rest the reference begins late
-        by the drive's `delay` [s], so that no command is left out.
+        At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. From rest, the
+        reference begins later by the drive's `delay` [s], so that no command is omitted.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
@@ -304,7 +306,7 @@ class TrajectoryReference:
         self.time = self.rate * since if since > 0.0 else since
 
     def _at(self, preview: float) -> tuple[Trajectory, float, float]:
-        """Return the trajectory in force `preview` seconds from now, with the time on its clock and its rate then."""
+        """Return the trajectory in force `preview` seconds from now, with its time and its rate at that moment."""
         shown, rate = self.trajectory, self.rate
         time = self.time + (rate if self.time >= 0.0 else 1.0) * preview
         for joint in self._joints:
@@ -337,8 +339,8 @@ def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, floa
 def peaks(trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest speed and acceleration outside of turns in place [m/s, m/s^2].
 
-    They occur at the borders of the phases; the largest speed may also occur at a zero of the acceleration within a
-    phase.
+    The peaks occur at the borders of the phases; the largest speed may also occur at a zero of the acceleration within
+    a phase.
     """
     law = trajectory.time_law
     middle = law.phase_middles(0.5 * (law.times[:-1] + law.times[1:]))
@@ -358,19 +360,19 @@ def peaks(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the bounds of d rate/dt [1/s] that keep the played-back acceleration and deceleration limits."""
+    """Return the bounds of d rate/dt [1/s] within which playback keeps the acceleration and deceleration limits."""
     rise, fall = limits
     return min(0.0, -(fall + acceleration) / speed), max(0.0, (rise - acceleration) / speed)
 
 
 def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: MotionLimits, drive: Drive) -> float:
-    """Return the largest rate that leaves feedback a share of the yaw acceleration, which grows with its square [1].
+    """Return the largest rate [1] that leaves a share of the yaw acceleration, proportional to its square, to feedback.
 
     Args:
         reference: The moving reference.
         reserve: Share of `max_yaw_acceleration` left to feedback [1].
         limits: Limits of the robot.
-        drive: Kind of drive; for steered wheels there is a reserve in every limit.
+        drive: Kind of drive; for steered wheels, every limit has a reserve.
     """
     most = _STEERED_RATE if drive is Drive.ACKERMANN else 1.0
     kept = (1.0 - reserve) * limits.max_yaw_acceleration

@@ -1,4 +1,4 @@
-"""MpcController: follows a trajectory by the best commands over a short horizon within the robot's limits."""
+"""MpcController: follows a trajectory with commands that are optimal over a short horizon within the robot's limits."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ _MOST = 1e3  # [m/s], [rad/s]: above every limit, for the reachable interval of 
 class MpcControllerParameters(TrackingControllerParameters):
     """Horizon, weights and drive of the MpcController; gains and preview of the TrackingController are not used.
 
-    The weights are those of `python -m experiments.benchmarks tracking --tune 120`, rounded, but with a larger
-    `smoothness`, `along_error` and weight of the yaw, which halves the effect of noise at 20 Hz.
+    The weights are the rounded results of `python -m experiments.benchmarks tracking --tune 120`, except that
+    `smoothness`, `along_error` and the weight of the yaw are larger, which halves the effect of noise at 20 Hz.
     """
 
     horizon: float = Field(
@@ -90,7 +90,7 @@ class CycleOutcome(str, Enum):
 class MpcStatus(NamedTuple):
     """Result of a cycle."""
 
-    outcome: CycleOutcome  # source of its command
+    outcome: CycleOutcome  # source of the command
     outside_tube: float  # largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube
 
 
@@ -103,17 +103,17 @@ class _Plan(NamedTuple):
 
 
 class MpcController(TrackingController):
-    """Controller that follows a trajectory by model predictive control: a TrackingController with another law.
+    """Controller that follows a trajectory by model predictive control: a TrackingController with a different law.
 
-    Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or as long as braking
-    takes, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go weighs the
-    rest of the trajectory, so that errors are corrected before the dock if possible. Latency and lag, given or
-    identified, are part of the model. Errors across and in heading are kept within the robot's tube, `Robot.tracking`,
-    if it has one and the limits allow it.
+    Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
+    it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go
+    accounts for the rest of the trajectory, so that errors are corrected before the dock if possible. Latency and lag,
+    given or identified, are part of the model. Lateral and heading errors are kept within the robot's tube,
+    `Robot.tracking`, if it is given and the limits allow it.
 
-    `status` reports a jerk limit that no commands keep (the reference jumped), a robot outside the tube, and a program
-    without a solution; in the last case the commands of the previous cycle continue, and after them NoValidControl is
-    raised.
+    `status` reports if no commands keep the jerk limit because the reference has jumped, if the robot is outside the
+    tube, and if the program has no solution. In the last case the commands of the previous cycle continue; after the
+    last of these commands, NoValidControl is raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
@@ -171,7 +171,8 @@ class MpcController(TrackingController):
         if self._reference is not None:
             live = self._reference.trajectory, self._reference.last
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
-            # The cost to go has no limits: a horizon shorter than braking takes would reach the end too late.
+            # The cost to go ignores the limits: with a horizon shorter than the braking time, braking would begin too
+            # late.
             fastest = max(peaks(each)[0] for each in live)
             self._horizon = max(
                 self._horizon, braking_time(fastest, self._limits.max_deceleration, self._limits.max_jerk)
@@ -193,7 +194,7 @@ class MpcController(TrackingController):
         return command
 
     def _remember(self, command: Twist2) -> None:
-        """Record a command under way to the drive."""
+        """Record a command that has been sent to the drive."""
         if self._clock.now is None:
             return
         self._given.append((self._clock.now, command))
@@ -213,7 +214,7 @@ class MpcController(TrackingController):
 
     @property
     def _tube(self) -> tuple[float, float] | None:
-        """Half width [m] and heading error [rad] of the robot's tube; None without one."""
+        """Half width [m] and heading error [rad] of the robot's tube; None without a tube."""
         tube = self.context.problem.robot.tracking if self.context.problem else TrackingTube()
         held = self.parameters.hold_tube and tube.cross > 0.0 and tube.yaw > 0.0
         return (tube.cross, tube.yaw) if held else None
@@ -237,7 +238,7 @@ class MpcController(TrackingController):
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
-        # The model of the horizon contains neither the braking of a cancel nor steered wheels that turn at rest.
+        # The model contains neither braking after a cancellation nor turning of steered wheels at rest.
         turning = self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished
         if self._cancelled or turning:
             self._nominal = self._limiter.allowed = None
@@ -254,7 +255,7 @@ class MpcController(TrackingController):
         return self._limiter.allowed
 
     def _cycle(self, reference: TrajectoryReference) -> MpcCycle:
-        """Return the data of this cycle's program, from the time when its command takes effect."""
+        """Return the data of the program in this cycle, beginning at the time when its command takes effect."""
         n, period, (latency, lag) = self.parameters.steps, self._clock.period, self._delays
         h = np.full(n, max(period, (self._horizon - period) / (n - 1)))
         h[0] = period
@@ -363,14 +364,14 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Limiter that passes the program's commands, which keep all limits, and limits those changed by the finish.
+    """Limiter that passes commands of the program, which keep all limits, and limits commands changed by the finish.
 
     Attributes:
         allowed: The program's command of this cycle.
     """
 
     def restart(self, command: Twist2) -> None:
-        """Restart at the robot's velocity, at a steady speed."""
+        """Restart at the velocity of the robot, with zero acceleration."""
         super().restart(command)
         self.allowed: Twist2 | None = None
 
@@ -385,7 +386,7 @@ class _ProgramLimiter(CommandLimiter):
         in_place: bool,
         room: float = math.inf,
     ) -> Twist2:
-        """Return the command nearest to `wanted` that the last one can become; see `CommandLimiter.follow`."""
+        """Return the reachable command nearest to `wanted`; see `CommandLimiter.follow`."""
         before, is_first, allowed = self.command, self._feed_forward is None, self.allowed
         command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
         if is_first or allowed is None or wanted.linear != allowed.linear:

@@ -1,9 +1,9 @@
 """The tracking problem of a short horizon as a quadratic program, solved by DAQP.
 
 The state is z = (along, cross, yaw error, speed, yaw rate) relative to the moving reference. Over one step of length h
-the reference moves along an arc of mean velocity (v, w); linearized there [DeLuca2001], with the drive a first-order
-lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the
-commands:
+the reference moves along an arc with the mean velocity (v, w). The errors are linearized about this arc [DeLuca2001],
+and the drive is a first-order lag that is integrated exactly: z' = A z + B u + c. The states are eliminated
+[Rawlings2017], so the variables are the commands:
 
     minimize    sum_k h_k |errors_k|^2_Q + |u_k - nominal_k|^2_R + |d(u - nominal)/dt|^2_S  + |errors_N|^2_P
                 + exact penalties of the two slacks
@@ -30,7 +30,7 @@ __all__ = ["Prediction", "ReferenceArcs", "arcs_between", "predicted", "riccati_
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _IN_MOTION = 0.02  # [m/s]: the curvature of slower commands is not linearized
 _SAME_TIME = 1e-6  # [s]: a smaller change of the steps counts as zero
-_MOST_ITERATIONS = 300  # of the active set, some 3 ms; a warm start takes 20
+_MOST_ITERATIONS = 300  # of the active-set method, about 3 ms; a warm start takes 20
 
 
 class ReferenceArcs(NamedTuple):
@@ -47,7 +47,7 @@ class ReferenceArcs(NamedTuple):
 
 
 def arcs_between(poses: FloatArray, times: FloatArray) -> ReferenceArcs:
-    """Return the arcs from each pose, Shape (n + 1, 3), yaw continuous, to the next; times Shape (n + 1,) [s]."""
+    """Return the arcs between successive poses, Shape (n + 1, 3), yaw continuous, at `times`, Shape (n + 1,) [s]."""
     h, turn = np.diff(times), np.diff(poses[:, 2])
     dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
     c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
@@ -94,7 +94,7 @@ class Prediction(NamedTuple):
 
 
 def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatArray]) -> Prediction:
-    """Eliminate the states, from the present one, Shape (5,), and the result of `step_matrices`."""
+    """Eliminate the states, given the present state, Shape (5,), and the result of `step_matrices`."""
     a, b, c = matrices
     n = len(a)
     errors, by = np.empty((n, 5)), np.zeros((n, 5, 2 * n))
@@ -145,7 +145,7 @@ class MpcWeights(NamedTuple):
 class CommandBounds(NamedTuple):
     """Lower and upper bounds of n commands, Shape (2, n) each; infinite without a limit."""
 
-    limits: MotionLimits  # limits of the robot, for those that are the same at all steps
+    limits: MotionLimits  # limits of the robot, for bounds that are the same in all steps
     speed: FloatArray  # [m/s]
     acceleration: FloatArray  # between the speeds, the first from the last command [m/s^2]
     lateral: FloatArray  # of speed times yaw rate, linearized about `about` [m/s^2]
@@ -158,18 +158,18 @@ class MpcCycle(NamedTuple):
     """Data of one cycle."""
 
     prediction: Prediction  # errors as a function of the commands
-    nominal: FloatArray  # commands that keep to the reference, the first row of the last cycle, Shape (n + 1, 2)
+    nominal: FloatArray  # commands that follow the reference, first row from the last cycle, Shape (n + 1, 2)
     cost_to_go: FloatArray  # after the last step, Shape (3, 3)
     h: FloatArray  # length of each step, Shape (n,) [s]
     elapsed: float  # time since the last command [s]
     bounds: CommandBounds  # bounds of the commands
     last: FloatArray  # command of the last cycle, Shape (2,)
-    last_acceleration: float  # change of its speed [m/s^2]
-    tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without one
+    last_acceleration: float  # acceleration of that command [m/s^2]
+    tube: tuple[float, float] | None  # half width [m] and yaw error [rad] of the tube; None without a tube
 
 
 class Solution(NamedTuple):
-    """The commands, Shape (n, 2), the largest excess of the tube [m], and that of the next jerk [m/s^3]."""
+    """Commands, Shape (n, 2), largest excess over the tube [m], and excess of the next jerk over its limit [m/s^3]."""
 
     commands: FloatArray
     outside: float
@@ -177,7 +177,7 @@ class Solution(NamedTuple):
 
 
 class TrackingProgram:
-    """The program of a robot: built once, filled and solved in every cycle.
+    """Program of a robot that is built once, then filled and solved in every cycle.
 
     Args:
         steps: Number of steps n.
@@ -204,7 +204,7 @@ class TrackingProgram:
         self._effort = np.zeros((2 * steps, 2 * steps))
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
-        """Return the optimal commands; None if none are found within the iterations."""
+        """Return the optimal commands; None if no solution is found within the largest number of iterations."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
@@ -226,9 +226,9 @@ class TrackingProgram:
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
-        A command is the mean over its step, so two of them are half of both steps apart. Their difference is the mean
-        of the acceleration over a triangle around the border; the jerk is measured between the centroids of these
-        triangles.
+        A command is the mean over its step, so the time between two commands is half of both steps. Their difference is
+        the acceleration averaged over a triangular window around the border of the steps; the jerk is measured between
+        the centroids of these windows.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
@@ -298,7 +298,7 @@ class TrackingProgram:
             np.minimum(np.maximum(values, -UNBOUNDED, out=values), UNBOUNDED, out=values)
 
     def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
-        """Bound the change of the curvature w / v between commands in motion, linearized about the nominal ones."""
+        """Bound the change of the curvature w / v between commands in motion, linearized about the nominal commands."""
         program, (v, w) = self._program, nominal.T
         moving = np.abs(v) > _IN_MOTION
         speed = np.where(moving, v, 1.0)

@@ -38,12 +38,12 @@ def checked_speed_limit(limit: object, percentage: object) -> float:
 def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Trajectory:
     """Check `task`, the path or trajectory to follow, and return it.
 
-    The frame must be the one of the configured problem if both are known. A certified trajectory must have been
-    certified for the configured problem; only its start may differ, because a new plan in motion begins at the robot.
-    Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
+    The frame must be equal to the frame of the configured problem if both are known. A certified trajectory must have
+    been certified for the configured problem; only its start may differ, because a new plan in motion begins at the
+    robot. Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:
-        ControllerInvalidPath: If it is neither a path nor a trajectory, is in another frame, or was certified for
+        ControllerInvalidPath: If `task` is neither a path nor a trajectory, is in another frame, or was certified for
             another problem.
     """
     if not isinstance(task, Path | Trajectory):
@@ -75,12 +75,12 @@ class AcceptedErrors(NamedTuple):
     yaw: float
 
     def shortfall(self, error: Pose2) -> float:
-        """Return the largest error in units of the accepted one; at most 1 if all errors are accepted."""
+        """Return the largest ratio of an error to the accepted error; at most 1 if all errors are accepted."""
         return max(abs(error.x) / self.along, abs(error.y) / self.cross, abs(error.yaw) / self.yaw)
 
 
 def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) -> AcceptedErrors:
-    """Return the tolerances of the goal checker, and those of the problem's dock for the missing ones."""
+    """Return the tolerances of the goal checker; missing ones are replaced by the tolerances of the problem's dock."""
     asked = goal_checker.tolerances if goal_checker else None
     dock = context.problem.dock.tolerances if context.problem else DockTolerances()
     given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
@@ -89,7 +89,7 @@ def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) ->
 
 
 class _StallTimer:
-    """Time without progress of a quantity that should become smaller."""
+    """Timer for a quantity that should decrease: measures the time without progress."""
 
     def __init__(self) -> None:
         self._least, self._idle = math.inf, 0.0
@@ -114,7 +114,7 @@ class ProgressCheck:
     def check(
         self, error: Pose2, period: float, patience: float, *, is_held: bool, left: AcceptedErrors | None
     ) -> None:
-        """Check the progress of this period.
+        """Check the progress in this period.
 
         Args:
             error: The reference pose in the robot's frame.

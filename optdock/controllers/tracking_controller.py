@@ -51,7 +51,7 @@ _ROOM = 2e-4  # [m] beyond the next rest: rounding of a motion at full braking
 _NOTHING = 5e-5  # [m/s], [rad/s]: smaller commands at the end are zero
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
 _SEEN_NOISE = 2.0  # standard deviations of a pose across the path that are regarded as noise of a depth
-_PEAK_MARGIN = 1.2  # without a configured robot: limits over the peaks of the trajectory, room for feedback
+_PEAK_MARGIN = 1.2  # without a configured robot: ratio of limits to peaks of the trajectory, for feedback
 
 
 class TrackingControllerParameters(PluginParameters):
@@ -101,30 +101,31 @@ class TrackingControllerParameters(PluginParameters):
 class TrackingController(Controller):
     """Controller that follows a trajectory in time, in both gears, and corrects the remaining error at its end.
 
-    **Time.** Every call advances the reference by the time since the last one, measured by the stamps, or by `period`
-    if given, times a rate in [0, 1]. Any constant or varying call rate from 10 to 200 Hz is possible. The rate is 1,
-    lower under a speed limit, and falls smoothly to 0 while the robot lags by `slow_down_lag` to `stop_lag`. A robot
-    further than `max_error` (or `max_yaw_error`) from the reference has left the certified motion: NoValidControl.
+    **Time.** Every call advances the reference by the time since the last call, measured by the stamps or given by
+    `period`, times a rate in [0, 1]. Any constant or varying call rate from 10 to 200 Hz is possible. The rate is 1, or
+    lower under a speed limit, and falls smoothly to 0 as the lag of the robot increases from `slow_down_lag` to
+    `stop_lag`. A robot farther than `max_error` (or `max_yaw_error`) from the reference has left the certified motion,
+    and NoValidControl is raised.
 
     **Law.** See `tracking_law`. The feed-forward is taken at the middle of the coming period, `preview` ahead of the
     reference. Without `preview` the delay of the drive is identified, beginning with the first ramp, and kept until
     `reset`.
 
-    **Finish.** At the trajectory's end the same law holds the last pose. If the drive ignores small commands, larger
-    ones are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of what the goal
-    checker accepts (or `finish_tolerance`). An error that is not accepted and does not decrease for `patience` raises
-    NoValidControl. A robot that does not follow the reference also raises NoValidControl.
+    **Finish.** At the end of the trajectory the same law holds the last pose. If the drive ignores small commands,
+    larger commands are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of the
+    tolerance of the goal checker (or `finish_tolerance`). An error that is not accepted and does not decrease for
+    `patience` raises NoValidControl. A robot that does not follow the reference also raises NoValidControl.
 
-    **Collisions.** A command after which the robot could not stop before it touches something raises NoValidControl.
-    The checked motion is the commands under way in the drive, one period of the new command, and braking, along its arc
-    or along the path. Contact with the station, and with obstacles that the trajectory touches at its start or end, is
-    intended: `collision_tolerance` is allowed there. A robot that overlaps an obstacle may move if the depth does not
-        increase.
-    Obstacles come from the context: the problem, and the costmaps at the time of the call; without both there is no
-    check.
+    **Collisions.** NoValidControl is raised if the robot could not stop after the command before touching an obstacle.
+    The checked motion consists of the commands that the drive has not yet executed, one period of the new command, and
+    braking, along the arc of the command or along the path. Contact with the station, and with obstacles that the
+    trajectory touches at its start or end, is intended: `collision_tolerance` is allowed there. A robot that overlaps
+    an obstacle may move if the depth does not increase. The obstacles are those of the context's problem, and of its
+    costmaps at the time of the call; without both there is no check.
 
-    **Limits.** The limits are those of the context's robot, or without a robot the defaults of `MotionLimits`, widened
-    to 1.2 times the peaks of the trajectory. Commands are admissible for the drive and keep its acceleration limits.
+    **Limits.** The limits of the context's robot apply; without a robot, the defaults of `MotionLimits` apply,
+    increased to 1.2 times the peaks of the trajectory if necessary. Commands are admissible for the drive and keep its
+    acceleration limits.
 
     Args:
         **parameters: Fields of `TrackingControllerParameters`.
@@ -161,11 +162,11 @@ class TrackingController(Controller):
             start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until then the reference
                 continues on the previous trajectory, or waits at the start if there is none. The new trajectory should
                 begin at the state of the reference at that time. None: the trajectory starts with the next call, at the
-                robot's place.
+                place of the robot.
 
         Raises:
-            ControllerInvalidPath: If it is neither a path nor a trajectory, is in another frame than the configured
-                problem, was certified for another one, or cannot be timed under the robot's limits.
+            ControllerInvalidPath: If `path` is neither a path nor a trajectory, is not in the frame of the configured
+                problem, was certified for another problem, or cannot be timed within the robot's limits.
             PluginError: If the time parameterizer does not exist.
         """
         path = checked_task(path, self.context)
@@ -186,13 +187,13 @@ class TrackingController(Controller):
 
         Args:
             pose: Measured pose.
-            velocity: Measured body velocity, the start of the first command and the response to the last one.
+            velocity: Measured body velocity: start of the first command, and response to the last command.
             goal_checker: Goal checker whose position tolerance may widen `finish_tolerance`.
-            stamp: Time of the measured pose [s], on any monotonic clock; None: now, on the context's clock.
+            stamp: Time of the measured pose [s], on any monotonic clock; None: the present time on the context's clock.
 
         Raises:
             ControllerInvalidPath: If there is no path.
-            NoValidControl: If the robot is further than `max_error` or `max_yaw_error` from the reference, would
+            NoValidControl: If the robot is farther than `max_error` or `max_yaw_error` from the reference, would
                 collide, or makes no progress, or the clock went back.
         """
         if self._reference is None:
@@ -248,7 +249,7 @@ class TrackingController(Controller):
     def _room(self, reference: TrajectoryReference, now: ReferenceState, lag: float) -> float:
         """Return the distance to the next rest when the command takes effect [m]; infinite at the end.
 
-        The present lag is added, less the part that the commands under way correct.
+        The present lag is added, minus the part that commands not yet executed by the drive will correct.
         """
         ahead = now.ahead
         if self._last is None or reference.finished or self._cancelled or ahead.gear == 0.0 or ahead.gear != now.gear:
@@ -298,7 +299,7 @@ class TrackingController(Controller):
         self._speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:
-        """Brake along the path within the limits; True once the commands are zero."""
+        """Brake along the path within the limits; return True once the commands are zero."""
         self._cancelled = True
         return (
             self._reference is None
@@ -316,7 +317,7 @@ class TrackingController(Controller):
 
     @property
     def progress(self) -> ReferenceProgress | None:
-        """Progress of the reference, on the clock of the trajectory given last; None without a path."""
+        """Progress of the reference, on the clock of the last given trajectory; None without a path."""
         return None if self._reference is None else self._reference.progress
 
     def _start_attempt(self) -> None:
@@ -380,7 +381,7 @@ class TrackingController(Controller):
 
     @property
     def _preview(self) -> float:
-        """Lead of the commands: the delay, and half a period for the middle of the coming one [s]."""
+        """Lead of the commands [s]: the delay plus half a period, which leads to the middle of the next period."""
         return self._known_delay + 0.5 * self._clock.period
 
     def _wanted(
@@ -395,7 +396,8 @@ class TrackingController(Controller):
         )
         wanted = tracking_command(error, now.ahead.twist, gains)
         if self._drive is Drive.ACKERMANN and now.ahead.speed < CREEPING:
-            # The curvature at rest is undefined, and feedback would swing the wheels; a creeping command defines it.
+            # The curvature at rest is undefined, and feedback would swing the wheels; a creeping command defines the
+            # curvature.
             arc = reference.next_arc()
             speed = wanted.linear if abs(wanted.linear) > _CREEP or reference.finished else _CREEP * arc.linear
             return Twist2(speed, speed * arc.linear * arc.angular)

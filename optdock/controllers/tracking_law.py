@@ -1,18 +1,18 @@
 """The tracking law: feed-forward plus feedback of the pose error, its gains, and the push through a dead band.
 
 With the error (x, y, theta) of the reference in the robot's frame, reference speed v_r (negative in reverse) and yaw
-rate w_r, [Samson1993], [Kanayama1990], [DeLuca2001]:
+rate w_r, the command is ([Samson1993], [Kanayama1990], [DeLuca2001]):
 
     v = v_r cos(theta) + k_x x
     w = w_r + k_y v_r sinc(theta) y + k_theta theta
 
-V = k_y (x^2 + y^2) / 2 + theta^2 / 2 gives V' = -k_y k_x x^2 - k_theta theta^2 <= 0 for either sign of v_r, so the law
-is stable in both gears, and y converges while v_r does not vanish (continuous time, commands not saturated).
-Linearized, the lateral error obeys s^2 + k_theta s + k_y v_r^2. With k_y = 1 / L^2 and k_theta = 2 zeta |v_r| / L the
-error decays over the distance L at every speed.
+The Lyapunov function V = k_y (x^2 + y^2) / 2 + theta^2 / 2 has V' = -k_y k_x x^2 - k_theta theta^2 <= 0 for either sign
+of v_r, so the law is stable in both gears, and y converges while v_r does not vanish (continuous time, commands not
+saturated). The linearized lateral error has the characteristic polynomial s^2 + k_theta s + k_y v_r^2. With k_y = 1 /
+L^2 and k_theta = 2 zeta |v_r| / L the error decays over the distance L at every speed.
 
-A delay T of the drive takes the phase w T from the open loop, where w is the crossover frequency [Astrom2021].
-`DelayBounds` are the gains at which the delay takes a fixed share of the phase margin.
+A delay T of the drive reduces the phase of the open loop by w T, where w is the crossover frequency [Astrom2021].
+`DelayBounds` contains the gains at which the delay consumes a fixed share of the phase margin.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _QUICKEST_TURN = 4.0  # [1/s], largest heading gain before the end, within the b
 _AT_END = 0.78  # of the distance that the delay requires, near the end: a phase margin of 37 degrees
 _ERROR_SMOOTHING = 0.2  # [s], time constant of the error filter
 _SCATTER_SMOOTHING = 1.0  # [s], time constant of the variance filter
-_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: bound on what one sample adds to the variance
+_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: bound on the increase of the variance by one sample
 _NOISES = 3.0  # standard deviations
 _NEAR_END, _ROUNDING = 0.5, 1e-6  # [m] before the end in which the gains are adapted, if no rest lies between
 _LEFT = 0.25  # share of the accepted errors that the usual gains may leave at the end
@@ -62,8 +62,8 @@ _MOST_PUSH = Twist2(0.1, 0.3)  # [m/s], [rad/s]: the widest dead band
 class Gains(NamedTuple):
     """Gains of the law.
 
-    `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], which turns
-    the robot if the reference is at rest.
+    `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], for turning
+    the robot while the reference is at rest.
     """
 
     along: float
@@ -80,7 +80,7 @@ class DelayBounds(NamedTuple):
 
 
 def delay_bounds(speed: float, delay: float, damping: float) -> DelayBounds:
-    """Return the bounds at which a delay takes 0.4 of the phase margin of the linearized law.
+    """Return the bounds at which a delay consumes 0.4 of the phase margin of the linearized law.
 
     Across the path, the open loop is (2 zeta a s + a^2) / s^2 with a = |v| / L. Its gain is 1 at
     w = a sqrt(2 zeta^2 + sqrt(4 zeta^4 + 1)), where its phase margin is atan(2 zeta w / a). Along the path,
@@ -103,8 +103,8 @@ def left_after(
 ) -> tuple[float, float]:
     """Return the lateral offset [m] and slope [rad] that the law leaves after a distance (E5).
 
-    With the offset y and slope y', y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L if that is
-    larger (at least critically damped).
+    The offset y and the slope y' obey y'' + 2 m y' + y / L^2 = 0 over the distance, where 2 m is the larger of `pull`
+    and 2 / L (at least critically damped).
 
     Args:
         distance: Distance to drive [m], >= 0.
@@ -138,7 +138,7 @@ def tracking_command(error: Pose2, reference: Twist2, gains: Gains) -> Twist2:
 
 
 class FeedbackGains:
-    """Gain schedule by the drive's delay and the distance to the end, with an estimate of the noise of the poses.
+    """Gains scheduled by the delay of the drive and the distance to the end, with an estimate of the pose noise.
 
     Attributes:
         scatter: Variance of a measured pose across the robot [m^2].
@@ -173,11 +173,11 @@ class FeedbackGains:
         delay: float,
         finished: bool,
     ) -> Gains:
-        """Return `usual` within the bounds of the delay, or other gains if those would leave too large an error.
+        """Return `usual` within the bounds of the delay, or other gains if these would leave too large an error.
 
-        The lateral and heading errors are measured in units of the accepted ones; they are smoothed, and reduced by
-        their own noise, which higher gains would amplify. A lateral error is removed by turning the robot: if the
-        remaining distance is too short to turn back, the heading is corrected and the lateral error remains.
+        Lateral and heading errors are measured in units of the accepted errors. They are smoothed, and errors within
+        the noise are ignored, because higher gains would amplify the noise. A lateral error is removed by turning the
+        robot; if the remaining distance is too short to turn back, only the heading is corrected.
 
         Args:
             usual: Gains of the parameters.
@@ -220,7 +220,7 @@ class FeedbackGains:
 
 
 class DeadBandPush:
-    """Offset of the commands at the end that grows while the drive does not move."""
+    """Offset that is added to the commands at the end, and grows while the drive does not move."""
 
     def __init__(self) -> None:
         self._push = [0.0, 0.0]
