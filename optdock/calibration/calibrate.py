@@ -85,7 +85,7 @@ def calibrate(
 
     Args:
         recordings: Drives of one robot at one dock.
-        deviations: For each docking: largest distance across the path [m], largest turn off it [rad].
+        deviations: Largest lateral deviation [m] and largest heading deviation [rad] from the path in each docking.
         coverage: Probability that another docking stays inside the tube.
 
     Raises:
@@ -141,7 +141,7 @@ def _check_docks(recordings: Sequence[Recording]) -> None:
 
 
 def _check_drives(recordings: Sequence[Recording]) -> None:
-    """Check that no drive is given twice, because that would make intervals too narrow."""
+    """Check that no drive is given twice, because duplicates would make the intervals too narrow."""
     seen: dict[bytes, str] = {}
     for one in recordings:
         key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()

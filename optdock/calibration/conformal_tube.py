@@ -18,11 +18,11 @@ __all__ = ["DrivenTube", "conformal_rank", "conformal_tube"]
 
 
 class DrivenTube(NamedTuple):
-    """A tube with its coverage.
+    """A tracking tube with its coverage.
 
     Attributes:
         tube: The tube; None if unknown.
-        coverage: Lower bound of the probability that another docking stays inside [1].
+        coverage: Lower bound of the probability that another docking stays inside the tube [1].
         quantities: Widths `cross` and `yaw` of the tube.
     """
 
@@ -32,10 +32,10 @@ class DrivenTube(NamedTuple):
 
 
 def conformal_rank(count: int, coverage: float) -> int:
-    """Return the rank, from 1, of the score that bounds another score with probability `coverage`.
+    """Return the rank, counted from 1, of the score that bounds the next score with probability `coverage`.
 
-    Another score has any rank among all count + 1 with equal probability, so it is at most the k-th score with
-    probability k / (count + 1) or more ([Vovk2005]). No score is a bound if the rank is larger than `count`.
+    The next score has each of the count + 1 possible ranks with equal probability, so it is at most the k-th score with
+    a probability of at least k / (count + 1) ([Vovk2005]). If the rank is larger than `count`, no score is a bound.
     """
     return math.ceil(coverage * (count + 1) - 1e-9)
 
@@ -44,16 +44,16 @@ def conformal_tube(deviations: Sequence[tuple[float, float]], radius: float, cov
     """Return the tube in which the next docking stays with probability `coverage`.
 
     The score of a docking is the largest possible displacement of a point of the footprint. A certificate depends only
-    on that width, so the division of the width between `cross` and `yaw` is arbitrary; the ratio of their medians is
-    used.
+    on the bound of this displacement, so its division between `cross` and `yaw` is arbitrary; the ratio of their
+    medians is used.
 
     Args:
-        deviations: For each docking: largest distance across the path [m], largest turn off it [rad].
+        deviations: Largest lateral deviation [m] and largest heading deviation [rad] from the path in each docking.
         radius: Circumscribed radius of the footprint [m]; 0 if unknown.
         coverage: Required probability.
 
     Returns:
-        The tube, or the reason in its quantities if there are too few dockings or the footprint is unknown.
+        The tube; its quantities contain the reason if there are too few dockings or the footprint is unknown.
     """
     names = ("tube, cross", "m"), ("tube, yaw", "rad")
     count = len(deviations)

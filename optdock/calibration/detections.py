@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["detection_quantities"]
 
-_NOISE = (  # in the order of the fields of `Noise`, and whether it is a slope over the range
+_NOISE = (  # in the order of the fields of `Noise`: name, unit, and whether the value is a slope over the range
     ("detection sigma, position, at range 0", "m", False),
     ("detection sigma, position, per range", "1", True),
     ("detection sigma, yaw, at range 0", "rad", False),
@@ -44,7 +44,7 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
         low, high = value - off if is_slope else max(value - off, 0.0), value + off
         if name.startswith(
             "jitter"
-        ):  # `off` is that of the square; slip that is missing from the motion lowers the bound
+        ):  # `off` refers to the square of the jitter; slip missing from the motion lowers the bound
             low, high = max(value**2 - off - _SLIPPED**2, 0.0) ** 0.5, (value**2 + off) ** 0.5
         rows.append(Quantity(name, unit, value, low, high, count, sources))
     wrong = int(np.sum(found.wrong > 0.5))
@@ -56,7 +56,7 @@ def detection_quantities(motion: RecordedMotion) -> list[Quantity]:
 
 
 def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
-    """Distance of the docked pose within which there are no detections.
+    """Return the distance from the docked pose within which there are no detections.
 
     The upper bound is the range of the nearest detection. The lower bound is the range at which the number of frames
     without a detection is no longer explained by chance, given the share of frames with a detection farther away.
@@ -90,7 +90,7 @@ def _blind_distance(motion: RecordedMotion, wrong: FloatArray) -> Quantity:
 
 
 def _frame_ranges(one: Smoothed) -> FloatArray:
-    """Distances from the docked pose at the times of all camera frames until the robot stops, Shape (n,) [m]."""
+    """Return the distances from the docked pose at all camera frames until the robot stops, Shape (n,) [m]."""
     stamps = one.recording.detections[:, 0]
     period = float(np.median(np.diff(stamps)))
     moving = np.flatnonzero(np.hypot(*np.diff(one.seen_from_dock[:, :2], axis=0).T) > 1e-5)

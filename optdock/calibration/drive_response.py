@@ -1,12 +1,12 @@
 """Drive response: latency and first-order lag of speed and yaw rate, dead band of the wheels.
 
-The commanded speed is delayed by the latency and then followed with a time constant,
+The drive follows the commanded speed after the latency, with a time constant,
 
     speed' = (gain * command(t - latency) - speed) / lag,
 
-and the distance travelled between two poses of the odometry is compared with the measured one. The latency of single
-commands is taken as uniformly distributed about its mean. The spread smooths the response like the lag does, so it is
-also estimated.
+and the distance travelled between two poses of the odometry is compared with the measured distance. The latency of
+individual commands is assumed to be uniformly distributed about its mean. The spread of the latency smooths the
+response in the same way as the lag, so the spread is also estimated.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
 _LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, which has no visible effect
 _BOUNDS = (0.0, 1e-3, 0.2, _LEAST_SPREAD), (1.0, 2.0, 2.0, 0.04)
 _UNMODELLED = 0.0015  # [s]: error of latency and lag due to lost commands and other distributions of the latency
-_MOST_UNCERTAIN = 0.5  # [s]: an interval that is longer is useless
+_MOST_UNCERTAIN = 0.5  # [s]: a longer interval is useless
 _LEAST_CHANGE = {"linear": 0.05, "angular": 0.1}  # [m/s], [rad/s]: commands that change by less show no delays
 _MOST_BAND, _BAND_STEP = 0.12, 0.001  # [m/s]: dead bands that are tried
 _ROUNDING = 1e-15  # [m^2] of sums of squares
@@ -57,7 +57,7 @@ class DriveResponse(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """One scalar drive in one recording: commands, odometry, and the spans of the residuals."""
+    """Linear drive, angular drive or one wheel in one recording: commands, odometry, and spans of the residuals."""
 
     times: FloatArray
     commands: FloatArray
@@ -77,7 +77,7 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
         reason = "the distance between the wheels, robot.limits.track_width, is unknown"
     found_bands = [unknown(f"dead band, {name} wheel", "m/s", reason) for name, _ in _WHEELS]
     if not reason:
-        for _ in range(2):  # latency and lag are fitted first without dead bands, then with those found
+        for _ in range(2):  # latency and lag are fitted first without dead bands, then with the dead bands found
             found_bands = _dead_bands(used, bands, width)
             left, right = (one.value if one else 0.0 for one in found_bands)
             if bands == (left, right):
@@ -92,7 +92,7 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
 
 
 def _too_short(axes: list[_Axis]) -> str:
-    """Reason why there are too few residuals for intervals; empty if there are enough."""
+    """Return the reason why there are too few residuals for intervals; empty if there are enough."""
     if axes and len(np.unique(_clusters(axes))) >= LEAST_CLUSTERS:
         return ""
     return f"commands and odometry were recorded for less than {_CLUSTER * (LEAST_CLUSTERS - 1):g} s"
@@ -102,7 +102,7 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
     """Return the distance travelled by a first-order drive with latency, from rest [m or rad], Shape (n,).
 
     Args:
-        times: Times of the commands, Shape (m,) [s]; each holds until the next one.
+        times: Times of the commands, Shape (m,) [s]; each command holds until the next one.
         commands: Commanded speeds, Shape (m,) [m/s or rad/s].
         values: Latency [s], lag [s], gain [1], square of half the spread of the latency [s^2].
         at: Times of the result, Shape (n,) [s].
@@ -134,7 +134,7 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
 
 
 def _latency_and_lag(axes: list[_Axis], name: str) -> tuple[Fit | None, list[Quantity]]:
-    """Fit of one axis; the fit is None if the commands do not determine it."""
+    """Return the fit and the quantities of one axis; the fit is None if the commands do not determine it."""
     rows = (f"command latency, {name}", f"drive lag, {name}")
     count = sum(len(axis.first) for axis in axes)
     changes = [float(np.ptp(axis.commands)) for axis in axes]
@@ -180,7 +180,7 @@ def _clusters(axes: list[_Axis]) -> IntArray:
 
 
 def _axis(recording: Recording, name: str, bands: tuple[float, float] = (0.0, 0.0), width: float = 0.0) -> _Axis:
-    """Linear or angular drive; with a track width, the wheels do not move below their dead bands [m/s]."""
+    """Return the linear or angular drive; if `width` is positive, wheels stop below their dead bands [m/s]."""
     linear, angular = recording.commands.T
     if width > 0.0:
         rims = [linear + 0.5 * side * width * angular for _, side in _WHEELS]
@@ -208,9 +208,9 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
-    """Dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
+    """Return the dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
 
-    The interval contains all speeds whose misfit, summed by clusters, is not significantly worse.
+    The interval contains all speeds whose misfit, summed by clusters, is not significantly worse than the best misfit.
 
     Args:
         recordings: Recordings with commands and odometry.
@@ -240,9 +240,9 @@ def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: 
 
 
 def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatArray:
-    """Sums of squared residuals for each dead band and cluster, Shape (b, c) [m^2].
+    """Return the sums of squared residuals for each dead band and cluster, Shape (b, c) [m^2].
 
-    Sums above four times the usual ones are clipped, because a wheel may slip or stall.
+    Sums above four times the usual sum are clipped, because a wheel may slip or stall.
     """
     clusters, before = _clusters(axes), np.zeros(0)
     rows: list[FloatArray] = []
@@ -261,7 +261,7 @@ def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatA
 def _speeds(
     recording: Recording, fits: dict[str, Fit | None], bands: tuple[float, float], width: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Times, and linear and angular speed over 0.1 s, measured and fitted."""
+    """Return times, and the measured and fitted linear and angular speeds, averaged over 0.1 s."""
     columns = []
     times = np.zeros(0)
     for name, found in fits.items():

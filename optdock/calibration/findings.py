@@ -56,7 +56,7 @@ def as_text(calibration: Calibration) -> str:
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Return keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`) if known."""
+    """Return the known keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`)."""
     known = {one.name: one for one in calibration.quantities if one}
     executor = _settings(known)
     values: dict[str, dict[str, object]] = {}
@@ -64,7 +64,7 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
     if len(dock) == 3:
         x, y, yaw = dock
         values["dock"] = {"pose": [_rounded(one.value) for one in dock]}
-        # Uncertainty of the mean, and of the localization of another day.
+        # Uncertainty of the mean, and of the localization on another day.
         place, turn = max(x.half_width, y.half_width) / 1.96, yaw.half_width / 1.96
         position_sigma, yaw_sigma = (
             known[name].value if name in known else otherwise
@@ -84,10 +84,10 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
 
 
 def _settings(known: dict[str, Quantity]) -> dict[str, object]:
-    """Settings of the executor that depend on one quantity each.
+    """Return the settings of the executor that depend on a single quantity.
 
-    `odometry_sigma` is left out: it describes wheels without slip, which the executor models separately; without slip,
-    the odometry is more accurate than the detections.
+    `odometry_sigma` is omitted. It describes wheels without slip, because the executor models slip separately; without
+    slip, the odometry is more accurate than the detections.
     """
     executor: dict[str, object] = {}
     for key, name in _LEARNED.items():

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 __all__ = ["LocalizationErrors", "docks_in_map", "localization_errors", "stored_dock"]
 
 _NEAR = 0.3  # [s] between a detection and an estimate: the error of the odometry over this time is negligible
-_RIGHT = 4.0  # standard deviations beyond which a detection is a wrong one
+_RIGHT = 4.0  # standard deviations beyond which a detection counts as wrong
 _BIN = 0.5  # [s]: medians over this time are exact to millimetres, and few localizations are slower
 _SIDE = 2  # bins on either side whose means are compared for a jump
 _GAP = 1.5  # [s] between two bins, beyond which a change may be drift
 _LEAST_JUMP = 0.025  # [m]: the drift of AMCL in one second is mostly smaller; otherwise see `_least_jump`
 _MOST_JUMP = 0.04  # [m]: if smaller jumps cannot be distinguished from drift, jumps of particle filters are not counted
-_TIMES_DRIFT = 3.5  # standard deviations of drift, exceeded by one change of 500; about a hundred are tested
+_TIMES_DRIFT = 3.5  # standard deviations of drift, exceeded by one change in 500; about a hundred are tested
 _BY_CHANCE = 3.5  # standard deviations of a change due to noise of detections
 _EVERY = 1.0  # [s] between the samples for the spread: the errors last for seconds
 _LEAST = 12  # samples in total
@@ -63,7 +63,7 @@ class Placed(NamedTuple):
         stamps: Shape (n,) [s].
         robot: Pose of the robot by localization, Shape (n, 3).
         dock: Pose of the dock by localization and detection, Shape (n, 3).
-        variances: Variances of the robot's x and y, each [m^2], and yaw [rad^2] by a detection, Shape (n, 2).
+        variances: Variances of the robot's x and y, each [m^2], and yaw [rad^2] due to a detection, Shape (n, 2).
     """
 
     stamps: FloatArray
@@ -99,14 +99,14 @@ def docks_in_map(one: Smoothed, delay: float) -> Placed:
 
 
 def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Transform poses given in frames to the parent frame of the frames, Shape (n, 3)."""
+    """Return poses, given relative to frames, in the common parent of these frames, Shape (n, 3)."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
     return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))
 
 
 def stored_dock(motion: RecordedMotion) -> list[Quantity]:
-    """Return the mean pose of the dock in the map over successful dockings, with Student's interval."""
+    """Return the mean pose of the dock in the map over successful dockings, with Student's t intervals."""
     names = (("stored dock, x", "m"), ("stored dock, y", "m"), ("stored dock, yaw", "rad"))
     rows = [docks_in_map(one, motion.delay).dock for one in motion.of if one.recording.docked_at is not None]
     rows = [one for one in rows if len(one) > 0]
@@ -158,9 +158,9 @@ def localization_errors(motion: RecordedMotion) -> LocalizationErrors:
 
 
 def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
-    """Weighted means of the errors of the localization in bins of `width` [s], with the dock known, Shape (b, 6).
+    """Return weighted means of the localization errors in bins of `width` [s] for a known dock, Shape (b, 6).
 
-    The columns are stamps, errors of x, y, yaw, and variances of the position and the yaw by the detections.
+    The columns are stamps, errors of x, y, yaw, and variances of position and yaw due to the detections.
     """
     true = _composed(np.broadcast_to(dock, one.dock.shape), relative_poses(one.dock, one.robot))
     errors = np.column_stack((one.robot[:, :2] - true[:, :2], wrap_angles(one.robot[:, 2] - true[:, 2])))
@@ -176,7 +176,7 @@ def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
 
 
 def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
-    """For each row: index, distance of the means before and after, and its standard deviation per axis [m]."""
+    """Return the index of each row, the distance between the means before and after, and its sigma per axis [m]."""
     found = []
     for k in range(_SIDE, len(rows) - _SIDE + 1):
         (before, one), (after, other) = _mean(rows[k - _SIDE : k]), _mean(rows[k : k + _SIDE])
@@ -186,14 +186,14 @@ def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
 
 
 def _mean(rows: FloatArray) -> tuple[FloatArray, float]:
-    """Weighted mean of x and y, and the variance of each."""
+    """Return the weighted mean of x and y, and the variance of each."""
     weights = 1.0 / rows[:, 4]
     mean: FloatArray = weights @ rows[:, 1:3] / np.sum(weights)
     return mean, float(1.0 / np.sum(weights))
 
 
 def _least_jump(series: list[FloatArray]) -> float:
-    """Smallest change that is a jump [m]; the drift is estimated from the median change."""
+    """Return the smallest change that counts as a jump [m]; the drift is estimated from the median change."""
     changes = np.array([size for rows in series for _, size, _ in _changes(rows)])
     if len(changes) == 0:
         return _LEAST_JUMP
@@ -202,7 +202,7 @@ def _least_jump(series: list[FloatArray]) -> float:
 
 
 def _jumps(rows: FloatArray, least: float) -> list[tuple[float, float]]:
-    """Stamps and sizes [s, m] of jumps: local maxima of the significant changes."""
+    """Return the stamps [s] and sizes [m] of jumps, which are local maxima of the significant changes."""
     steps = np.zeros(len(rows))
     for k, size, chance in _changes(rows):
         if size > max(least, _BY_CHANCE * chance):
@@ -218,7 +218,7 @@ def _jump_quantities(
     jumps: list[list[tuple[float, float]]],
     least: float,
 ) -> list[Quantity]:
-    """Rate and mean size of jumps."""
+    """Return the rate and the mean size of jumps."""
     sizes = np.array([size for one in jumps for _, size in one])
     steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
     exposure = max(float(np.sum(steps[steps < _GAP])), _BIN)
@@ -237,12 +237,12 @@ def _jump_quantities(
 def _spread(
     name: tuple[str, str], series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]
 ) -> Quantity:
-    """Standard deviation of a drifting error: a Gauss-Markov process, by maximum likelihood.
+    """Return the standard deviation of a drifting error, a Gauss-Markov process, by maximum likelihood.
 
-    The correlation time and a white part, in addition to the noise of the detections, are also estimated; the dock and
-    the sizes of jumps are unknown. The interval is computed from the profile likelihood ([Pawitan2001] ch. 3). A jump
-    before the dock is first detected shifts a whole recording, so the lower bound is that of a model with one more
-    unknown, the standard deviation of an offset of each recording.
+    The correlation time, and white noise in addition to the noise of the detections, are also estimated. The dock and
+    the sizes of jumps are treated as unknown. The interval is computed from the profile likelihood ([Pawitan2001] ch.
+    3). A jump before the dock is first detected shifts a whole recording, so the lower bound is computed by a model
+    with one more unknown, the standard deviation of the offsets of recordings.
     """
     from scipy.optimize import brentq, minimize_scalar
 
@@ -256,7 +256,7 @@ def _spread(
             return process.profile(math.exp(logarithm), offsets=offsets)
 
         best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-        # Student's quantile replaces the normal one, because recordings are few.
+        # Student's quantile replaces the normal quantile, because there are few recordings.
         level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
         if profile(limit) < level:
             return at, limit
@@ -288,7 +288,7 @@ class _Process:
                 self._known += _UNKNOWN**2 * np.multiply.outer(after, after)
 
     def profile(self, sigma: float, *, offsets: bool) -> float:
-        """Negative log profile likelihood of a standard deviation."""
+        """Return the negative log profile likelihood of a standard deviation."""
         from scipy.optimize import minimize
 
         def misfit(others: FloatArray) -> float:

@@ -1,14 +1,14 @@
-"""Smoother of recorded motions: odometry corrected so that a dock at rest is detected at one pose.
+"""Smoother of recorded motions: corrects the odometry so that a dock at rest is always detected at the same pose.
 
-With p the pose by odometry, the increments are corrected,
+The increments of the odometry are corrected,
 
     way' = (1 + scale + a) way,    turn' = (1 + turn_scale) turn + drift way + b |way|,
 
-where a and b are random and change every 0.2 s (slip), and the detection of the dock D is expected at
-p(stamp - delay)^-1 D. Scale, drift, turn scale and delay are common to all recordings; D and all a and b belong to one
-recording. The solution of this nonlinear least squares problem is the maximum a posteriori estimate of a smoother
-([BarShalom2001]). The standard deviations of a, b and the detections are estimated from the residuals, and the problem
-is solved again.
+where a and b are random and change every 0.2 s (slip). With the corrected pose p(t) and the pose D of the dock, a
+detection is expected at p(stamp - delay)^-1 D. Scale, drift, turn scale and delay are common to all recordings; each
+recording has a separate D and separate values a and b. The solution of this nonlinear least squares problem is the
+maximum a posteriori estimate of a smoother ([BarShalom2001]). The standard deviations of a, b and the detections are
+then estimated from the residuals, and the problem is solved again.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Noise(NamedTuple):
         yaw: Detected yaw at range 0 [rad].
         yaw_slope: Increase of `yaw` per metre of range [rad/m].
         jitter: Stamps [s].
-        slip: Distance travelled after one metre [m/m^0.5].
-        slip_yaw: Heading after one metre [rad/m^0.5].
+        slip: Error of the distance travelled after one metre [m/m^0.5].
+        slip_yaw: Error of the heading after one metre [rad/m^0.5].
     """
 
     position: float = 0.004
@@ -147,7 +147,7 @@ class RecordedMotion(NamedTuple):
 
 
 def smoothed(recordings: Sequence[Recording]) -> RecordedMotion | None:
-    """Smooth the motion of all recordings with enough detections; None if there is none."""
+    """Smooth the motion of all recordings with enough detections; return None if there is no such recording."""
     usable = [one for one in recordings if len(one.detections) >= _LEAST_DETECTIONS and len(one.path.times) > 20]
     problems = [one for one in map(_Problem, usable) if len(one.stamps) >= _LEAST_DETECTIONS]
     if not problems:
@@ -183,10 +183,10 @@ class DetectionNoise(NamedTuple):
 def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     """Estimate the standard deviations of detections by maximum likelihood.
 
-    The density of a detection is a mixture: right detections have standard deviations that grow with the range and, by
-    the jitter of the stamps, with the speed; wrong ones have large standard deviations. The covariance is clustered by
-    stretches of one second, because slip that is missing from the smoothed motion is common to all detections of a
-    stretch.
+    The probability density of a detection is a mixture. Correct detections have standard deviations that grow with the
+    range and, due to the jitter of the stamps, with the speed; wrong detections have large standard deviations. The
+    covariance is clustered by intervals of one second, because slip that is missing from the smoothed motion affects
+    all detections in an interval.
     """
     from scipy.optimize import minimize
 
@@ -196,7 +196,7 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     left = 1.0 - np.concatenate([one.leverage for one in seen])
 
     def parts(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Log densities of right and wrong detections, Shape (n,) each."""
+        """Return the log densities of correct and wrong detections, Shape (n,) each."""
         spread = _variances(x, ranges, velocity) * left + _FLOOR
         far = np.array([x[5], x[5], x[6]]) ** 2 + spread
         share = 1.0 / (1.0 + np.exp(-x[7]))
@@ -225,14 +225,14 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
 
 def _variances(x: FloatArray, ranges: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Variances of right detections' x, y and yaw, Shape (n, 3); smooth for slightly negative slopes and jitter."""
+    """Return variances of correct x, y and yaw, Shape (n, 3); smooth for slightly negative slopes and jitter."""
     position, yaw = (np.maximum(x[k] + x[k + 1] * ranges, _LEAST_SIGMA) for k in (0, 2))
     found: FloatArray = np.column_stack((position, position, yaw)) ** 2 + x[4] * velocity**2
     return np.maximum(found, _LEAST_SIGMA**2)
 
 
 class _Solution(NamedTuple):
-    """Solution for one recording: parameters, information and score of the four common ones, detections, slip."""
+    """Solution for one recording: parameters, information and score of the common parameters, detections, slip."""
 
     parameters: FloatArray
     information: FloatArray
@@ -259,7 +259,7 @@ class _Problem:
         self._begins, self._ends, self._ways = grid[:-1][moving], grid[1:][moving], worn[moving]
 
     def solve(self, noise: Noise, guess: FloatArray) -> _Solution:
-        """Estimate the four common parameters, the dock, and slip along and in yaw of every cell."""
+        """Estimate the four common parameters, the dock, and the slip in distance and yaw in every cell."""
         from scipy.optimize import least_squares
 
         start = np.concatenate((guess, np.zeros(3 + 2 * len(self._ways))))
@@ -281,7 +281,7 @@ class _Problem:
         return self._solution(found.x, sigmas, noise)
 
     def smoothed(self, solution: _Solution) -> Smoothed:
-        """Corrected motion."""
+        """Return the corrected motion."""
         rows = relative_poses(solution.parameters[None, 4:7], self._poses(solution.parameters))
         rows[:, 2] = wrap_angles(rows[:, 2])
         return Smoothed(self.recording, self.times, rows, solution.seen)
@@ -315,7 +315,7 @@ class _Problem:
         return _Solution(x, information, information @ x[:4], seen, slip)
 
     def _first_dock(self, x: FloatArray) -> FloatArray:
-        """Median dock of all detections, with the initial parameters."""
+        """Return the median pose of the dock over all detections, with the initial parameters."""
         poses = self._at(self._poses(x), self.stamps - x[3])
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         seen = self._detected
@@ -325,7 +325,7 @@ class _Problem:
         return np.array([*(float(np.median(place)) for place in places), turn])
 
     def _poses(self, x: FloatArray) -> FloatArray:
-        """Corrected poses at the times of the odometry, Shape (n, 3)."""
+        """Return the corrected poses at the times of the odometry, Shape (n, 3)."""
         cells = len(self._ways)
         slip, bend = (self._spread(part) for part in (x[7 : 7 + cells], x[7 + cells :]))
         way = self._along * (1.0 + x[0]) + self._worn * np.sign(self._along) * slip
@@ -347,7 +347,7 @@ class _Problem:
         return np.column_stack([np.interp(stamps, self.times, poses[:, k]) for k in range(3)])
 
     def _expected(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Expected detections, their rates [1/s], poses of the robot at the detections, and at all times."""
+        """Return expected detections, their rates [1/s], and poses of the robot at the detections and at all times."""
         all_poses = self._poses(x)
         stamps, half = self.stamps - x[3], 0.03
         poses = self._at(all_poses, stamps)
@@ -364,7 +364,7 @@ class _Problem:
         )
 
     def _slopes(self, x: FloatArray, sigmas: FloatArray, noise: Noise) -> FloatArray:
-        """Derivatives of the residuals, Shape (3 n + 2 c, 7 + 2 c)."""
+        """Return the derivatives of the residuals, Shape (3 n + 2 c, 7 + 2 c)."""
         _, velocity, poses, all_poses = self._expected(x)
         stamps, cells = self.stamps - x[3], len(self._ways)
         moved = np.zeros((len(stamps), 3, 7 + 2 * cells))  # derivatives of the robot's poses
@@ -407,7 +407,7 @@ class _Problem:
         return slopes
 
     def _summed(self, steps: FloatArray, stamps: FloatArray, begins: FloatArray, ends: FloatArray) -> FloatArray:
-        """Sums of `steps` from each beginning to the earlier of each end and stamp, Shape (n, c)."""
+        """Return the sums of `steps` from each beginning to the earlier of each end and stamp, Shape (n, c)."""
         total = np.concatenate(([0.0], np.cumsum(steps)))
         until = np.clip(stamps[:, None], begins, ends)
         found: FloatArray = np.interp(until, self.times, total) - np.interp(begins, self.times, total)
@@ -415,7 +415,7 @@ class _Problem:
 
 
 def _robust(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Square roots of Cauchy's loss of the residuals, with sign, and their derivatives, Shape (n,) each."""
+    """Return the signed square roots of the Cauchy loss of the residuals, and their derivatives, Shape (n,) each."""
     ratio = residuals / _CAUCHY
     found = np.sign(ratio) * _CAUCHY * np.sqrt(np.log1p(ratio**2))
     small = np.abs(ratio) < 1e-6
@@ -424,7 +424,7 @@ def _robust(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def relative_poses(frames: FloatArray, poses: FloatArray) -> FloatArray:
-    """Return poses in frames, yaw not normalized, Shape (n, 3).
+    """Return poses relative to frames, with yaw not normalized, Shape (n, 3).
 
     Args:
         frames: Shape (n, 3), or (1, 3) for one frame.
@@ -436,9 +436,10 @@ def relative_poses(frames: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 def _combined(solutions: list[_Solution]) -> tuple[FloatArray, FloatArray]:
-    """Common parameters of all recordings, and their covariance.
+    """Return the common parameters of all recordings, and their covariance.
 
-    The standard deviations are the larger of those of the model and of the scatter between recordings by Student's t.
+    Each standard deviation is the larger of two: the model's, and the scatter between recordings, scaled by Student's
+    t.
     """
     information = np.sum([one.information for one in solutions], axis=0) + np.diag(_PRIOR**-2.0)
     covariance = np.linalg.inv(information)
@@ -454,7 +455,7 @@ def _combined(solutions: list[_Solution]) -> tuple[FloatArray, FloatArray]:
 
 
 def _slip_of(solutions: list[_Solution]) -> dict[str, float]:
-    """Standard deviations of slip after one metre: root mean squares over the cells."""
+    """Return the standard deviations of slip after one metre, which are root mean squares over the cells."""
     cells = np.concatenate([one.slip for one in solutions])
     if len(cells) == 0:  # the robot never moved
         return {}

@@ -68,7 +68,7 @@ def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quan
 
 
 def _missing(name: str, way: float, turned: float, track_width: float) -> str:
-    """Reason why a quantity is unknown; empty if it is known."""
+    """Return the reason why a quantity is unknown; empty if it is known."""
     if way < _LEAST_TRIP:
         return f"the robot drove only {way:.2f} m while the dock was detected"
     if turned < _LEAST_TURN and name in ("scale of turns", "track width outside the plausible range"):
@@ -92,7 +92,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
 
 
 def twist_window(recordings: Sequence[Recording]) -> Quantity:
-    """Return the time over which the twist is a mean of the odometry's own increments [s]."""
+    """Return the time over which the twist is averaged from increments of the odometry [s]."""
     name, unit = "twist window", "s"
     used = [one for one in recordings if len(one.odometry) > 20]
     if not used:
@@ -119,7 +119,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 
 
 class _Increments:
-    """Distance and yaw of one recording by its poses, and the integrals of its twists.
+    """Distance and yaw in one recording, by the poses and by integrals of the twists.
 
     Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
     """
@@ -139,7 +139,7 @@ class _Increments:
         self._ends = last[self.rows]
 
     def residuals(self, window: float) -> FloatArray:
-        """Integrals of the means over the window minus those of the twist, linear and angular, Shape (2 n,) [m]."""
+        """Return the integrals of window means minus those of the twists, linear and angular, Shape (2 n,) [m]."""
         off = []
         for summed, integral, scale in zip(self._summed, self._integrals, (1.0, _LEVER), strict=True):
             ahead, back = (np.interp(self.stamps - lag, self._grid, summed) for lag in (0.0, window))

@@ -1,4 +1,4 @@
-"""Picture of a calibration: residuals and fits, and the dock in the map by each recording."""
+"""Picture of a calibration: residuals and fits, and the dock in the map according to each recording."""
 
 from __future__ import annotations
 

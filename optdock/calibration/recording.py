@@ -71,7 +71,7 @@ class OdometryPath(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One drive. Stamps are on the clock of the measurements [s], poses are rows of x, y [m], yaw [rad].
+    """One drive, with stamps on the clock of the measurements [s] and poses as rows of x, y [m], yaw [rad].
 
     Attributes:
         source: File name.
@@ -84,8 +84,8 @@ class Recording(NamedTuple):
         localization: Stamps and poses in the map, each estimate once, Shape (k, 4).
         detections: Stamps, docked poses in the robot's frame, reported sigmas, Shape (d, 6).
         stored: Stored pose of the docked robot in the map; None if there is none.
-        docked_at: Time at which docking succeeded [s]; None if it did not.
-        robot: Robot the plans were made for; None if unknown.
+        docked_at: Time at which docking succeeded [s]; None if docking did not succeed.
+        robot: Robot for which the plans were made; None if unknown.
     """
 
     source: str
@@ -108,7 +108,7 @@ class Recording(NamedTuple):
 
     @property
     def path(self) -> OdometryPath:
-        """Poses of the odometry, or the integral of the twists if there are none."""
+        """Poses of the odometry, or the integral of the twists if there are no poses."""
         if len(self.odometry) > 1:
             poses = np.column_stack((self.odometry[:, 1:3], unwrap_yaw(self.odometry[:, 3])))
             return OdometryPath(self.odometry[:, 0], poses)
@@ -124,8 +124,8 @@ class ReadFile(NamedTuple):
 
     Attributes:
         recording: The drive.
-        deviation: Largest distance across the path [m] and largest turn off it [rad] of a docking; None if there is no
-            completed docking along a path, or a log could not be replayed exactly.
+        deviation: Largest lateral deviation [m] and largest heading deviation [rad] from the path in a docking; None if
+            there is no completed docking along a path, or if a log could not be replayed exactly.
     """
 
     recording: Recording
@@ -157,7 +157,7 @@ def read_recording(source: str | Path) -> ReadFile:
 
 
 def _format_of(source: Path) -> str:
-    """Name of the format, from the first line or the whole of a JSON file; empty if there is none."""
+    """Return the name of the format, from the first line or the whole of a JSON file; empty if there is none."""
     text = read_text(source, MostBytes.LOG)
     for part in (text.partition("\n")[0], text):
         try:
@@ -199,7 +199,7 @@ def recording_of_log(log: DockingLog) -> Recording:
     """Return the drive of a docking log, with the detections accepted by its dock type.
 
     Raises:
-        PluginError: If the dock type is not installed or returns an invalid answer.
+        PluginError: If the dock type is not installed or returns an invalid value.
         InvalidValue: If the installed dock type refuses its parameters.
     """
     cycles = [cycle for cycle in log.cycles if np.isfinite(cycle.measurements.stamp)]
@@ -227,7 +227,7 @@ def recording_of_log(log: DockingLog) -> Recording:
 
 
 def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]:
-    """Stamps and poses of the odometry, and the twists of the same cycles, each once and in order."""
+    """Return stamps and poses of the odometry, and the twists of the same cycles, each once and in order."""
     rows, twists, newest = [], [], -np.inf
     for one in measured:
         if one.odometry is not None and one.odometry.stamp > newest:
@@ -238,10 +238,10 @@ def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]
 
 
 def _log_localization(measured: list[Measurements]) -> FloatArray:
-    """Stamps and poses of the localization, each estimate once.
+    """Return stamps and poses of the localization, each estimate once.
 
-    Unstamped poses of every cycle are the odometry moved by a correction, obtained from transforms; each change of the
-    correction is an estimate.
+    Poses without stamps are obtained from transforms in every cycle, as the odometry moved by a correction. Each change
+    of the correction counts as one estimate.
     """
     newest = {one.pose_stamp: one.pose for one in measured if one.pose is not None and one.pose_stamp is not None}
     if newest:
@@ -265,7 +265,7 @@ def _is_same(one: Pose2, other: Pose2) -> bool:
 
 
 def _log_detections(log: DockingLog, measured: list[Measurements]) -> FloatArray:
-    """Detections returned by the dock type to the executor, each once, in the order of their stamps."""
+    """Return the detections that the dock type returned to the executor, each once, in the order of their stamps."""
     choice = log.task.dock_type
     if choice is not None:
         kind = CheckedDockType(create_plugin(DockType, choice.name, choice.parameters))
@@ -294,7 +294,7 @@ def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
 
 
 def _recording_of_bag(source: Path) -> Recording:
-    """The drive in a recording of ROS 2; detections must be in the robot's frame, as written by `optdock bag`."""
+    """Return the drive in a recording of ROS 2; detections must be in the robot's frame, as from `optdock bag`."""
     with open_bag(source) as bag:
         odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
         cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")
@@ -334,7 +334,7 @@ def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], wh
 
 
 def _values(bag: BagRecording, topic: str, convert: Callable[[Message], _Value]) -> Iterator[tuple[float, _Value]]:
-    """Times of reception [s] and values of the messages of a topic; errors name file and topic."""
+    """Yield times of reception [s] and values of the messages of a topic; errors contain file and topic."""
     for time, message in bag.messages(topic, 0.0, math.inf):
         try:
             value = convert(message)
@@ -344,12 +344,12 @@ def _values(bag: BagRecording, topic: str, convert: Callable[[Message], _Value])
 
 
 def _rows(rows: object, columns: int) -> FloatArray:
-    """Rows as an array, Shape (n, columns); n may be 0."""
+    """Return rows as an array, Shape (n, columns); n may be 0."""
     return np.array(rows, dtype=np.float64).reshape(-1, columns)
 
 
 def _are_rising(stamps: FloatArray) -> BoolArray:
-    """Whether each stamp is later than all before it, Shape (n,)."""
+    """Return whether each stamp is later than all previous stamps, Shape (n,)."""
     if not len(stamps):
         return np.zeros(0, dtype=np.bool_)
     return np.concatenate(([True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]))

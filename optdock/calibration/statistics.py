@@ -36,7 +36,7 @@ _STEP = 1e-4  # of the scale of a parameter, where its central difference is exa
 
 @dataclass(frozen=True)
 class Quantity:
-    """A property of a robot as estimated from recordings; false if unknown.
+    """A property of a robot, estimated from recordings; false if unknown.
 
     Args:
         name: Name in the report.
@@ -69,25 +69,25 @@ class Quantity:
 
 
 def unknown(name: str, unit: str, reason: str, samples: int = 0) -> Quantity:
-    """Return a quantity without an estimate, with the reason."""
+    """Return a quantity without an estimate, with the reason why it is unknown."""
     return Quantity(name, unit, samples=samples, reason=reason)
 
 
 def student(freedom: float) -> float:
-    """Half width of the 95 % interval of Student's t [standard deviations]."""
+    """Return the half width of the 95 % interval of Student's t [standard deviations]."""
     from scipy.stats import t
 
     return float(t.ppf(0.5 + 0.5 * _CONFIDENCE, freedom))
 
 
 def mean_of(values: FloatArray) -> tuple[float, float, float]:
-    """Return the mean of two or more independent values and the bounds of its Student interval."""
+    """Return the mean of two or more independent values and the bounds of its Student's t interval."""
     mean, half = float(np.mean(values)), student(len(values) - 1.0) * float(np.std(values, ddof=1)) / len(values) ** 0.5
     return mean, mean - half, mean + half
 
 
 def share_of(count: int, total: int) -> tuple[float, float, float]:
-    """Return the share `count / total` and its bounds by [Clopper1934]."""
+    """Return the share `count / total` and its exact bounds according to [Clopper1934]."""
     from scipy.stats import beta
 
     low = float(beta.ppf(_TAIL, count, total - count + 1)) if count > 0 else 0.0
@@ -96,7 +96,7 @@ def share_of(count: int, total: int) -> tuple[float, float, float]:
 
 
 def poisson_rate(count: int, exposure: float) -> tuple[float, float, float]:
-    """Return the number of events per unit of exposure and its exact bounds by [Garwood1936]."""
+    """Return the number of events per unit of exposure and its exact bounds according to [Garwood1936]."""
     from scipy.stats import chi2
 
     low = 0.5 * float(chi2.ppf(_TAIL, 2 * count)) if count > 0 else 0.0
@@ -104,11 +104,11 @@ def poisson_rate(count: int, exposure: float) -> tuple[float, float, float]:
 
 
 def clusters_of(times: Iterable[FloatArray], length: float) -> list[IntArray]:
-    """Assign samples to stretches of time, numbered consecutively over all recordings.
+    """Assign samples to time intervals, which are numbered consecutively over all recordings.
 
     Args:
         times: For each recording, the sample times since its beginning, Shape (n,) [s].
-        length: Duration of a stretch [s].
+        length: Duration of an interval [s].
 
     Returns:
         For each recording, the cluster index of every sample, Shape (n,).
@@ -215,14 +215,14 @@ def likelihood_covariance(
 
 
 def _central_slopes(function: Callable[[FloatArray], FloatArray], at: FloatArray, steps: FloatArray) -> FloatArray:
-    """Derivatives of `function` by central differences, Shape (n, p)."""
+    """Return the derivatives of `function` by central differences, Shape (n, p)."""
     return np.column_stack(
         [(function(at + row) - function(at - row)) / (2.0 * row[k]) for k, row in enumerate(np.diag(steps))]
     )
 
 
 def _cluster_sums(rows: FloatArray, clusters: IntArray, count: int) -> FloatArray:
-    """Sum of the rows of each cluster, Shape (count, p)."""
+    """Return the sum of the rows of each cluster, Shape (count, p)."""
     sums = np.zeros((count, rows.shape[1]))
     np.add.at(sums, clusters, rows)
     return sums

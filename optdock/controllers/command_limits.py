@@ -409,7 +409,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` within the lateral jerk, no larger than both it and the last one."""
+    """Return the yaw rate nearest to `angular` within the lateral jerk; not above the larger of it and the last one."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period

@@ -8,8 +8,8 @@ rate w_r, the command is ([Samson1993], [Kanayama1990], [DeLuca2001]):
 
 The Lyapunov function V = k_y (x^2 + y^2) / 2 + theta^2 / 2 has V' = -k_y k_x x^2 - k_theta theta^2 <= 0 for either sign
 of v_r, so the law is stable in both gears, and y converges while v_r does not vanish (continuous time, commands not
-saturated). The linearized lateral error has the characteristic polynomial s^2 + k_theta s + k_y v_r^2. With k_y = 1 /
-L^2 and k_theta = 2 zeta |v_r| / L the error decays over the distance L at every speed.
+saturated). The linearized lateral error has the characteristic polynomial s^2 + k_theta s + k_y v_r^2. With gains k_y =
+1 / L^2 and k_theta = 2 zeta |v_r| / L the error decays over the distance L at every speed.
 
 A delay T of the drive reduces the phase of the open loop by w T, where w is the crossover frequency [Astrom2021].
 `DelayBounds` contains the gains at which the delay consumes a fixed share of the phase margin.
@@ -149,7 +149,7 @@ class FeedbackGains:
         self._before: tuple[Pose2, Twist2] | None = None
 
     def learn_noise(self, pose: Pose2, velocity: Twist2, clock: ControlClock) -> None:
-        """Update the variances from the difference of measured and odometric motion, which has twice the variance."""
+        """Update the variances from measured minus odometric motion; this difference has twice the variance."""
         period, before = clock.elapsed, self._before
         self._before = (pose, velocity)
         if before is None or clock.silent:
