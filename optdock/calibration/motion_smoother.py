@@ -337,7 +337,7 @@ class _Problem:
         return np.column_stack((*(np.concatenate(([0.0], np.cumsum(step))) for step in steps), yaw))
 
     def _spread(self, cells: FloatArray) -> FloatArray:
-        """Values of the cells at the midpoints of the odometry's steps, 0 outside of cells, Shape (n - 1,)."""
+        """Return values of the cells at the midpoints of the odometry's steps, 0 outside of cells, Shape (n - 1,)."""
         middle = 0.5 * (self.times[1:] + self.times[:-1])
         row = np.searchsorted(self._begins, middle, side="right") - 1
         inside = (row >= 0) & (middle < self._ends[np.maximum(row, 0)]) if len(self._ends) else np.zeros(0, dtype=bool)

@@ -19,10 +19,10 @@ __all__ = ["replacing", "write_text"]
 
 @contextmanager
 def replacing(target: str | Path) -> Iterator[Path]:
-    """Yield a temporary path in the folder of `target` that replaces it when the block ends without an exception.
+    """Yield a temporary path beside `target`; its file replaces `target` when the block ends without an exception.
 
     Missing folders are created and links are followed. For a device or a pipe, such as /dev/stdout, the path is
-    `target` itself. The temporary path has the suffix of the target, which gives the format of pictures.
+    `target` itself. The temporary path has the suffix of the target, because the suffix selects the format of pictures.
 
     Raises:
         InvalidFile: If the target is a folder, or its folder cannot be created or written to.

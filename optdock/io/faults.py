@@ -43,7 +43,7 @@ _MOST = 1000  # faults that are converted before they are sorted by line
 
 
 class Fault(NamedTuple):
-    """One broken rule: key and message."""
+    """One violation of a rule, with the key and the message."""
 
     key: Keys
     message: str
@@ -107,6 +107,6 @@ def _rule(kind: str, details: Mapping[str, object], message: str) -> str:
 
 
 def report(faults: Iterable[Fault], document: Document) -> str:
-    """Return every fault on its own line, in the order of the file."""
+    """Return one line for every fault, in the order of the file."""
     ordered = sorted(faults, key=lambda fault: document.line_of(fault.key))
     return listed(str(document.path), [document.fault(*fault) for fault in ordered])

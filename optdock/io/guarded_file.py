@@ -1,4 +1,4 @@
-"""Reading of regular files of bounded size; the library reads every file through this module.
+"""Reading of regular files of bounded size; all files of the library are read through this module.
 
 Pipes, devices and files of gigabytes raise `InvalidFile` before the read blocks or allocates memory. The size limits
 keep reading below one second and 500 MB on an onboard computer, and are many times the size of such files in practice.
@@ -68,7 +68,7 @@ def check_regular(path: Path, most: int) -> None:
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: If the file is missing, not regular, or larger.
+        InvalidFile: If the file is missing, not regular, or larger than `most`.
     """
     with _named_errors(path):
         _check(path, path.stat(), most)
@@ -82,7 +82,7 @@ def read_bytes(path: Path, most: int) -> bytes:
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: If the file cannot be read, is not regular, or is larger.
+        InvalidFile: If the file cannot be read, is not regular, or is larger than `most`.
     """
     with _named_errors(path):
         # Opening a device may have side effects and opening a pipe blocks, so the path is checked first. The opened
@@ -105,7 +105,7 @@ def read_text(path: Path, most: int) -> str:
         most: Largest size [bytes], see `MostBytes`.
 
     Raises:
-        InvalidFile: If the file cannot be read, is not regular, is larger, or is not UTF-8.
+        InvalidFile: If the file cannot be read, is not regular, is larger than `most`, or is not UTF-8.
     """
     content = read_bytes(path, most)
     try:
@@ -148,7 +148,7 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
         most: Largest number of values; a tenth of them may be objects.
 
     Raises:
-        ValueError: If the text has more values.
+        ValueError: If the text has more values or objects.
     """
     begins = text.count(",") + text.count("[") + text.count("{")
     if begins > most or text.count("{") > most // 10:
@@ -156,7 +156,7 @@ def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return an object; repeated keys are rejected, because parsers differ in the value they keep."""
+    """Return an object; repeated keys are rejected, because parsers differ in which value they keep."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:
@@ -200,6 +200,6 @@ def _check_size(path: Path, size: int, most: int) -> None:
 
 
 def _name(path: Path) -> str:
-    """The name on one line; of a long name only the end."""
+    """Return the name of a file on one line; a long name is reduced to its end."""
     text = printable(str(path))
     return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

@@ -89,9 +89,10 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
-    """Return the largest possible value of the file; that of a PGM may differ from 255 and 65535.
+    """Return the largest possible value in the file, which in a PGM may differ from 255 and 65535.
 
-    Pillow rejects larger values in a plain PGM but reads those of a raw PGM as white, so they are checked here.
+    Pillow rejects larger values in a plain PGM but reads larger values in a raw PGM as white, so this function checks
+    them.
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
     if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:

@@ -1,4 +1,4 @@
-"""Maps of map_server, a YAML file and an image, read as by Nav2's `map_io`."""
+"""Maps of map_server, consisting of a YAML file and an image, read in the same way as by Nav2's `map_io`."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
 
 
 def _refuse_picture(path: Path) -> None:
-    """Raise an error that names the YAML file if an image is given instead."""
+    """Raise an error that names the YAML file if an image is given instead of the YAML file."""
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
         named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
@@ -214,10 +214,10 @@ def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
 def occupancy_from_image(image: GreyImage, info: MapInfo) -> OccupancyArray:
     """Return the occupancies of an image, Shape (rows, columns); row 0 is the last row of the image.
 
-    With v the grey value, p = (255 - v) / 255, or v / 255 when negated. A cell is occupied if p >= `occupied_thresh`
-    and free if p <= `free_thresh`; between them it is unknown (trinary), or has the value 100 (p - free) / (occupied -
-    free), rounded (scale). Transparent pixels are unknown. In the mode raw, grey values 0..100 are occupancies and
-    others unknown.
+    A grey value v corresponds to the probability p = (255 - v) / 255, or v / 255 if negated. A cell is occupied if p >=
+    `occupied_thresh` and free if p <= `free_thresh`; between them it is unknown (trinary), or has the value 100 (p -
+    free) / (occupied - free), rounded (scale). Transparent pixels are unknown. In raw mode, grey values 0..100 are
+    occupancies, and other values are unknown.
     """
     table = _raw_table() if info.mode is MapMode.RAW else _threshold_table(info)
     occupancy = table[image.grey]

@@ -1,8 +1,7 @@
 """Checks of numbers in files and options: type, and values that indicate another unit (degrees, millimetres, km/h).
 
 Files and options use SI units; a yaw of 90 or a footprint of 800 is rejected on input. Values inside the library are
-not
-bounded: the yaw along a path may exceed a full turn.
+not bounded, because the yaw along a path may exceed a full turn.
 """
 
 from __future__ import annotations

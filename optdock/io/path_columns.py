@@ -1,8 +1,8 @@
 """Paths as columns of numbers in plan files.
 
 Samples alone are read as a polyline. If exact curves (`segments`) are given in addition, they define the path, and the
-samples must lie on it. If the numbers of the curves were rounded, so that they miss their samples, the samples are
-used.
+samples must lie on it. If the numbers of the curves were rounded, so that the curves do not meet the samples, the
+samples are used.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ALIGNED = 0.05  # largest sine of the angle between motion and heading of a rol
 
 
 def _no_boolean(value: object) -> object:
-    """Reject booleans, which Python compares equal to 1."""
+    """Reject booleans, which Python treats as equal to 0 and 1."""
     return repr(value) if isinstance(value, bool) else value
 
 
@@ -126,7 +126,7 @@ def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
 
     Raises:
         InvalidFile: If columns differ in length, there are fewer than two samples, the arc length is too short or too
-            long, a direction is opposite to the motion, or samples are off their curves.
+            long, a direction is opposite to the motion, or samples are not on the curves.
         InvalidValue: If the curves are invalid.
     """
     _check_lengths(columns, name)
@@ -148,7 +148,7 @@ def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
 
 
 def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
-    """Whether the numbers of the curves have at most six decimals and deviate from the samples by that rounding."""
+    """Whether the numbers of the curves have at most six decimals and the curves miss the samples only by rounding."""
     if columns.s is None or abs(columns.s[-1] - path.length) > _ROUNDED:
         return False
     apart, turned = _off_curves(np.array(columns.s), poses, path, _ROUNDED)
@@ -257,9 +257,9 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
     """Check the curvature of samples against the ratios of turn and chord of the steps around them.
 
-    The range of the two steps before and the two after a sample is widened by its size and by the rounding. Samples
-    near a turn in place are not checked. The check applies to drivable paths only; raw paths may have corners between
-    samples.
+    The range of the ratios of the two steps before and the two steps after a sample is widened by its width and by the
+    rounding. Samples near a turn in place are not checked. The check applies only to drivable paths, because raw paths
+    may have corners between samples.
 
     Args:
         columns: Samples of a path without curves.
@@ -311,7 +311,7 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
 
 
 def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
-    """Compare the gears of samples with those of the curves; the first sample at a cusp is before it."""
+    """Compare the gears of samples with the curves; the first sample at a cusp belongs to the segment before it."""
     if columns.direction is None:
         return
     s, given = np.array(columns.s), np.array(columns.direction)
@@ -325,7 +325,7 @@ def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
 
 
 def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
-    """Compare the curvature of samples with that of the curves; at a jump, any value between both sides is accepted."""
+    """Compare the curvature of samples with the curves; at a jump, any value between both sides is accepted."""
     if columns.curvature is None:
         return
     s, given = np.array(columns.s), np.array(columns.curvature)
@@ -340,7 +340,7 @@ def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
 
 
 def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STILL) -> tuple[FloatArray, FloatArray]:
-    """Distances and turns of samples at `s`, accurate to `near` [m], from the curves, Shape (n,) [m] and [rad]."""
+    """Return distances [m] and turns [rad] of samples from the curves at `s`, accurate to `near` [m], Shape (n,)."""
     exact = path.poses_at(s)
     apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
     turned = np.abs(wrap_angles(poses[:, 2] - exact[:, 2]))
@@ -350,7 +350,7 @@ def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STI
 
 
 def _turns_in_place(path: Path) -> FloatArray:
-    """Arc lengths of turns in place of polylines, increasing; Shape (k,) [m]."""
+    """Return the increasing arc lengths of turns in place in polylines, Shape (k,) [m]."""
     still = [
         segment.knots[1:][np.diff(segment.knots) <= _STILL] + start
         for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
@@ -360,7 +360,7 @@ def _turns_in_place(path: Path) -> FloatArray:
 
 
 def _distances_to(places: FloatArray, s: FloatArray) -> FloatArray:
-    """Distance of every `s` from the nearest of increasing `places`; infinite without any. Shape (n,) [m]."""
+    """Return the distance of every `s` from the nearest of increasing `places`, or infinity, Shape (n,) [m]."""
     fenced = np.concatenate(([-np.inf], places, [np.inf]))
     after = np.clip(np.searchsorted(fenced, s), 1, fenced.size - 1)
     distances: FloatArray = np.minimum(s - fenced[after - 1], fenced[after] - s)

@@ -52,7 +52,7 @@ PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED, UNKNOWN = "certified", "unknown"
-MAX_SAMPLES = 50_000  # of a path or a trajectory: 1 km, 1000 s; two paths and a trajectory of so many have 22 MB
+MAX_SAMPLES = 50_000  # of a path or a trajectory: 1 km, 1000 s; two paths and a trajectory of this size have 22 MB
 _MOST_UNKNOWN = 20  # keys that are listed
 MAX_PHASES = 10_000  # of a time law; plans of optdock have about ten per gear
 
@@ -68,7 +68,7 @@ class TrajectoryColumns(SampledMotion):
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, period: float) -> TrajectoryColumns:
-        """Sample a motion at most `period` [s] apart, ends and cusps included.
+        """Sample a motion at intervals of at most `period` [s], including ends and cusps.
 
         Raises:
             InvalidValue: If the period is not > 0 or gives more than `MAX_SAMPLES` samples.
@@ -79,7 +79,7 @@ class TrajectoryColumns(SampledMotion):
 
 
 class PlanError(NamedTuple):
-    """Reason of a failed plan: error code of Nav2's action, message, and location data."""
+    """Reason for a failed plan: error code of Nav2's action, message, and location data."""
 
     code: int
     message: str
@@ -87,7 +87,7 @@ class PlanError(NamedTuple):
 
     @classmethod
     def from_exception(cls, error: OptdockError) -> PlanError:
-        """Return the entry of an exception."""
+        """Return the entry for an exception."""
         return cls(error.code, str(error), error.where)
 
 
@@ -101,18 +101,18 @@ class PlanFile:
         frame: Name of the coordinate frame.
         raw_path: Path of the planner.
         path: Smoothed path.
-        trajectory: The timed motion, sampled.
+        trajectory: Samples of the timed motion.
         time_law: Exact time law of the samples; None if only the samples are known.
         certificate: Values of the certificate, see `Certificate.as_dict`.
         timing_ms: Milliseconds per stage.
-        error: Reason of the failure.
+        error: Reason for the failure.
         tried: Guesses that were tried and their results, see `Attempt.as_dict`.
         impossibility: Proof that no plan exists.
         unjudged: Names of values in a file that cannot be checked: unknown keys, and the curvature of a raw path
             without exact curves.
 
     Raises:
-        InvalidPath: If a path has another frame.
+        InvalidPath: If a path is in another frame.
     """
 
     status: str = CERTIFIED
@@ -219,7 +219,7 @@ def save_plan(target: str | FilePath, plan: PlanFile, *, spacing: float = DEFAUL
 
     Raises:
         InvalidFile: If the file cannot be written.
-        InvalidValue: If a number is not finite; nothing is written then.
+        InvalidValue: If a number is not finite; in this case nothing is written.
     """
     write_text(FilePath(target), plan.as_json(spacing=spacing))
 
@@ -393,7 +393,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
 
 
 def _built(document: D | None, build: Callable[[D], T], faults: list[str]) -> T | None:
-    """Return the result of `build`; its error is added to `faults`, so that other parts are also checked."""
+    """Return the result of `build`; an error is added to `faults`, so that other parts are also checked."""
     try:
         return None if document is None else build(document)
     except (InvalidFile, InvalidValue, InvalidPath) as error:
@@ -402,7 +402,7 @@ def _built(document: D | None, build: Callable[[D], T], faults: list[str]) -> T 
 
 
 def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Iterator[str]:
-    """Keys ignored by the models of checked parts."""
+    """Yield the keys that are ignored by the models of checked parts."""
     if not isinstance(values, dict):
         return
     for key, value in values.items():
@@ -414,7 +414,7 @@ def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Itera
 
 
 def _parsed(text: str, source: str) -> tuple[_PlanDocument, tuple[str, ...]]:
-    """The document and its unknown keys."""
+    """Return the document and its unknown keys."""
     try:
         values = parse_json(text)
         document = _PlanDocument.model_validate(values)

@@ -32,14 +32,14 @@ class RunColumns(NamedTuple):
     """A simulated drive: true, measured and planned poses, Shape (n, 3); commands and twists, Shape (n, 2).
 
     Attributes:
-        times: Shape (n,), rising [s].
+        times: Times in increasing order, Shape (n,) [s].
         poses: True poses [m, m, rad].
         measured: Poses measured for the controller.
         planned: Poses of the plan.
         commands: Commanded speed and yaw rate [m/s, rad/s].
         twists: Driven speed and yaw rate [m/s, rad/s].
         docked: Whether the robot docked.
-        reason: Reason of a failure.
+        reason: Reason why the robot did not dock.
     """
 
     times: FloatArray

@@ -1,7 +1,7 @@
 """YAML with line numbers for messages.
 
-Aliases and merge keys can expand a few bytes of YAML to a very large document, so the values are counted before the
-first one is constructed: first as written, then as expanded.
+Aliases and merge keys can expand a few bytes of YAML to a very large document, so the values are counted before any
+value is constructed: first as written, then as expanded.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LONGEST_LINE = 400  # characters of a message about one value
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
-    """PyYAML's safe loader, which also reads 1e-3 and 1.5e3 as numbers, like YAML 1.2 and Nav2's parser."""
+    """PyYAML's safe loader, extended to read 1e-3 and 1.5e3 as numbers, like YAML 1.2 and Nav2's parser."""
 
 
 _Loader.add_implicit_resolver(
@@ -116,7 +116,7 @@ def load_yaml(path: str | Path) -> Document:
 
 
 def listed(source: str, lines: Sequence[str]) -> str:
-    """Join the lines of a message; if there are more than twenty, the first ones and the number of the others.
+    """Join the lines of a message; beyond twenty lines, only the number of the remaining lines is given.
 
     Args:
         source: Name of the file for the last line.
@@ -145,7 +145,7 @@ def _check_events(path: Path, text: str) -> None:
 
     Raises:
         InvalidFile: If a limit is exceeded.
-        YAMLError: If the text before that is not YAML.
+        YAMLError: If the text up to the limit is not YAML.
     """
     depth = values = 0
     for event in yaml.parse(text, Loader=_Loader):

@@ -1,12 +1,12 @@
-"""The bicycle model [DeLuca2001] of a car, driven by velocity commands, and the plant of a robot by its drive.
+"""Bicycle model [DeLuca2001] of a car driven by velocity commands, and selection of a plant by the robot's drive.
 
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
-requests the curvature angular / linear, and so the angle atan(wheelbase * curvature).
+requests the curvature angular / linear, and thus the steering angle atan(wheelbase * curvature).
 
-A command with zero speed has no curvature. With such a command usual base controllers, such as the steering controllers
-of ros2_control and the converter of teb_local_planner, steer straight, which is the default here; others hold the last
-angle. To steer the wheels of a car at rest, give the required ratio and a speed that has no effect: one within the dead
-band, or 1e-6 m/s.
+A command with zero speed has no curvature. For such a command most base controllers, such as the steering controllers
+of ros2_control and the converter of teb_local_planner, steer straight, which is also the default of this model; others
+hold the last angle. To steer the wheels of a car at rest, command the required ratio at a speed that has no effect: a
+speed within the dead band, or 1e-6 m/s.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ class SteeringAtRest(str, Enum):
 
 @dataclass(frozen=True)
 class Steering:
-    """Response of the front wheels to steering commands; by default limited by the robot's limits only.
+    """Response of the front wheels to steering commands; by default, only the limits of the robot apply.
 
     Args:
-        lag: Time constant of the first-order lag [s], in addition to the robot's steering rate.
-        play: Errors smaller than this are not corrected [rad].
-        gain: True angle over the measured one [1].
+        lag: Time constant of the first-order lag [s], in addition to the limit of the steering rate.
+        play: Errors of the angle below this value are not corrected [rad].
+        gain: Ratio of the true angle to the measured angle [1].
         offset: True angle at a measured angle of 0 [rad].
         at_rest: A `SteeringAtRest` or its value.
         start: Measured angle at the beginning, at rest [rad].
 
     Raises:
-        InvalidValue: If a value is not a number or not finite, the lag or the play negative, the gain not > 0, or
-            `at_rest` unknown.
+        InvalidValue: If a value is not a number or not finite, the lag or the play is negative, the gain is not > 0, or
+            `at_rest` is unknown.
     """
 
     lag: float = 0.0
@@ -81,9 +81,9 @@ class Steering:
 
 @dataclass(frozen=True, eq=False)
 class Bicycle:
-    """A car; `PlantState.drive` is its speed and the measured steering angle.
+    """Plant of a car; `PlantState.drive` contains the speed and the measured steering angle.
 
-    The result is exact on circles. While speed or angle change, sub-steps follow the arc of their mean speed and yaw
+    The result is exact on circles. While speed or angle change, each sub-step follows the arc of its mean speed and yaw
     rate.
 
     Args:
@@ -155,12 +155,12 @@ class Bicycle:
         return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
+        """Return the state after a stop at `pose` by a rigid obstacle; if `stalled`, the wheels also stop."""
         drive = (0.0, state.drive[1]) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
     def _target(self, command: Twist2, last_angle: float) -> tuple[float, float]:
-        """Speed and steering angle for a command."""
+        """Return the speed and the steering angle for a command."""
         limits = self.robot.limits
         cut = admissible(command, limits, self.robot.drive)
         speed, _ = self.actuation.target(cut)
@@ -170,7 +170,7 @@ class Bicycle:
         return speed, min(max(angle, -limits.max_steering_angle), limits.max_steering_angle)
 
     def _substeps(self, seconds: float, drive: tuple[float, float], wanted: tuple[float, float]) -> int:
-        """Number of sub-steps; one while speed and angle are constant."""
+        """Return the number of sub-steps, which is 1 while speed and angle are constant."""
         steady_speed = self.actuation.linear_lag == 0.0 or drive[0] == wanted[0]
         if steady_speed and (not self._gradual or self._aim(drive[1], wanted[1]) == drive[1]):
             return 1
@@ -179,7 +179,7 @@ class Bicycle:
     def _follow(
         self, v: float, angle: float, wanted: tuple[float, float], span: float
     ) -> tuple[float, float, float, float]:
-        """Mean speed and yaw rate of a sub-step by Simpson's rule, and the final speed and angle."""
+        """Return the mean speed and yaw rate of a sub-step by Simpson's rule, and the final speed and angle."""
         lag = self.actuation.linear_lag
         mean, end = first_order(v, wanted[0], lag, span)
         begin, middle = v if lag > 0.0 else end, first_order(v, wanted[0], lag, 0.5 * span)[1]
@@ -197,11 +197,11 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Final angle: the nearer end of the play around the wanted angle."""
+        """Return the final angle, which is the nearer end of the play around the commanded angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:
-        """Angle after `span` [s]: at the largest rate first, then with exponential decay."""
+        """Return the angle after `span` [s]: first at the largest rate, then with exponential decay of the error."""
         rate, lag, aim = self.robot.limits.max_steering_rate, self.steering.lag, self._aim(angle, wanted)
         if math.isfinite(rate):
             too_far = abs(aim - angle) - rate * lag
@@ -223,12 +223,13 @@ class Bicycle:
 
 
 def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Steering | None = None) -> Plant:
-    """Return the plant of a robot: a `Bicycle` for a car, else a `DifferentialDrive`.
+    """Return the plant of a robot: a `Bicycle` for a car, otherwise a `DifferentialDrive`.
 
     Args:
         robot: The robot; for a car without a wheelbase, the robot's length is used.
-        actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
-        steering: Steering of a car; None: perfect except for that lag.
+        actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is the lag of its
+            steering.
+        steering: Steering of a car; None: perfect except for the angular lag.
 
     Raises:
         InvalidValue: If a car has an angular dead band or gain, or both an angular lag and a `steering`, or another

@@ -47,21 +47,22 @@ _BLOCK = 256  # poses per round, which bounds the memory
 
 @dataclass(frozen=True, eq=False)
 class SimulationSettings:
-    """Settings of a run; the default is a perfect robot.
+    """Settings of a run; by default, the robot is perfect.
 
     Args:
         period: Control period [s].
         timeout: Simulated time after which the run ends [s]; None: 1.5 times the trajectory plus 10 s.
-        actuation: Lags, latency and dead bands of the drive; the angular lag of a car is that of its steering.
-        steering: Steering of a car; None: perfect except for that lag.
+        actuation: Lags, latency and dead bands of the drive; the angular lag of a car is the lag of its steering.
+        steering: Steering of a car; None: perfect except for the angular lag.
         position_noise: Standard deviation of the white noise of the measured x and y [m].
         yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
         seed: Seed of the noise.
-        start: True pose at the beginning; None: the trajectory's start. The initial velocity is that of the trajectory.
+        start: True pose at the beginning; None: start of the trajectory. The initial velocity is that of the
+            trajectory.
         obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
 
     Raises:
-        InvalidValue: If the period is not > 0, or a standard deviation or the timeout negative or not finite.
+        InvalidValue: If the period is not > 0, or a standard deviation or the timeout is negative or not finite.
     """
 
     period: float = 0.02
@@ -87,22 +88,22 @@ class SimulationSettings:
 class Run(FrozenArrays):
     """Record of a closed-loop run; true if the robot docked.
 
-    Row k is the state at `times[k]` and the command given there.
+    Row k contains the state at `times[k]` and the command given at that time.
 
     Args:
         times: Shape (n,) [s].
         poses: True poses, Shape (n, 3).
         measured: Measured poses, Shape (n, 3).
-        commands: Linear and angular, Shape (n, 2) [m/s, rad/s]; zero in the last row.
+        commands: Linear and angular commands, Shape (n, 2) [m/s, rad/s]; zero in the last row.
         twists: True body velocities, Shape (n, 2) [m/s, rad/s].
         references: Poses of the trajectory at the same times, Shape (n, 3).
         goal: Goal pose.
         docked: Verdict of the goal checker.
-        reason: Reason why the robot did not dock; empty if it did.
-        verdicts: Verdict of each goal checker at the end by name; the first one decides.
+        reason: Reason why the robot did not dock; empty if it docked.
+        verdicts: Verdicts of the goal checkers at the end, by name; the first verdict decides.
         min_clearance: Smallest clearance of the true poses [m]; None without obstacles.
-        differs: Differences to the certified problem: `footprint`, `limits`, `obstacles`; empty without a difference or
-            a certificate.
+        differs: Differences from the certified problem: `footprint`, `limits`, `obstacles`; empty without a difference
+            or a certificate.
 
     Attributes:
         errors: True pose relative to the reference: along, cross [m] and yaw [rad], Shape (n, 3).
@@ -173,10 +174,10 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         trajectory: Trajectory for the controller's `set_path`.
         robot: Robot with limits and footprint.
         goal: Goal pose for the goal checker.
-        controller: Controller; for a car, an unconfigured one is configured with the robot.
-        goal_checker: Decides when the run ends.
+        controller: Controller; for a car, an unconfigured controller is configured with the robot.
+        goal_checker: Goal checker that decides when the run ends.
         settings: Settings; None: a perfect robot.
-        beside: Goal checkers called once at the end of the run, without effect on it.
+        beside: Additional goal checkers that are called once at the end of the run and do not affect the run.
 
     Raises:
         InvalidValue: If two goal checkers have the same name, or actuation and steering do not fit the drive.
@@ -236,7 +237,7 @@ def _drive(
     period: float,
     timeout: float,
 ) -> tuple[bool, str]:
-    """Run the loop; return whether the robot docked, and the reason if not."""
+    """Run the loop; return whether the robot docked, and if not, the reason."""
     for left in range(math.ceil(timeout / period), -1, -1):
         if _is_reached(goal_checker, world, remaining):
             return True, ""
@@ -259,7 +260,7 @@ def _is_reached(checker: GoalChecker, world: SimulatedRobot, remaining: Remainin
 
 
 def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
-    """Differences of a run to the problem that the trajectory was certified for."""
+    """Return the differences between a run and the problem for which the trajectory was certified."""
     proven = proven_for(trajectory)
     if proven is None:
         return ()
@@ -271,11 +272,11 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 
 
 class RemainingPath:
-    """A sampled path with the monotonic progress of the robot along it, up to its last two poses.
+    """A sampled path with the monotonic progress of the robot along the path, up to the last two poses.
 
     The place of the robot is the nearest of the next samples of the present gear segment, without turns in place; the
-    next segment begins at the sample of the cusp. The overlapping segments at a cusp are thus distinguished, so that
-    the path-length rule of the checkers applies to the last one only.
+    next segment begins at the sample of the cusp. Thus the overlapping segments at a cusp are distinguished, and the
+    path-length rule of the checkers applies only to the last segment.
 
     Args:
         path: The whole path.
@@ -303,12 +304,12 @@ class RemainingPath:
 
 
 def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
-    """Describe how driven poses left the certified tube or clearance; empty if all are inside.
+    """Return a description of how driven poses left the certified tube or clearance; empty if all poses are inside.
 
-    A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if there is one, or
-    if the footprint is closer to an obstacle than the problem's clearance requires. Before the dock the required
-    clearance is smaller than the tube; there, and without a tube, only the clearance is checked. Within the dock's
-    tolerances the robot may penetrate its station by the travel of a bumper.
+    A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if a tube is given,
+    or if the footprint is closer to an obstacle than the problem's clearance requires. Before the dock the required
+    clearance is smaller than the tube. At such places, and without a tube, only the clearance is decisive. Within the
+    dock's tolerances the robot may penetrate its station by the travel of a bumper.
 
     Args:
         path: Path to be driven.

@@ -1,8 +1,8 @@
 """The plant: a differential drive with latency, lag, dead bands, wheel errors and slip.
 
-The order of effects: limits of the robot, dead band and gains, latency, wheels (gain, dead band, saturation), lag, a
-stuck wheel, slip. Between arrivals of commands the target is constant and the lag is integrated exactly, so that steps
-may have any duration.
+The effects are applied in this order: limits of the robot, dead band and gains, latency, wheels (gain, dead band,
+saturation), lag, a stuck wheel, slip. Between arrivals of commands the target is constant and the lag is integrated
+exactly, so that steps may have any duration.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Actuation", "DifferentialDrive", "Plant", "PlantState", "Slip", "StuckWheel", "Wheel", "Wheels"]
 
-_LONGEST_LATENCY = 10.0  # [s]; every command of it is stored
+_LONGEST_LATENCY = 10.0  # [s]; every command within the latency is stored
 _INSTANT = 1e-9  # [s]: commands that arrive within this time arrive at once
 _BLOCK = 512  # random numbers drawn per call, because a call of NumPy takes as long as a hundred of them
 _SLIP_CORRELATION = 0.3  # [s]: time constant of the noise of slip
@@ -42,14 +42,15 @@ class Actuation:
         linear_lag: Time constant of the first-order lag of the speed [s]; 0: no lag.
         angular_lag: Time constant of the first-order lag of the yaw rate [s].
         latency: Delay between a command and its first effect [s].
-        linear_dead_band: Commanded speeds below this have no effect [m/s].
-        angular_dead_band: Commanded yaw rates below this have no effect [rad/s].
+        linear_dead_band: Commanded speeds below this value have no effect [m/s].
+        angular_dead_band: Commanded yaw rates below this value have no effect [rad/s].
         linear_gain: Speed per commanded speed [1].
         angular_gain: Yaw rate per commanded yaw rate [1].
         longest_substep: Largest integration step while the velocity changes [s].
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, the latency above 10 s, or the sub-step 0.
+        InvalidValue: If a value is not a number, negative or not finite, the latency is above 10 s, or the sub-step is
+            0.
     """
 
     linear_lag: float = 0.0
@@ -109,21 +110,21 @@ class StuckWheel:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Errors and faults of the two driven wheels; speeds are those of the rim [m/s].
+    """Errors and faults of the two driven wheels; all speeds are rim speeds [m/s].
 
-    The base computes wheel speeds from a command with the nominal radius and track width.
+    The base is assumed to compute wheel speeds from a command with the nominal radius and track width.
 
     Args:
         track_width: Nominal track width [m].
-        left_gain: True radius of the left wheel over the nominal one [1].
-        right_gain: True radius of the right wheel over the nominal one [1].
-        left_dead_band: Speeds of the left wheel below this have no effect.
-        right_dead_band: Speeds of the right wheel below this have no effect.
-        max_speed: Saturation of each wheel separately, which changes the curvature.
+        left_gain: Ratio of the true to the nominal radius of the left wheel [1].
+        right_gain: Ratio of the true to the nominal radius of the right wheel [1].
+        left_dead_band: Speeds of the left wheel below this value have no effect.
+        right_dead_band: Speeds of the right wheel below this value have no effect.
+        max_speed: Saturation speed of each wheel; the wheels saturate separately, which changes the curvature.
         stuck: Faults.
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, or a width, gain or the largest speed 0.
+        InvalidValue: If a value is not a number, negative or not finite, or a width, a gain or the largest speed is 0.
     """
 
     track_width: float
@@ -144,7 +145,7 @@ class Wheels:
         object.__setattr__(self, "stuck", tuple(self.stuck))
 
     def target(self, linear: float, angular: float) -> _Target:
-        """Return the speed and yaw rate of the wheels for commanded ones."""
+        """Return the speed and yaw rate of the wheels for a commanded speed and yaw rate."""
         turn = 0.5 * self.track_width * angular
         left = self._rim(linear - turn, self.left_gain, self.left_dead_band)
         right = self._rim(linear + turn, self.right_gain, self.right_dead_band)
@@ -156,7 +157,7 @@ class Wheels:
         return min(max(gain * speed, -self.max_speed), self.max_speed)
 
     def held(self, linear: float, angular: float, time: float) -> _Target:
-        """Return the speed and yaw rate after the faults at a time [s]."""
+        """Return the speed and yaw rate with the faults present at a time [s]."""
         for fault in self.stuck:
             if fault.start - _INSTANT <= time < fault.end - _INSTANT:
                 turn = 0.5 * self.track_width * angular
@@ -178,16 +179,16 @@ class Slip:
 
     Args:
         lost: Lost share of speed and yaw rate [1].
-        drift: Leftward speed per speed, as on a slope [1].
-        turn: Leftward yaw rate per speed [rad/m].
+        drift: Leftward speed per forward speed, as on a slope [1].
+        turn: Leftward yaw rate per forward speed [rad/m].
         lost_sigma: Standard deviation of the lost share [1].
         drift_sigma: Standard deviation of the drift [1].
         turn_sigma: Standard deviation of the turn [rad/m].
         seed: Seed of the noise.
 
     Raises:
-        InvalidValue: If a value is not a finite number, a sigma negative, the lost share not in [0, 1], or the
-            seed not a whole number >= 0.
+        InvalidValue: If a value is not a finite number, a sigma is negative, the lost share is not in [0, 1], or the
+            seed is not a whole number >= 0.
     """
 
     lost: float = 0.0
@@ -239,16 +240,16 @@ class PlantState(NamedTuple):
     Attributes:
         pose: True pose.
         twist: True body velocity.
-        encoders: Body velocity by encoders and steering sensor, without wheel errors and slip.
+        encoders: Body velocity measured by encoders and steering sensor, without the effects of wheel errors and slip.
         time: Time since the beginning [s].
         drive: State of the actuators, apart from a stuck wheel: speed [m/s] and yaw rate [rad/s], or the steering angle
             of a car [rad].
         target: Target of the actuators.
-        pending: Targets on their way, each with its time of arrival.
+        pending: Targets that have not yet arrived, each with a time of arrival.
         noise: Standardized noise of the slip.
         drawn: Number of random numbers drawn.
         contact: Whether robot and station touch; None for a plant without a station.
-        physics: Further state of a plant such as `MujocoPhysics`.
+        physics: Additional state of a plant such as `MujocoPhysics`.
     """
 
     pose: Pose2
@@ -278,16 +279,16 @@ class Plant(Protocol):
         """Return the state after `duration` [s] with a command given at its beginning."""
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
+        """Return the state after a stop at `pose` by a rigid obstacle; if `stalled`, the wheels also stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
     """Plant of a robot with two driven wheels.
 
-    A step is split at the arrivals of commands; between them, the robot follows the arc of its mean velocity, in
-    sub-steps with lag. The result is exact for constant velocities. Accelerations are not limited; limiting them is the
-    task of the controller. `step` is a pure function.
+    A step is split at the arrivals of commands. Between arrivals, the robot follows the arc of its mean velocity, in
+    sub-steps if there is a lag. The result is exact for constant velocities. Accelerations are not limited; limiting
+    them is the task of the controller. `step` is a pure function.
 
     Args:
         robot: Robot whose limits are applied to every command.
@@ -345,7 +346,7 @@ class DifferentialDrive:
         return PlantState(Pose2(*pose), twist, self._encoders(turned), end, (v, w), target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """Return the state after a stop at `pose` by a rigid obstacle; `stalled`: whether the wheels also stop."""
+        """Return the state after a stop at `pose` by a rigid obstacle; if `stalled`, the wheels also stop."""
         drive = (0.0, 0.0) if stalled else state.drive
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
@@ -354,7 +355,7 @@ class DifferentialDrive:
         return target if self.wheels is None else self.wheels.target(*target)
 
     def _substeps(self, seconds: float, drive: _Target, wanted: _Target) -> int:
-        """Number of sub-steps; one while the velocity is constant."""
+        """Return the number of sub-steps, which is 1 while the velocity is constant."""
         a = self.actuation
         steady = (a.linear_lag == 0.0 and a.angular_lag == 0.0) or drive == wanted
         if steady and not (self.wheels is not None and self.wheels.stuck):
@@ -371,7 +372,7 @@ class DifferentialDrive:
 def arrivals(
     state: PlantState, latency: float, sent: _Target, duration: float
 ) -> tuple[list[tuple[float, _Target]], _Target, tuple[tuple[float, _Target], ...]]:
-    """Return the targets of a step with their durations [s], the last target, and the targets still on their way.
+    """Return the targets of a step with their durations [s], the last target, and the targets that have not arrived.
 
     Args:
         state: State at the beginning of the step.
@@ -409,7 +410,7 @@ def pieces_of(seconds: float, longest: float) -> int:
 
 
 class _Normals:
-    """Standard normal numbers by index, equal for equal seeds in any order of access."""
+    """Indexed standard normal numbers, which depend on the seed but not on the order of access."""
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)

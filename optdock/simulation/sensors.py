@@ -1,7 +1,8 @@
 """The sensors of a simulated robot: localization, odometry and the detector of the dock.
 
-Each sensor is a frozen description; its `reader(seed)` keeps the state, such as a random walk, counted ticks and images
-not yet delivered. A reader always draws the same random numbers, so that a fault does not change the other errors.
+Each sensor is a frozen description. Its `reader(seed)` keeps the state, such as a random walk, counted ticks, and
+detections that have not been delivered yet. A reader draws the same random numbers with and without faults, so that a
+fault does not change the other errors.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class PoseSensor:
         check_not_negative(self, "pose_sensor", ("position_sigma", "yaw_sigma", "position_walk", "yaw_walk"))
 
     def reader(self, seed: Seed = 0) -> PoseSensorReader:
-        """Return a reader with its own random stream."""
+        """Return a reader with a separate random stream."""
         return PoseSensorReader(self, seed)
 
 
@@ -102,8 +103,9 @@ class Odometry:
         angular_gain: Gain of the yaw rate [1].
         linear_sigma: Standard deviation of the white noise of the speed [m/s].
         angular_sigma: Standard deviation of the white noise of the yaw rate [rad/s].
-        tick: Distance of a wheel per tick of its encoder [m]; the speed is then in ticks per period. 0: continuous.
-        track_width: Track width of the ticks [m]; required with ticks.
+        tick: Distance travelled by a wheel per encoder tick [m]; the speed is then measured in ticks per period. 0:
+            continuous.
+        track_width: Track width for the conversion of ticks [m]; required if `tick` is not 0.
 
     Raises:
         InvalidValue: If a value is not a number, negative or not finite, or there are ticks without a track width.
@@ -123,7 +125,7 @@ class Odometry:
             raise InvalidValue(f"odometry.track_width: must be > 0 m where tick is, {self.tick} m; got 0.0")
 
     def reader(self, seed: Seed = 0) -> OdometryReader:
-        """Return a reader with its own random stream."""
+        """Return a reader with a separate random stream."""
         return OdometryReader(self, seed)
 
 
@@ -137,7 +139,7 @@ class OdometryReader:
         self._travel = (0.0, 0.0)
 
     def measure(self, encoders: Twist2, duration: float) -> Twist2:
-        """Return the measured velocity, `duration` [s] after the last one, for the present velocity of the encoders."""
+        """Return the measured velocity for the present encoder velocity, `duration` [s] after the last measurement."""
         sensor = self.sensor
         linear, angular = encoders.linear, encoders.angular
         if sensor.tick > 0.0:
@@ -170,16 +172,16 @@ class DockSensor:
     """A detector of the dock in camera images.
 
     Images are taken at multiples of 1 / rate. A detection is the docked pose relative to the true pose of the robot,
-    plus white noise with the sigmas below, which grow by the share `growth` per metre beyond `near`. Detections contain
-    their true sigmas.
+    plus white noise with the standard deviations below, which grow by the fraction `growth` per metre beyond `near`.
+    Each detection contains its true standard deviations.
 
     Args:
         rate: Images per second [Hz].
         latency: Time from an image to its detection [s].
         position_sigma: Standard deviation of x and y in the frame of the robot, each [m].
         yaw_sigma: Standard deviation of yaw [rad].
-        near: Distance of the marker within which the sigmas apply [m].
-        growth: Growth of the sigmas beyond that distance [1/m].
+        near: Distance of the marker up to which the standard deviations are constant [m].
+        growth: Relative growth of the standard deviations beyond `near` [1/m].
         marker: Marker in the frame of the docked pose; its yaw is not used.
         camera: Camera in the frame of the robot.
         field_of_view: Full angle [rad].
@@ -188,8 +190,8 @@ class DockSensor:
         drop_out: Probability that an image gives no detection.
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, the rate 0, the drop-out above 1, or the
-            smallest range not below the largest.
+        InvalidValue: If a value is not a number, negative or not finite, the rate is 0, the drop-out is above 1, or the
+            smallest range is not below the largest range.
     """
 
     rate: float = 15.0
@@ -224,7 +226,7 @@ class DockSensor:
         return share * self.position_sigma, share * self.yaw_sigma
 
     def reader(self, seed: Seed = 0) -> DockSensorReader:
-        """Return a reader with its own random stream."""
+        """Return a reader with a separate random stream."""
         return DockSensorReader(self, seed)
 
 
@@ -253,7 +255,7 @@ class DockSensorReader:
         """Return the detections delivered until `time` [s], the oldest first, after a motion along an arc to `pose`.
 
         Args:
-            time: Not before the last call.
+            time: Time [s], not before the time of the last call.
             pose: True pose of the robot.
             dock: True pose of the docked robot.
         """
@@ -291,7 +293,7 @@ class DockSensorReader:
 
 
 def _on_the_way(start: Pose2, end: Pose2, share: float) -> Pose2:
-    """Pose at a share of the arc from one pose to another."""
+    """Return the pose at a share of the arc from one pose to another."""
     if share == 1.0:
         return end
     way = start.inverse() @ end
@@ -303,7 +305,7 @@ def _on_the_way(start: Pose2, end: Pose2, share: float) -> Pose2:
 
 
 def _normals(seed: Seed) -> Iterator[float]:
-    """Infinite sequence of standard normal numbers."""
+    """Yield an infinite sequence of standard normal numbers."""
     generator = np.random.default_rng(seed)
     while True:
         yield from generator.standard_normal(_BLOCK).tolist()

@@ -1,4 +1,4 @@
-"""A simulated robot: commands in, measurements out, with a record of all values."""
+"""Simulated robot, which receives commands and returns measurements, with a record of all values."""
 
 from __future__ import annotations
 
@@ -50,8 +50,9 @@ class Sensors:
 class Station:
     """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the axis of the dock. The stop acts on a robot that comes from the front. A robot from
-    the side or from behind passes, and collides with the outline of the station if the obstacles contain it.
+    The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot from
+    the side or from behind passes through the plane, and collides with the outline of the station if the obstacles
+    contain this outline.
 
     Args:
         direction: Gear of the last motion, forward or backward.
@@ -60,10 +61,10 @@ class Station:
         switch_travel: Distance before the stop within which the switch is closed [m].
         switch_cross: Largest lateral error with a closed switch [m].
         switch_yaw: Largest heading error with a closed switch [rad].
-        stalls: Whether the wheels stop at the stop (weak motors), or slip, so that odometry continues.
+        stalls: Whether the wheels also stop (weak motors); otherwise they slip, and the odometry continues.
 
     Raises:
-        InvalidValue: If the direction is not forward or backward, or a value not a number, negative or not finite.
+        InvalidValue: If the direction is not forward or backward, or a value is not a number, negative or not finite.
     """
 
     direction: DockDirection = DockDirection.FORWARD
@@ -98,13 +99,13 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Record(FrozenArrays):
-    """Record of a simulation; row k is the state at `times[k]` and the command given there.
+    """Record of a simulation; row k contains the state at `times[k]` and the command given at that time.
 
     Attributes:
         times: Shape (n,) [s].
         poses: True poses, Shape (n, 3).
         twists: True body velocities: linear, angular, lateral, Shape (n, 3) [m/s, rad/s, m/s].
-        commands: Linear and angular, Shape (n, 2) [m/s, rad/s]; zero in the last row.
+        commands: Linear and angular commands, Shape (n, 2) [m/s, rad/s]; zero in the last row.
         measured: Measured poses, Shape (n, 3).
         odometry: Measured linear and angular velocity, Shape (n, 2) [m/s, rad/s].
         docks: True docked poses, Shape (n, 3).
@@ -126,19 +127,20 @@ class Record(FrozenArrays):
 
 
 class SimulatedRobot:
-    """A plant, its sensors and a dock on one clock, which begins at 0.
+    """A plant, its sensors and a dock with a common clock, which begins at 0.
 
-    Each sensor has its own random stream: changing one does not affect the others. The fixed frame is that of `start`,
-    `dock_pose` and the obstacles; the stored dock is known to the planner only.
+    Each sensor has a separate random stream, so a change of one sensor does not affect the others. `start`, `dock_pose`
+    and the obstacles are given in the fixed frame. The simulation does not contain the stored dock, which only the
+    planner uses.
 
     Args:
         plant: Plant of the robot.
         start: True pose of the robot at the beginning.
         dock_pose: True docked pose; may be set at any time to move the dock.
         sensors: Sensors; None: perfect.
-        obstacles: Obstacles, with the outline of the station.
-        station: Stop and contact switch of the dock; None: contact is that of the plant.
-        seed: Seed of the sensors' noise; the slip of a plant has its own.
+        obstacles: Obstacles, including the outline of the station.
+        station: Stop and contact switch of the dock; None: the plant determines contact.
+        seed: Seed of the sensors' noise; the slip of a plant has a separate seed.
         start_twist: Steady body velocity at the beginning.
 
     Attributes:
@@ -181,7 +183,7 @@ class SimulatedRobot:
         self.measurements = self._measure(0.0)
 
     def advance(self, command: Twist2, duration: float) -> Measurements:
-        """Apply a command for `duration` [s] and return the measurements after it.
+        """Apply a command for `duration` [s] and return the resulting measurements.
 
         Raises:
             InvalidValue: If the duration is not finite and > 0.
@@ -206,7 +208,7 @@ class SimulatedRobot:
         return self.state.pose.in_frame_of(self.dock_pose)
 
     def clearance(self) -> float:
-        """Return the smallest signed distance of the recorded true footprints to an obstacle [m]."""
+        """Return the smallest signed distance between the recorded true footprints and any obstacle [m]."""
         poses = np.array([row[1:4] for row in self._rows])
         footprint = self.plant.robot.footprint
         return min((executed_clearance(footprint, poses[i:], those) for i, those in self._obstacles), default=math.inf)
@@ -275,7 +277,7 @@ def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: Obsta
     Args:
         footprint: Footprint of the robot.
         poses: Shape (n, 3).
-        obstacles: Obstacles; without any, the distance is infinite.
+        obstacles: Obstacles; if there are none, the distance is infinite.
     """
     best = math.inf
     for block in np.array_split(poses, -(-len(poses) // _BLOCK)) if len(obstacles) and len(poses) else ():
