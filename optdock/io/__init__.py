@@ -1,1 +1,1 @@
-"""Readers and writers of files: maps, plan files, YAML with line numbers, and error messages of one form."""
+"""Readers and writers of files: maps, plan files, YAML with line numbers, and uniform error messages."""

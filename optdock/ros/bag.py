@@ -45,7 +45,7 @@ class BagMessage(NamedTuple):
     Attributes:
         topic: Topic.
         time: Time of reception [s].
-        message: The message, of a class of `bag_types`.
+        message: The message, an instance of a class from `bag_types`.
     """
 
     topic: str
@@ -55,7 +55,7 @@ class BagMessage(NamedTuple):
 
 @functools.lru_cache(maxsize=1)
 def _store() -> Typestore:
-    """Message classes of a ROS distribution, and those of Nav2's costmaps."""
+    """Return the message classes of a ROS distribution and of Nav2's costmaps."""
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
@@ -68,7 +68,7 @@ def _store() -> Typestore:
 
 @functools.lru_cache(maxsize=64)
 def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
-    """Classes of one message type as defined in a recording; one store per type isolates invalid types."""
+    """Return the classes of one message type as defined in a recording; separate stores isolate invalid types."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -96,7 +96,7 @@ def bag_types(name: str) -> type:
 
 
 def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Collection[str] = ()) -> None:
-    """Write a recording atomically: one file if the name ends in `.mcap`, else a folder of rosbag2.
+    """Write a recording atomically: one file if the name ends in `.mcap`, otherwise a rosbag2 folder.
 
     Args:
         target: File, which is replaced, or a folder that does not exist.
@@ -142,7 +142,7 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
 
 
 def _latched() -> Any:  # noqa: ANN401 - a tuple of rosbags
-    """Quality of service of a latched topic."""
+    """Return the quality of service of a latched topic."""
     from rosbags import interfaces as r
 
     history, reliability, durability = (
@@ -181,7 +181,7 @@ def open_bag(source: str | Path) -> Iterator[BagRecording]:
 
 
 def _check_recording(source: Path) -> None:
-    """Reject devices and pipes, for which rosbags would wait, and metadata that break the limits of `load_yaml`."""
+    """Reject devices and pipes, for which rosbags would wait, and metadata that exceed the limits of `load_yaml`."""
     if not os.path.isdir(source):  # noqa: PTH112 - False also for a name that is too long
         check_regular(source, MostBytes.RECORDING)
         return
@@ -194,7 +194,7 @@ def _check_recording(source: Path) -> None:
 
 @contextmanager
 def _reading(source: Path, topic: str = "") -> Iterator[None]:
-    """Add file and topic to the errors of rosbags."""
+    """Convert errors of rosbags to `InvalidFile` with file and topic."""
     try:
         yield
     except InvalidFile:
@@ -219,7 +219,7 @@ class BagRecording:
         self.end = 1e-9 * reader.end_time
 
     def find(self, topics: Sequence[str], kinds: Collection[str], option: str = "") -> str:
-        """Return the first existing topic; empty if there is none.
+        """Return the first existing topic; empty if no topic exists.
 
         Args:
             topics: Candidates in order.
@@ -256,7 +256,7 @@ class BagRecording:
             yield time, self._read(topic, kind, data)
 
     def last(self, topic: str, since: float, until: float) -> tuple[float, Message] | None:
-        """Return the time of reception [s] and the last message of a topic; None if there is none.
+        """Return the time of reception [s] and the last message of a topic; None if there is no message.
 
         Raises:
             InvalidFile: If the message is damaged.

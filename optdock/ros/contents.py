@@ -47,7 +47,7 @@ class Names(NamedTuple):
     """Frames and start time of a recording.
 
     Attributes:
-        frame: Name of the coordinate frame; empty for that of the file or the problem.
+        frame: Name of the coordinate frame; empty for the frame of the file or the problem.
         base: Frame of the robot.
         start: Offset of all times [s]: the start time of a plan or a simulated run.
         stamped: Whether commands are `TwistStamped`.
@@ -60,9 +60,9 @@ class Names(NamedTuple):
 
 
 def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """Yield the messages of a plan file: its paths, then its motion as if driven without errors.
+    """Yield the messages of a plan file: the paths, then the motion as if it were driven without errors.
 
-    With a problem, also its map, and markers of the swept outlines and the closest point.
+    If a problem is given, its map and markers of the swept outlines and of the closest point are also included.
 
     Raises:
         InvalidFile: If the plan has no path and no motion.
@@ -106,7 +106,7 @@ def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None =
 
 
 def log_messages(log: DockingLog, names: Names) -> Iterator[BagMessage]:
-    """Yield the messages of a docking log, on its own clock: measurements, plans, commands and events of all cycles."""
+    """Yield the messages of a docking log on the log's clock: measurements, plans, commands, events of all cycles."""
     problem = log.task.problem
     named = names._replace(frame=names.frame or problem.frame)
     yield from _world(problem, named.frame, names.start + log.cycles[0].measurements.stamp)
@@ -185,7 +185,7 @@ def _commanded(times: FloatArray, commands: FloatArray, names: Names) -> Iterato
 
 
 def _claims(plan: PlanFile) -> Mapping[str, object]:
-    """Values of the file's certificate, its error, and its computation times."""
+    """Return the values of the certificate in the file, the error, and the computation times."""
     claimed = plan.certificate or {}
     values: dict[str, object] = {
         name: claimed[name]

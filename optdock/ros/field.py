@@ -64,8 +64,8 @@ _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 # poses is straight to a millimetre.
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
 _REVERSED = 0.01  # [m]: shorter motions back are noise
-_OUTLINES = 200  # footprint messages that are compared, and up to twice as many
-_AT_ONCE = 100  # updates of a costmap per copy of it
+_OUTLINES = 200  # footprint messages that are compared; at most twice as many
+_AT_ONCE = 100  # updates that are applied to one copy of a costmap
 _AROUND = 1.0  # [s] of transforms before and after the interval, for interpolation
 _REACH = 0.2  # [s] before and after the known transforms: localization sends a transform every ten control cycles
 _BASE = "base_link"  # Nav2's default
@@ -73,7 +73,7 @@ _BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Topics to read: the first existing topic of each kind; a kind with one topic requires it. Defaults are Nav2's."""
+    """Topics to read: the first existing one of each kind; a single topic must exist. The defaults are Nav2's."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (
@@ -89,7 +89,7 @@ class FieldTopics(NamedTuple):
     tf_static: str = "/tf_static"
 
     def instead(self, topics: Mapping[str, str]) -> FieldTopics:
-        """Return a copy with single topics for the kinds whose name in `topics` is not empty."""
+        """Return a copy in which every non-empty topic in `topics` replaces all topics of its kind."""
         return self._replace(**{kind: (topic,) for kind, topic in topics.items() if topic})  # type: ignore[arg-type]
 
 
@@ -99,7 +99,7 @@ class RecordedDrive(NamedTuple):
     Attributes:
         times: Times since the beginning of the recording, Shape (n,) [s].
         poses: Shape (n, 3).
-        kept: Rows that form a path.
+        kept: Rows of the poses that form a path.
     """
 
     times: FloatArray
@@ -108,13 +108,13 @@ class RecordedDrive(NamedTuple):
 
 
 class FieldDocking(NamedTuple):
-    """A docking from a recording, all in `frame`.
+    """A docking from a recording; all poses are in `frame`.
 
     Attributes:
         frame: Frame of the costmap.
         costmap: Last costmap.
-        footprint: Outline of the robot, in its own frame.
-        path: Last path, Shape (n, 3); None if the recording has none.
+        footprint: Outline of the robot, in the frame of the robot.
+        path: Last path, Shape (n, 3); None if the recording has no path.
         drive: Driven poses; None if the recording has no odometry.
         rows: Description of the contents that were read.
     """
@@ -131,7 +131,7 @@ class FieldOptions(NamedTuple):
     """Options for reading a recording.
 
     Attributes:
-        outline: Outline of the robot; None for that of the recording.
+        outline: Outline of the robot; None for the outline in the recording.
         base_frame: Frame of the robot; empty for the child frame of the odometry, or `base_link`.
         rule: Conversion of occupancies to costs; None for the defaults.
         since: Time since the beginning of the recording before which messages are ignored [s].
@@ -161,7 +161,7 @@ def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions)
 
 
 class _RecordingReader:
-    """Reader of one recording; every error names file and topic."""
+    """Reader of one recording; every error message contains file and topic."""
 
     def __init__(self, bag: BagRecording, topics: FieldTopics, options: FieldOptions) -> None:
         self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
@@ -190,7 +190,7 @@ class _RecordingReader:
         return FieldDocking(frame, known, outline, path, drive, tuple(self._rows))
 
     def _find(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str) -> str:
-        """First existing topic; empty if several were given and none exists."""
+        """Return the first existing topic; empty if several topics were given and no topic exists."""
         found = self._bag.find(names, kinds, option)
         if not found and len(names) == 1:
             raise InvalidFile(f"{self._bag.source}: has no topic {names[0]} ({option}); {self._bag.of_kind(kinds)}")
@@ -202,7 +202,7 @@ class _RecordingReader:
 
     @contextmanager
     def _errors_of(self, topic: str) -> Iterator[None]:
-        """Add file and topic to the errors of a message."""
+        """Convert errors of a message to `InvalidFile` with file and topic."""
         try:
             yield
         except (InvalidValue, TransformError) as error:
@@ -245,7 +245,7 @@ class _RecordingReader:
         self._base = self._base or _BASE
 
     def _costmap(self, topic: str) -> tuple[str, Costmap]:
-        """Frame and costmap: the last complete message, with all later updates applied."""
+        """Return frame and costmap of the last complete message, with all later updates applied."""
         last = self._bag.last(topic, *self._interval)
         if last is None:
             raise self._nothing(topic)
@@ -265,7 +265,7 @@ class _RecordingReader:
         return frame, grid
 
     def _path(self, topic: str, frame: str) -> FloatArray:
-        """Last path with poses, in a frame."""
+        """Return the last path with poses, transformed into a frame."""
         last = None
         for received, message in self._bag.messages(topic, *self._interval):
             last = (received, message) if len(message.poses) else last
@@ -282,7 +282,7 @@ class _RecordingReader:
         return readonly(transform_poses(moved, found.poses))
 
     def _drive(self, topic: str, frame: str) -> RecordedDrive:
-        """Poses of the robot at the times of the odometry for which there are transforms."""
+        """Return the poses of the robot at the times of the odometry for which there are transforms."""
         rows, length = list[tuple[float, ...]](), len(self._times)
         for received, stamp in self._times:
             stood = self._robot_in(frame, stamp)
@@ -298,7 +298,7 @@ class _RecordingReader:
         return RecordedDrive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
 
     def _robot_in(self, frame: str, stamp: float) -> Pose2 | None:
-        """Pose of the robot in a frame; None if there is no transform, with the error kept."""
+        """Return the pose of the robot in a frame; if there is no transform, store the error and return None."""
         try:
             found = self._transforms.lookup(frame, self._base, stamp)
         except TransformError as error:
@@ -308,7 +308,7 @@ class _RecordingReader:
             return found.planar()
 
     def _evenly_spaced(self, topic: str) -> list[Message]:
-        """Messages of a topic: all, or `_OUTLINES` to twice as many of them, evenly spaced."""
+        """Return all messages of a topic, or, of many messages, `_OUTLINES` to twice as many at even intervals."""
         found: list[Message] = []
         every = 1
         for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
@@ -321,7 +321,7 @@ class _RecordingReader:
         return found
 
     def _footprint(self) -> Footprint:
-        """Outline in the robot's frame: the median of many, because their poses are only known to a control cycle."""
+        """Return the median outline in the robot's frame, because single poses are only known to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:
@@ -347,7 +347,7 @@ class _RecordingReader:
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
     """Return the rows of measured poses, Shape (n, 3), that form a path.
 
-    Consecutive poses differ by at least some centimetres or a small turn; both ends and every reversal are included.
+    Consecutive rows differ by at least some centimetres or a small turn; both ends and every reversal are included.
     """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
@@ -366,7 +366,7 @@ def kept_poses(poses: FloatArray) -> tuple[int, ...]:
 
 
 def _reversals(ahead: FloatArray) -> list[int]:
-    """Return the rows of the turning points of the distance driven forward, Shape (n,) [m], without noise."""
+    """Return the rows at which the distance driven forward, Shape (n,) [m], reverses; noise is ignored."""
     found, trend, low, high = list[int](), 0, 0, 0
     for row, way in enumerate(ahead.tolist()):
         high, low = (row if way > ahead[high] else high), (row if way < ahead[low] else low)
@@ -386,7 +386,7 @@ class JudgedPoses(NamedTuple):
         name: `path` or `drive`.
         path: Path through the poses.
         problem: Problem from the first pose to the last, with the costmap.
-        closest: Text with the smallest clearance of the poses, its pose and obstacle.
+        closest: Text with the smallest clearance of the poses, and its pose and obstacle.
     """
 
     name: str
@@ -400,13 +400,13 @@ def judged_poses(
 ) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
     """Return the paths of a recorded docking with their problems, and rows of a report.
 
-    The limits are the defaults of `MotionLimits`, because a recording has no limits.
+    The limits are the defaults of `MotionLimits`, because a recording contains no limits.
 
     Args:
         found: The docking.
         rule: Required clearance of path and drive.
         contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
-            edge of the outline, inside and outside, are free [m]. None for the diagonal of a cell.
+            edge of the outline, inside and outside, are taken as free [m]. None for the diagonal of a cell.
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)
@@ -438,7 +438,7 @@ def judged_poses(
 
 
 def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costmap, list[tuple[str, str]]]:
-    """Costmap without the cells that the robot touches at the end of the path, and rows of a report."""
+    """Return the costmap without the cells that the robot touches at the end of the path, and report rows."""
     grid, near = found.costmap, math.sqrt(2.0) * found.costmap.resolution if contact is None else contact
     if found.path is None or near == 0.0:
         return grid, []
@@ -457,7 +457,7 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
 
 
 def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
-    """Smallest clearance of the poses [m], its row, and a text with both."""
+    """Return the smallest clearance of the poses [m], its row, and a text with both."""
     if not len(problem.all_obstacles):
         return math.inf, 0, "there are no obstacles"
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
@@ -473,7 +473,7 @@ def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, st
 def save_field_docking(
     folder: str | Path, judged: tuple[JudgedPoses, ...], found: FieldDocking, note: str
 ) -> tuple[Path, ...]:
-    """Write a plan file `NAME.json` and a scenario `NAME.yaml` for each path, and one map for all.
+    """Write a plan file `NAME.json` and a scenario `NAME.yaml` for each path, and one map for all paths.
 
     Args:
         folder: Folder, created if necessary; existing files are replaced.

@@ -35,7 +35,7 @@ class StampedCostmap(NamedTuple):
 def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
     """Return the costmap of a `nav2_msgs/Costmap` or a `nav_msgs/OccupancyGrid`.
 
-    The resolution is the shortest number with the 32 bits of the message: 0.05 m, not 0.05000000074505806 m.
+    The resolution is the shortest decimal number with the same 32-bit value: 0.05 m, not 0.05000000074505806 m.
 
     Args:
         message: The message.
@@ -67,7 +67,7 @@ def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None
 
     Args:
         known: Costmap of the last complete message.
-        *updates: Updates in order; the stamp of the last one becomes that of the costmap.
+        *updates: Updates in order; the costmap receives the stamp of the last update.
         rule: As for `costmap`.
 
     Raises:
@@ -96,7 +96,7 @@ def costmap_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: fl
     """Return a `nav2_msgs/Costmap`.
 
     Raises:
-        InvalidValue: If frame or time are invalid.
+        InvalidValue: If the frame or the time is invalid.
     """
     name = "nav2_msgs/msg/Costmap"
     metadata = made(
@@ -118,7 +118,7 @@ def occupancy_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: 
     """Return a `nav_msgs/OccupancyGrid` with the occupancies that Nav2 publishes for costs.
 
     Raises:
-        InvalidValue: If frame or time are invalid.
+        InvalidValue: If the frame or the time is invalid.
     """
     name = "nav_msgs/msg/OccupancyGrid"
     info = made(
@@ -139,7 +139,7 @@ def _origin(types: MessageTypes, grid: Costmap) -> Message:
 
 
 def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
-    """Costs of a message, Shape (rows, columns); a rule converts the cells of messages with occupancies."""
+    """Return the costs of a message, Shape (rows, columns); a rule converts cells that contain occupancies."""
     given = message.data
     if isinstance(given, list | tuple):  # rclpy's fields also accept lists
         given = bytes(value % 256 for value in given)

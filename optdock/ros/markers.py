@@ -77,7 +77,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
 ) -> Message:
     """Return a path as a `visualization_msgs/MarkerArray`.
 
-    The namespaces and ids of the markers are always the same, so that an array replaces the previous one. Markers
+    The namespaces and ids of the markers are always the same, so that an array replaces the previous array. Markers
     without content are deleted.
 
     Args:
@@ -125,7 +125,7 @@ def delete_markers(types: MessageTypes, frame: str, stamp: float) -> Message:
 
 
 class _Closest(NamedTuple):
-    """Closest point of a path to an obstacle: edges of the outline, line between the two, text."""
+    """Closest point of a path to an obstacle: edges of the outline, line between outline and obstacle, text."""
 
     outline: FloatArray = _NO_LINES
     line: FloatArray = _NO_LINES
@@ -146,7 +146,7 @@ def _closest(
 
 
 def _coloured_path(path: Path) -> tuple[FloatArray, list[_Colour]]:
-    """Ends of line segments, Shape (2 n, 2), and a colour for every end."""
+    """Return the ends of line segments, Shape (2 n, 2), and a colour for every end."""
     samples = path.sample(_SPACING)
     points = np.column_stack((samples.x, samples.y))
     ends = np.stack((points[:-1], points[1:]), axis=1).reshape(-1, 2)
@@ -156,7 +156,7 @@ def _coloured_path(path: Path) -> tuple[FloatArray, list[_Colour]]:
 
 
 def _outlines(footprint: Footprint | None, poses: FloatArray) -> FloatArray:
-    """Ends of the edges of an outline at every pose, Shape (2 n, 2); empty without an outline."""
+    """Return the ends of the edges of an outline at every pose, Shape (2 n, 2); empty without an outline."""
     if footprint is None:
         return _NO_LINES
     corners = transform_points(poses, footprint.vertices)
@@ -164,7 +164,7 @@ def _outlines(footprint: Footprint | None, poses: FloatArray) -> FloatArray:
 
 
 class _MarkerList:
-    """Markers of one header."""
+    """List of markers with a common header."""
 
     def __init__(self, types: MessageTypes, head: Message) -> None:
         self._types, self._head = types, head
@@ -172,7 +172,7 @@ class _MarkerList:
         self.markers: list[Message] = []
 
     def lines(self, name: str, number: int, ends: FloatArray, colours: Sequence[_Colour], width: float) -> None:
-        """Add line segments by their ends, Shape (2 n, 2), in one colour or one per end; delete the marker if empty."""
+        """Add line segments with ends of Shape (2 n, 2), in one colour or one per end; if empty, delete the marker."""
         if not len(ends):
             self.mark(name, number, action=_DELETE)
             return

@@ -147,7 +147,7 @@ def stamped_frame(message: Message) -> tuple[str, float]:
 
 
 def made(types: MessageTypes, name: str, /, **values: object) -> Message:
-    """Return a message with the values for the fields that its class has; fields differ between distributions."""
+    """Return a message with the given values; fields that its class lacks in this ROS distribution are ignored."""
     kind: Any = types(name)
     fields = kind.__dataclass_fields__ if _is_dataclass(kind) else kind.get_fields_and_field_types()
     return kind(**{field: value for field, value in values.items() if field in fields})
@@ -164,5 +164,5 @@ def column(types: MessageTypes, name: str, values: NDArray[np.uint8] | NDArray[n
 
 
 def _is_dataclass(kind: type) -> bool:
-    """Whether the class is of rosbags, whose fields have no defaults."""
+    """Whether the class belongs to rosbags, in which fields have no defaults."""
     return hasattr(kind, "__dataclass_fields__")

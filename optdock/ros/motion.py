@@ -45,10 +45,10 @@ __all__ = [
     "twist_message",
 ]
 
-# [rad] of roll and pitch together. A larger tilt than that of ramps and of 3-D localization on a floor means a frame
-# whose z axis does not point up, and whose yaw is meaningless.
+# [rad] of roll and pitch together: more than on ramps and in 3-D localization on a floor. A larger tilt indicates a
+# frame whose z axis does not point up and whose yaw is meaningless.
 MOST_TILTED = 0.1
-QUATERNION_NORM = 0.01  # deviation of a quaternion's length from 1, as accepted by ROS's own transforms
+QUATERNION_NORM = 0.01  # deviation of a quaternion's length from 1, as accepted by the transforms of ROS
 
 _Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: Mapping[_Level, int] = {"ok": 0, "warn": 1, "error": 2, "stale": 3}
@@ -71,7 +71,7 @@ class StampedPose(NamedTuple):
 
 
 class StampedTwist(NamedTuple):
-    """A body velocity; frame and stamp [s] are empty and None without a header."""
+    """A body velocity; without a header, the frame is empty and the stamp [s] is None."""
 
     frame: str
     stamp: float | None
@@ -209,13 +209,13 @@ def plain_pose(message: Message, value: Message, field: str, most_tilted: float 
 
 
 def _checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: float) -> FloatArray:
-    """Yaws of poses, Shape (n,): the headings of their x axes seen from above.
+    """Return the yaws of poses, Shape (n,): the headings of their x axes seen from above.
 
     Args:
         message: Message with the poses.
         table: Positions and quaternions, Shape (n, 7): x, y, z, x, y, z, w.
         field: Name of the field, with `{}` for the index.
-        most_tilted: Largest tilt of a z axis [rad].
+        most_tilted: Largest accepted tilt of a z axis [rad].
     """
     bad = np.argwhere(~np.isfinite(table))
     if bad.size:
@@ -243,7 +243,7 @@ def _checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: 
 
 
 def _plain_twist(message: Message, value: Message, field: str) -> Twist2:
-    """Planar velocity of a `geometry_msgs/Twist` in a field of a message; all six numbers must be finite."""
+    """Return the planar velocity of a `geometry_msgs/Twist` in a field of a message; all six numbers must be finite."""
     for part in ("linear", "angular"):
         vector = getattr(value, part)
         for axis in "xyz":
@@ -260,7 +260,7 @@ def path_message(types: MessageTypes, poses: ArrayLike, frame: str, stamp: float
     """Return a `nav_msgs/Path` of poses, Shape (n, 3), which share one header with the stamp [s].
 
     Raises:
-        InvalidValue: If the shape is wrong, a number is not finite, or frame or time are invalid.
+        InvalidValue: If the shape is wrong, a number is not finite, or the frame or the time is invalid.
     """
     rows = frozen_array(poses, "poses", columns=3) if np.size(poses) else np.zeros((0, 3))
     head = header(types, frame, stamp)
@@ -280,7 +280,7 @@ def pose_message(types: MessageTypes, pose: Pose2, frame: str, stamp: float) -> 
     """Return a `geometry_msgs/PoseStamped`.
 
     Raises:
-        InvalidValue: If frame or time are invalid.
+        InvalidValue: If the frame or the time is invalid.
     """
     head = header(types, frame, stamp)
     return made(types, "geometry_msgs/msg/PoseStamped", header=head, pose=plain_pose_message(types, pose))
@@ -290,7 +290,7 @@ def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: fl
     """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with frame and stamp [s].
 
     Raises:
-        InvalidValue: If frame or time of a `TwistStamped` are invalid.
+        InvalidValue: If the frame or the time of a `TwistStamped` is invalid.
     """
     value = _twist_value(types, twist)
     if not stamped:
@@ -323,7 +323,7 @@ def polygon_message(types: MessageTypes, vertices: ArrayLike, frame: str, stamp:
     """Return a `geometry_msgs/PolygonStamped` of corners, Shape (n, 2) [m], rounded to 32 bits.
 
     Raises:
-        InvalidValue: If the shape is wrong, a number is not finite, or frame or time are invalid.
+        InvalidValue: If the shape is wrong, a number is not finite, or the frame or the time is invalid.
     """
     corners = frozen_array(vertices, "vertices", columns=2).tolist()
     points = [made(types, "geometry_msgs/msg/Point32", x=x, y=y, z=0.0) for x, y in corners]

@@ -34,7 +34,7 @@ _WIDTH = 7  # numbers of a sample: translation and quaternion
 
 
 class TransformError(OptdockError):
-    """No transform exists: a frame is unknown, two are not connected, or the known transforms are too old or new."""
+    """No transform exists: frames are unknown or not connected, or the known transforms are too old or too new."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Transform:
         target: Frame in which the pose is given.
         source: Frame whose pose is given.
         stamp: Time of the transform on the clock of the messages [s]; for static frames the requested time, or inf if
-            there was none.
+            no time was requested.
         translation: Origin of the source frame in the target frame [m].
         rotation: Unit quaternion x, y, z, w.
     """
@@ -92,10 +92,11 @@ _Sample: TypeAlias = tuple[Vector, Quaternion]
 
 
 class _Track:
-    """Parent of one frame and its poses over time.
+    """Parent of one frame, and the poses of the frame over time.
 
-    Samples take 64 bytes in two arrays, because recordings have millions of them. Samples are only appended, the time
-    after the values, so that other threads read complete samples; any other change creates a new track.
+    A sample takes 64 bytes in two arrays, because recordings have millions of samples. Samples are only appended, and
+    the time is appended after the values, so that other threads read complete samples. Any other change creates a new
+    track.
     """
 
     __slots__ = ("is_static", "parent", "times", "values")
@@ -108,7 +109,7 @@ class _Track:
         return (x, y, z), (qx, qy, qz, qw)
 
     def inserted(self, time: float, sample: array[float], first: int) -> _Track:
-        """Return a track with one more sample, without those before `first`; a sample of the same time is replaced."""
+        """Return a track with one more sample and without samples before `first`; an equal time is replaced."""
         row = bisect_left(self.times, time)
         after = row + (row < len(self.times) and self.times[row] == time)
         times = self.times[first:row] + array("d", [time]) + self.times[after:]
@@ -124,15 +125,15 @@ class TransformTree:
 
     Args:
         history: Duration for which transforms are kept [s].
-        reach: Duration before the first and after the last message of a frame for which the frame counts as unmoved
-            [s].
+        reach: Duration before the first and after the last message of a frame for which the frame is assumed not to
+            move [s].
     """
 
     def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:
         self._history, self._reach = history, reach
         self._tracks: dict[str, _Track] = {}
         self.refused: dict[tuple[str, str], str] = {}
-        """Reason of the first rejected transform of each parent and child."""
+        """Reason for the first rejected transform of each parent and child."""
 
     @property
     def frames(self) -> Mapping[str, str]:
@@ -241,7 +242,7 @@ class TransformTree:
         return Transform(target, source, at, found.translation, found.rotation)
 
     def _along(self, tracks: Mapping[str, _Track], chain: list[str], frame: str, at: float) -> Transform:
-        """Pose of `frame` in the last frame of the chain of its parents."""
+        """Return the pose of `frame` in the last frame of the chain of its parents."""
         found = Transform(frame, frame, at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for name in chain:
             place, turn = self._at(name, tracks[name], at)
@@ -249,7 +250,7 @@ class TransformTree:
         return found
 
     def _at(self, name: str, track: _Track, at: float) -> _Sample:
-        """Pose of a frame in its parent; the last one for later times, which the caller checks."""
+        """Return the pose of a frame in its parent; at later times, which the caller checks, the last pose."""
         times, count = track.times, len(track.times)
         if track.is_static or at >= times[count - 1]:
             return track.sample(count - 1)
@@ -292,7 +293,7 @@ class TransformTree:
 
 
 def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
-    """The frame, its parent, and all further ancestors."""
+    """Return the frame, its parent, and all further ancestors."""
     chain = [frame]
     while (track := tracks.get(chain[-1])) is not None and len(chain) < _LONGEST_CHAIN:
         chain.append(track.parent)
@@ -318,7 +319,7 @@ def rotated(q: Quaternion, v: Vector) -> Vector:
 
 
 def _slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """Spherical linear interpolation of two quaternions along the shorter arc."""
+    """Return the spherical linear interpolation of two quaternions along the shorter arc."""
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if dot < 0.0 else 1.0
     angle = math.acos(min(1.0, abs(dot)))
