@@ -67,7 +67,7 @@ class DenseProgram:
         return solution
 
     def solve_slowly(self) -> FloatArray | None:
-        """Return the minimizer by PIQP [Schwan2023], set up for the rows in use (unused ones cause warnings)."""
+        """Return the minimizer by PIQP [Schwan2023], set up for the rows in use (unused rows cause warnings)."""
         if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
             return None
         if bool(np.any(self.lbx > self.ubx) or np.any(self.lba > self.uba)):
@@ -93,5 +93,5 @@ def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, 
 
 
 def _memory(values: FloatArray) -> memoryview:
-    """Memory of an array in its own order; casadi's buffer keeps the address."""
+    """Return the memory of an array in its storage order; casadi's buffer keeps the address."""
     return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer

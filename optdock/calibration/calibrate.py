@@ -122,10 +122,10 @@ def _check_robots(recordings: Sequence[Recording]) -> None:
     for source, robot in known[1:]:
         first, other = known[0]
         if robot.drive is not other.drive or not np.array_equal(robot.footprint.vertices, other.footprint.vertices):
-            raise InvalidValue(f"{source}: its robot has another drive or footprint than that of {first}")
+            raise InvalidValue(f"{source}: its robot differs in drive or footprint from the robot of {first}")
         width, others = robot.limits.track_width, other.limits.track_width
         if width != others:
-            raise InvalidValue(f"{source}: its robot has a track width of {width:g} m, that of {first} {others:g} m")
+            raise InvalidValue(f"{source}: its robot has a track width of {width:g} m, not {others:g} m as in {first}")
 
 
 def _check_docks(recordings: Sequence[Recording]) -> None:

@@ -19,8 +19,8 @@ __all__ = ["as_text", "as_yaml", "written_values"]
 # Advice for quantities without a key in a file.
 _USES = {
     "detections late by": "estimated by the executor; subtract it from the stamps in the detector's driver",
-    "twist window": "use the odometry's poses (Measurements.odometry), as a twist is delayed by half of it",
-    "scale of the distance": "estimated by the executor; multiply the wheels' radii by 1 + it in the base",
+    "twist window": "use the odometry's poses (Measurements.odometry), as a twist is delayed by half of this window",
+    "scale of the distance": "estimated by the executor; multiply the wheels' radii in the base by 1 + this value",
     "dead band, left wheel": "the TrackingController raises their commands gradually; min_speed does so at once",
 }
 _LEARNED = {
@@ -33,7 +33,7 @@ _LEAST_SIGMA = 0.001  # [m], [rad]
 
 
 def as_text(calibration: Calibration) -> str:
-    """Return a table of all known quantities, the reasons for the unknown ones, advice and the recordings."""
+    """Return a table of all known quantities, the reasons why others are unknown, advice and the recordings."""
     known = [one for one in calibration.quantities if one]
     missing = [one for one in calibration.quantities if not one]
     parts = []
@@ -50,13 +50,13 @@ def as_text(calibration: Calibration) -> str:
     if notes:
         parts.append("Significant values without a key in a file:\n" + "\n".join(notes))
     if calibration.tube.tube is not None:
-        parts.append(f"{100 * calibration.tube.coverage:.1f} % of dockings stay inside the tube, or more.")
+        parts.append(f"{100 * calibration.tube.coverage:.1f} % of dockings or more stay inside the tube.")
     parts.append("Recordings:\n" + "\n".join(f"  {one}" for one in _recording_lines(calibration)))
     return "\n\n".join(parts)
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Return the known keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`)."""
+    """Return known values as keys of a scenario (`dock`, `robot`, `controller`) and `ExecutorSettings` (`executor`)."""
     known = {one.name: one for one in calibration.quantities if one}
     executor = _settings(known)
     values: dict[str, dict[str, object]] = {}
@@ -107,7 +107,7 @@ def as_yaml(calibration: Calibration) -> str:
     head = "".join(f"#   {line}\n" for line in _recording_lines(calibration))
     body = yaml.safe_dump(written_values(calibration), sort_keys=False, default_flow_style=None)
     meaning = "# dock, robot and controller: keys of a scenario; executor: ExecutorSettings.\n"
-    return f"# Made by optdock calibrate, of:\n{head}{meaning}{body}"
+    return f"# Made by optdock calibrate from:\n{head}{meaning}{body}"
 
 
 def _recording_lines(calibration: Calibration) -> list[str]:

@@ -35,7 +35,7 @@ _EVERY = 1.0  # [s] between the samples for the spread: the errors last for seco
 _LEAST = 12  # samples in total
 _UNKNOWN = 1.0  # [m], [rad]: standard deviation of jumps and of the dock, weak priors
 _IN_A_JUMP = 0.005  # [m]: drift and noise of detections contained in the size of a jump
-_USUAL = 0.01  # [m], [rad]: smaller scatter of the dock between recordings is by chance
+_USUAL = 0.01  # [m], [rad]: smaller scatter of the dock between recordings is due to chance
 
 # Logarithms of the limits of the standard deviation [m] or [rad], and of the correlation time [s], the white part and
 # the offsets of recordings.
@@ -265,7 +265,7 @@ def _spread(
     at, high = bound(highest, offsets=False)
     count = sum(map(len, series))
     if high >= highest:
-        reason = f"{count} s with detections, in {len(series)} drives, are too few for errors that last"
+        reason = f"{count} s with detections, in {len(series)} drives, are too few for long-lasting errors"
         return unknown(*name, reason, count)
     low = min(bound(lowest, offsets=True)[1], at)
     return Quantity(*name, math.exp(at), math.exp(low), math.exp(high), count, len(series))

@@ -46,7 +46,7 @@ _LEVER = 0.2  # [m]: half of a usual track width, converts turns to distance tra
 _CAUCHY = 2.5  # standard deviations beyond which the weight of a detection decreases
 _EVALUATIONS = 40  # limit for the problem of one recording, which is nearly linear
 _PRIOR = readonly(np.array([0.1, 0.5, 0.2, 0.5]))  # weak: scale [1], drift [rad/m], turn scale [1], delay [s]
-_ROUNDS = 2  # of estimating the noise, after which it changes by less than its own uncertainty
+_ROUNDS = 2  # of estimating the noise, after which the noise changes by less than its uncertainty
 _LEAST_SIGMA = 2e-4  # [m], [rad]: no detector is more exact
 _WRONG = 0.08, 0.15  # [m], [rad]: initial standard deviations of wrong detections
 _FLOOR = 1e-12
@@ -407,7 +407,7 @@ class _Problem:
         return slopes
 
     def _summed(self, steps: FloatArray, stamps: FloatArray, begins: FloatArray, ends: FloatArray) -> FloatArray:
-        """Return the sums of `steps` from each beginning to the earlier of each end and stamp, Shape (n, c)."""
+        """Return sums of `steps` from each beginning to the end or the stamp, whichever is earlier, Shape (n, c)."""
         total = np.concatenate(([0.0], np.cumsum(steps)))
         until = np.clip(stamps[:, None], begins, ends)
         found: FloatArray = np.interp(until, self.times, total) - np.interp(begins, self.times, total)

@@ -139,7 +139,7 @@ class _Increments:
         self._ends = last[self.rows]
 
     def residuals(self, window: float) -> FloatArray:
-        """Return the integrals of window means minus those of the twists, linear and angular, Shape (2 n,) [m]."""
+        """Return integrals of the window means minus integrals of the twists, linear and angular, Shape (2 n,) [m]."""
         off = []
         for summed, integral, scale in zip(self._summed, self._integrals, (1.0, _LEVER), strict=True):
             ahead, back = (np.interp(self.stamps - lag, self._grid, summed) for lag in (0.0, window))

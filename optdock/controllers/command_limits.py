@@ -158,7 +158,7 @@ class CommandLimiter:
         return min(max(slope, -most), most)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
-        """Return the acceleration, reduced within the jerk so that the robot can stop in `room` without reversing."""
+        """Return the acceleration, reduced within the jerk limit to stop in `room` without reversing."""
         forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
         speed = forward * self.command.linear
         least = max(forward * self.acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
@@ -280,7 +280,7 @@ def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionL
 def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
     """Return the maximum of v(t)^power (c - d t), t >= 0, with v(t) = v + u t - jerk t^2 / 2, while v rises.
 
-    Its logarithm is concave. At the maximum power v' (c - d t) = d v, a quadratic equation in t.
+    Its logarithm is concave. At the maximum, power v' (c - d t) = d v holds, which is a quadratic equation in t.
     """
     (v, u, jerk), (c, d) = speed, turn
     now = max(v, 0.0) ** power * c
@@ -350,8 +350,8 @@ def smooth_slope(
     """Return the slope in the next period of a value that has to reach and follow a moving target.
 
     The slope relative to the target is limited so that it can decrease to zero with the part of `jerk` that the jerk of
-    the target does not use. If it is larger, the slope at which the value arrives when the jerk of the target ends is
-    the limit.
+    the target does not use. The limit is instead the slope at which the value arrives when the jerk of the target ends,
+    if this slope is larger.
 
     Args:
         missing: Difference of target and value before the period.
@@ -409,7 +409,7 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
 
 
 def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-    """Return the yaw rate nearest to `angular` within the lateral jerk; not above the larger of it and the last one."""
+    """Return the yaw rate nearest to `angular` within the lateral jerk, at most max(|`angular`|, |last yaw rate|)."""
     if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
         return angular
     sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period

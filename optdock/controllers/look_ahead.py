@@ -63,8 +63,8 @@ class LookAhead:
         """Return the obstacle that the footprint enters deepest along a motion; None without a collision.
 
         If the robot overlaps an obstacle at the first pose, the depth must not increase. Contact with the station is
-        intended, and so is contact near a pose of `contacts` with the obstacles touched at that pose; it may be as deep
-        as `tolerance`.
+        intended, and so is contact near a pose of `contacts` with the obstacles touched at that pose. Intended contact
+        may be as deep as `tolerance`.
 
         Args:
             context: Footprint and obstacles; without a footprint nothing is checked.

@@ -1,6 +1,6 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-Another trajectory may take over in motion: the reference changes to the new trajectory where the latter begins.
+Another trajectory may take over in motion: the reference then changes to the new trajectory at its beginning.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class TrajectoryReference:
         self._joints.append(_joint(shown, at, trajectory))
 
     def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
-        """Set the lead of the commands [s]; unless `at_once`, the reference is shifted by the change before its end."""
+        """Set the lead of the commands [s]; before its end, the reference is shifted by the change unless `at_once`."""
         if self.time + self._preview > 0.0 and not at_once and not self.finished:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
@@ -366,7 +366,7 @@ def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float])
 
 
 def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: MotionLimits, drive: Drive) -> float:
-    """Return the largest rate [1] that leaves a share of the yaw acceleration, proportional to its square, to feedback.
+    """Return the largest rate [1] that leaves a share of the yaw acceleration (proportional to rate^2) to feedback.
 
     Args:
         reference: The moving reference.

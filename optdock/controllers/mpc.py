@@ -95,7 +95,7 @@ class MpcStatus(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """Commands of a cycle solved at `stamp`, Shape (n, 2), with the times at which each begins, Shape (n,) [s]."""
+    """Commands of a cycle solved at `stamp`, Shape (n, 2), and the time at which each begins, Shape (n,) [s]."""
 
     stamp: float
     times: FloatArray
@@ -103,7 +103,7 @@ class _Plan(NamedTuple):
 
 
 class MpcController(TrackingController):
-    """Controller that follows a trajectory by model predictive control: a TrackingController with a different law.
+    """Controller that follows a trajectory by model predictive control: a TrackingController with another control law.
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
     it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go
@@ -111,9 +111,9 @@ class MpcController(TrackingController):
     given or identified, are part of the model. Lateral and heading errors are kept within the robot's tube,
     `Robot.tracking`, if it is given and the limits allow it.
 
-    `status` reports if no commands keep the jerk limit because the reference has jumped, if the robot is outside the
-    tube, and if the program has no solution. In the last case the commands of the previous cycle continue; after the
-    last of these commands, NoValidControl is raised.
+    `status` reports whether no commands keep the jerk limit because the reference has jumped, whether the robot is
+    outside the tube, and whether the program has no solution. In the last case the commands of the previous cycle
+    continue; after the last of these commands, NoValidControl is raised.
 
     Args:
         **parameters: Fields of `MpcControllerParameters`.
@@ -227,7 +227,7 @@ class MpcController(TrackingController):
         return MpcWeights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors)
 
     def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-        """Return times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
+        """Return times on the trajectory, Shape (n,) [s], and the cost matrices at these times, Shape (n, 3, 3)."""
         times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
         row, weights = trajectory.sample_at(times), self._weights
         arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
@@ -283,7 +283,7 @@ class MpcController(TrackingController):
         )
 
     def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
-        """Predict pose and velocity at the time when the next command takes effect, from the commands under way."""
+        """Predict pose and velocity at the time when the next command takes effect, from the previous commands."""
         pose, velocity = self._measured
         now = self._clock.now or 0.0
         for k, (stamp, command) in enumerate(self._given):
@@ -311,7 +311,7 @@ class MpcController(TrackingController):
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
-                f"{self.name}: no commands were found for {self._horizon:g} s, and those of earlier cycles are used "
+                f"{self.name}: no commands were found for {self._horizon:g} s, and earlier commands are used "
                 f"up; plan again from here"
             )
         times, commands = self._plan.times + self._plan.stamp, self._plan.commands
@@ -342,7 +342,7 @@ class MpcController(TrackingController):
             gear[(np.cumsum(h) - h < braking) & (gear != going)] = 0.0
             speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
             curvature = self._reachable_curvature(np.cumsum(h))
-        # Speed times yaw rate is linearized about the last command and the nominal ones; the remainder of the next
+        # Speed times yaw rate is linearized about the last command and the nominal commands; the remainder of the next
         # command is at most the product of both changes.
         about = np.concatenate((np.array([[last.linear, last.angular]]), nominal[1:]))
         lateral = _both_ways(limits.max_lateral_acceleration, n)
@@ -364,7 +364,7 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Limiter that passes commands of the program, which keep all limits, and limits commands changed by the finish.
+    """Limiter that passes commands of the program, which keep all limits, and limits commands changed at the end.
 
     Attributes:
         allowed: The program's command of this cycle.

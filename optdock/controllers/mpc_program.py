@@ -86,7 +86,7 @@ def step_matrices(arcs: ReferenceArcs, lags: tuple[float, float]) -> tuple[Float
 class Prediction(NamedTuple):
     """Errors after every step as a function of the commands: `errors + by_commands @ u`.
 
-    Shapes (n, 5) and (n, 5, 2 n); `u` holds speed and yaw rate of one step after the other.
+    Shapes (n, 5) and (n, 5, 2 n); `u` contains speed and yaw rate, step by step.
     """
 
     errors: FloatArray
@@ -204,7 +204,7 @@ class TrackingProgram:
         self._effort = np.zeros((2 * steps, 2 * steps))
 
     def solve(self, cycle: MpcCycle) -> Solution | None:
-        """Return the optimal commands; None if no solution is found within the largest number of iterations."""
+        """Return the optimal commands; None if no solution is found within the iteration limit."""
         if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
@@ -226,9 +226,9 @@ class TrackingProgram:
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """Update the differences of the commands and the cost of effort, which depend on the steps alone.
 
-        A command is the mean over its step, so the time between two commands is half of both steps. Their difference is
-        the acceleration averaged over a triangular window around the border of the steps; the jerk is measured between
-        the centroids of these windows.
+        A command is the mean over its step, so the time between two commands is half the sum of both steps. Their
+        difference is the acceleration averaged over a triangular window around the border of the steps; the jerk is
+        measured between the centroids of these windows.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
@@ -318,7 +318,7 @@ class TrackingProgram:
         program.lba[row], program.uba[row] = -most - change, most - change
 
     def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:
-        """Bound cross and yaw errors after every step in both directions, with the slack."""
+        """Bound cross and yaw errors after every step in both directions, relaxed by the slack."""
         program, n = self._program, self._steps
         for i, width in enumerate(tube):
             by, errors = prediction.by_commands[:, 1 + i, :], prediction.errors[:, 1 + i]

@@ -39,7 +39,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
     """Check `task`, the path or trajectory to follow, and return it.
 
     The frame must be equal to the frame of the configured problem if both are known. A certified trajectory must have
-    been certified for the configured problem; only its start may differ, because a new plan in motion begins at the
+    been certified for the configured problem; only its start may differ, because a plan made in motion begins at the
     robot. Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:
@@ -80,7 +80,7 @@ class AcceptedErrors(NamedTuple):
 
 
 def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) -> AcceptedErrors:
-    """Return the tolerances of the goal checker; missing ones are replaced by the tolerances of the problem's dock."""
+    """Return the tolerances of the goal checker; missing tolerances are those of the problem's dock."""
     asked = goal_checker.tolerances if goal_checker else None
     dock = context.problem.dock.tolerances if context.problem else DockTolerances()
     given = (asked.x, asked.y, asked.yaw) if asked else (None, None, None)
@@ -121,7 +121,7 @@ class ProgressCheck:
             period: Time since the last call [s].
             patience: Time without progress after which the task ends [s].
             is_held: Whether the reference waits for the robot.
-            left: Accepted errors, once the reference is at its end; None before.
+            left: Accepted errors, once the reference is at its end; None before the end.
 
         Raises:
             NoValidControl: If the reference has waited, or the error at the end has not decreased, for `patience`.

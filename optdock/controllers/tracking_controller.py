@@ -116,12 +116,12 @@ class TrackingController(Controller):
     tolerance of the goal checker (or `finish_tolerance`). An error that is not accepted and does not decrease for
     `patience` raises NoValidControl. A robot that does not follow the reference also raises NoValidControl.
 
-    **Collisions.** NoValidControl is raised if the robot could not stop after the command before touching an obstacle.
-    The checked motion consists of the commands that the drive has not yet executed, one period of the new command, and
-    braking, along the arc of the command or along the path. Contact with the station, and with obstacles that the
-    trajectory touches at its start or end, is intended: `collision_tolerance` is allowed there. A robot that overlaps
-    an obstacle may move if the depth does not increase. The obstacles are those of the context's problem, and of its
-    costmaps at the time of the call; without both there is no check.
+    **Collisions.** NoValidControl is raised if, after the command, the robot could not stop before touching an
+    obstacle. The checked motion consists of the commands that the drive has not yet executed, one period of the new
+    command, and braking, along the arc of the command or along the path. Contact with the station, and with obstacles
+    that the trajectory touches at its start or end, is intended: `collision_tolerance` is allowed there. A robot that
+    overlaps an obstacle may move if the depth does not increase. The obstacles are taken from the context's problem,
+    and from its costmaps at the time of the call; without both there is no check.
 
     **Limits.** The limits of the context's robot apply; without a robot, the defaults of `MotionLimits` apply,
     increased to 1.2 times the peaks of the trajectory if necessary. Commands are admissible for the drive and keep its
@@ -139,7 +139,7 @@ class TrackingController(Controller):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
-        self._speed_limit: tuple[float, bool] | None = None  # and whether it is in percent
+        self._speed_limit: tuple[float, bool] | None = None  # the limit, and whether it is in percent
         # The reference of the last call, and the robot's lag behind it.
         self._last: tuple[ReferenceState, float] | None = None
         self._reference: TrajectoryReference | None = None

@@ -229,7 +229,7 @@ class ControlCycles:
         while not situation.stands:
             self.state = State.STOPPING
             if situation.is_commanded_to_rest and self.now - since > REST_PATIENCE + situation.braking_time:
-                self.report("odometry does not come to rest", f"{situation.twist.linear:.3f} m/s commanded 0")
+                self.report("odometry does not come to rest", f"{situation.twist.linear:.3f} m/s at the command 0")
                 break
             yield from self.cycle(STOP)
         self.state = before

@@ -91,7 +91,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
             found, far = detections.count - before, detections.too_far
             raise TaskFailed(
                 EndingKind.FAILED_TO_DETECT_DOCK,
-                f"{found} detections in {cycles.now - since:.1f} s, required are {settings.least_detections}; "
+                f"{found} detections in {cycles.now - since:.1f} s, at least {settings.least_detections} are required; "
                 f"{detections.rejected} were rejected so far"
                 + (f"; the last was {far:.3f} m from the stored dock, more than max_detection_offset" if far else ""),
             )

@@ -177,7 +177,7 @@ class DockEstimate:
         return all(_CERTAINTY * found <= most for found, most in pairs)
 
     def is_within_tolerances(self, certainty: float) -> bool:
-        """Whether the errors are within the tolerances, each reduced by `certainty` standard deviations or to half."""
+        """Whether the errors are within the tolerances, each reduced by `certainty` sigmas, but at most by half."""
         return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors())
 
     @property

@@ -27,10 +27,10 @@ class ExecutorSettings(PluginParameters):
     # Docked.
     contact: Literal["distance", "touch"] = Field(
         default="distance",
-        description="distance: docked by the goal checker; touch: docked by contact, towards which the robot presses",
+        description="distance: docked by the goal checker; touch: docked by contact, for which the robot presses on",
     )
-    wait_for_charge: bool = Field(default=False, description="require the external signal of the charger for docked")
-    wait_charge_timeout: float = Field(default=5.0, gt=0.0, description="timeout of the wait for that signal [s]")
+    wait_for_charge: bool = Field(default=False, description="docked only with the external signal of the charger")
+    wait_charge_timeout: float = Field(default=5.0, gt=0.0, description="timeout of the wait for the signal [s]")
     contact_range: float = Field(
         default=0.05, gt=0.0, description="distance from the dock within which stall and signal are contact [m]"
     )
@@ -41,7 +41,7 @@ class ExecutorSettings(PluginParameters):
     stall_speed: float = Field(default=0.005, gt=0.0, description="odometry speed below which the robot stalls [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="duration of a stall that is contact [s]")
 
-    timeout: float | None = Field(default=None, gt=0.0, description="timeout of the whole task [s]; None: none")
+    timeout: float | None = Field(default=None, gt=0.0, description="timeout of the whole task [s]; None: no timeout")
 
     # Staging and retries.
     navigate_to_staging_pose: bool = Field(default=True, description="drive to a staging pose first if it is far away")
@@ -52,14 +52,14 @@ class ExecutorSettings(PluginParameters):
         "requires, >= 0.7",
     )
     prestaging_tolerance: float = Field(
-        default=0.5, gt=0.0, description="no staging within this norm over m, m, rad of the staging pose, as in Nav2"
+        default=0.5, gt=0.0, description="no staging if the staging pose is closer, in Nav2's norm over m, m and rad"
     )
     max_retries: int = Field(default=3, ge=0, description="approaches after the first one")
     max_staging_time: float = Field(default=1000.0, gt=0.0, description="timeout of the drive to the staging pose [s]")
     dock_approach_timeout: float = Field(
         default=30.0, gt=0.0, description="time that an approach may take beyond its plan [s]"
     )
-    max_undocking_time: float = Field(default=30.0, gt=0.0, description="as dock_approach_timeout, for undocking [s]")
+    max_undocking_time: float = Field(default=30.0, gt=0.0, description="largest time of undocking beyond its plan [s]")
     back_out_distance: float = Field(
         default=0.1, gt=0.0, description="largest straight distance out of contact before a path back is planned [m]"
     )
@@ -107,12 +107,12 @@ class ExecutorSettings(PluginParameters):
         default=0.005, gt=0.0, description="standard deviation of odometry per distance [m/sqrt(m)]"
     )
     odometry_yaw_sigma: float = Field(
-        default=0.02, gt=0.0, description="standard deviation of its yaw per rotation [rad/sqrt(rad)]"
+        default=0.02, gt=0.0, description="standard deviation of the odometry's yaw per rotation [rad/sqrt(rad)]"
     )
     odometry_straight_yaw_sigma: float = Field(
         default=0.008,
         gt=0.0,
-        description="standard deviation of its yaw per distance, small wheel slips included [rad/sqrt(m)]",
+        description="standard deviation of the odometry's yaw per distance, with small wheel slips [rad/sqrt(m)]",
     )
     odometry_scale_sigma: float = Field(
         default=0.003, ge=0.0, description="standard deviation of the systematic distance error, which is estimated [1]"

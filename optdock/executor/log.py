@@ -1,7 +1,8 @@
 """Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back bit for bit.
 
-The first line contains the task: the problem as a scenario, its costmap, settings and plugins. The lines of every cycle
-follow: results of planning, measurements, command and events. A crash truncates at most the last line.
+The first line contains the task: the problem as a scenario, its costmap, settings and plugins. The next lines contain,
+for every cycle, the results of planning, the measurements, the command and the events. A crash truncates at most the
+last line.
 """
 
 from __future__ import annotations

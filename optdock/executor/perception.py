@@ -100,7 +100,7 @@ class Perception:
 
     @property
     def costmap_age(self) -> float:
-        """Time since the last costmap, changed or not, or since the first measurements without a costmap [s]."""
+        """Time since the last costmap, even if unchanged, or if there was none, since the first measurements [s]."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
@@ -133,7 +133,7 @@ class Perception:
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of the dock relative to the robot: the larger of along and across [m]; yaw [rad]."""
+        """Standard deviations of the dock relative to the robot: the larger of along and across [m], and yaw [rad]."""
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
@@ -219,7 +219,7 @@ class Perception:
         way = math.hypot(jump.x, jump.y)
         self._report("pose jumped", f"by {way:.3f} m and {jump.yaw:.3f} rad against the odometry")
         if self.sees_dock:
-            # Either the localization has moved, or the robot has been moved; the next detection decides.
+            # Either the localization has jumped, or the robot has been moved; the next detection shows which.
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:

@@ -78,7 +78,7 @@ class DrivenMotion:
         exactly(DockPlan, self.plan, "motion.plan")
         proven = self.plan.motion
         if self.trajectory is not proven.trajectory or self.problem is not proven.problem:
-            raise InvalidValue("motion: trajectory and problem must be those of its plan")
+            raise InvalidValue("motion: trajectory and problem must come from its plan")
 
     @classmethod
     def of(cls, plan: DockPlan) -> DrivenMotion:

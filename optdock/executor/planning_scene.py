@@ -164,7 +164,7 @@ class StagingPoses:
         return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.poses())
 
     def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:
-        """Whether the marker may be visible from one of the places; True if camera or marker are unknown."""
+        """Whether the marker may be visible from one of the places; True if camera or marker is unknown."""
         camera, marker = self.problem.robot.camera, self.scene.dock.marker_in_world
         if camera is None or marker is None:
             return True

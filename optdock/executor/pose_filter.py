@@ -5,7 +5,7 @@
 systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements against the
 odometry.
 
-Measurements outside the gate are set aside; if a few of them agree within a short time, the estimate moves there.
+Measurements outside the gate are set aside; if a few of them agree within a short time, the estimate moves to them.
 Innovations with a persistent sign contradict the model and increase the covariance.
 """
 
@@ -47,7 +47,7 @@ class DeadReckoning:
     Args:
         stamp: Stamp of the first reading [s].
         twist: Body velocity.
-        odometry: Pose; None without one.
+        odometry: Pose of the odometry; None without a pose.
 
     Attributes:
         pose: Present pose.
@@ -143,8 +143,8 @@ class OdometryErrors(NamedTuple):
     """Standard deviations of the errors of dead reckoning and of the stamps of measurements.
 
     Attributes:
-        along: Random error of the distance after a metre [m/m^0.5].
-        yaw_per_way: Random error of yaw after a metre [rad/m^0.5].
+        along: Random error of the distance after one metre [m/m^0.5].
+        yaw_per_way: Random error of yaw after one metre [rad/m^0.5].
         yaw_per_turn: Random error of yaw after a rotation by 1 rad [rad/rad^0.5].
         wander: Random walk of the fixed frame, x and y each [m/s^0.5].
         yaw_wander: Random walk of the fixed frame's yaw [rad/s^0.5].
@@ -246,7 +246,7 @@ class PoseFilter:
         return self._reckoned[0][0] if self._reckoned else math.inf
 
     def start(self, stamp: float, pose: Pose2, covariance: FloatArray) -> None:
-        """Start the filter, or restart it with the estimated systematic errors kept.
+        """Start the filter, or restart it without a change of the estimated systematic errors.
 
         Args:
             stamp: Present time [s].
@@ -430,7 +430,7 @@ class PoseFilter:
         return np.array([c * x - s * y, s * x + c * y, normalize_angle(pose.yaw - before.yaw) / (end - begin)])
 
     def _put_aside(self, stamp: float, measured: Pose2, then: Pose2, noise: FloatArray) -> Verdict:
-        """Store a measurement outside the gate, and move the estimate if enough of them agree."""
+        """Store a measurement outside the gate, and move the estimate if enough such measurements agree."""
         now = measured @ (then.inverse() @ self.pose)
         one = _Outside(stamp, now, self._reckoned[-1][1], noise, 0, is_measured=True)
         self._outside = [other for other in self._outside if other.stamp > self.stamp - _MEMORY]

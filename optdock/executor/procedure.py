@@ -1,7 +1,7 @@
 """Docking and undocking procedure: attempts with their plans and drives; each `yield` is one control cycle.
 
-The early end of a motion, an attempt or the task is signalled by an exception, and handled by the function that catches
-it. Every wait and every motion has a timeout.
+The early end of a motion, an attempt or the task is signalled by an exception, which is caught by the function that can
+respond to it. Every wait and every motion has a timeout.
 """
 
 from __future__ import annotations
@@ -310,7 +310,7 @@ class Travel:
         Raises:
             Interrupted: If the motion cannot continue.
             AttemptFailed: If an approach cannot succeed.
-            TaskFailed: If another drive takes too long.
+            TaskFailed: If a drive other than an approach takes too long.
         """
         cycles = self._cycles
         cycles.state = state
@@ -341,7 +341,7 @@ class Travel:
             failure: Kind of ending if the robot does not arrive.
 
         Raises:
-            TaskFailed: If the robot does not arrive; of the kind `failure`.
+            TaskFailed: Of the kind `failure`, if the robot does not arrive.
         """
         cycles, situation = self._cycles, self._situation
         blocks, since = 0, cycles.now

@@ -28,11 +28,11 @@ class SimpleDockParameters(PluginParameters):
 
     contact: Literal["distance", "touch"] = Field(
         default="distance",
-        description="distance: docked by the goal checker; touch: docked by contact, towards which the robot presses",
+        description="distance: docked by the goal checker; touch: docked by contact, for which the robot presses on",
     )
     stall_speed: float = Field(default=0.005, gt=0.0, description="odometry speed below which the robot stalls [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="duration of a stall that is contact [s]")
-    wait_for_charge: bool = Field(default=False, description="require a charging battery for docked")
+    wait_for_charge: bool = Field(default=False, description="docked only while the battery is charging")
     charging_current: float | None = Field(
         default=None,
         description="battery current above which the robot charges and is in contact [A]; None: by the external signal",

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ShorterWay", "TrajectoryDrive", "TubeMonitor"]
 
-_PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
+_PROGRESS = 0.05  # [s] on the clock of the trajectory that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: with usual gains 0.15 mm and 0.03 degrees
 _NOISE_SIGMAS = 1.5  # standard deviations below which an error counts as noise
@@ -151,7 +151,7 @@ class TrajectoryDrive:
         Raises:
             Interrupted: If the motion cannot continue.
             AttemptFailed: If an approach takes too long.
-            TaskFailed: If another drive takes too long.
+            TaskFailed: If a drive other than an approach takes too long.
         """
         situation = self._situation
         situation.require_no_interruption()
@@ -286,7 +286,7 @@ class TrajectoryDrive:
         if time > best + _PROGRESS:
             self._progress = time, now
         elif now - since > settings.progress_time:
-            raise Interrupted("no progress", f"the motion has been at {time:.2f} s of its time for {now - since:.1f} s")
+            raise Interrupted("no progress", f"the motion has stayed at its time {time:.2f} s for {now - since:.1f} s")
         return False
 
     def _check_costmap(self) -> None:
@@ -420,7 +420,7 @@ class TrajectoryDrive:
 
 
 class TubeMonitor:
-    """Place of the robot on a path, with a check whether the robot is within the certified tube.
+    """Place of the robot on a path, and check that the robot is within the certified tube.
 
     Attributes:
         deviation: Pose of the robot relative to the nearest pose of the path; None before the first update.

@@ -19,7 +19,7 @@ __all__ = ["replacing", "write_text"]
 
 @contextmanager
 def replacing(target: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `target`; its file replaces `target` when the block ends without an exception.
+    """Yield a temporary path in the folder of `target`; the file replaces `target` if the block raises no exception.
 
     Missing folders are created and links are followed. For a device or a pipe, such as /dev/stdout, the path is
     `target` itself. The temporary path has the suffix of the target, because the suffix selects the format of pictures.

@@ -82,7 +82,7 @@ def _fault(
         hint = synonym(key, item["input"]) or closest(str(key[-1]), known(key[:-1]))
         return Fault(base + key, f"unknown key{hint}")
     if kind == "value_error":
-        # Messages of InvalidValue contain the value; those of a bare ValueError do not.
+        # Messages of InvalidValue contain the value; messages of a bare ValueError do not.
         got = "" if isinstance(details.get("error"), InvalidValue) else f", got {shown(item['input'])}"
         return _value_fault(base + key, f"{details.get('error')}{got}")
     return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {shown(item['input'])}")

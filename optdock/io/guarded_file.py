@@ -135,7 +135,7 @@ def parse_json(text: str) -> object:
             json.dumps(value, ensure_ascii=False).encode()
         except UnicodeEncodeError:
             raise ValueError(
-                "contains an unpaired surrogate: an escape \\ud800 to \\udfff without its other one"
+                "contains an unpaired surrogate: an escape \\ud800 to \\udfff without its counterpart"
             ) from None
     return value
 

@@ -184,7 +184,7 @@ def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
 
 
 def _refuse_picture(path: Path) -> None:
-    """Raise an error that names the YAML file if an image is given instead of the YAML file."""
+    """Raise an error that names the YAML file if the given file is an image."""
     if path.suffix.lower() in _PICTURES and is_regular(path):
         beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
         named = f"next to it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"

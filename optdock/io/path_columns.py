@@ -202,7 +202,7 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
-    if columns.segments:  # otherwise the length is compared with that of the curves
+    if columns.segments:  # otherwise the length is compared with the length of the curves
         return
     turn = np.abs(wrap_angles(np.diff(poses[:, 2])))
     # A step of a polyline is at most a half circle; a turn in place may count its radians as length.

@@ -62,7 +62,7 @@ class Document:
     lines: Mapping[Keys, int] = field(repr=False)
 
     def line_of(self, keys: Keys) -> int:
-        """Return the line of a key such as `("robot", "limits", "max_speed")`, or of its nearest enclosing key; else 1.
+        """Return the line of a key such as `("robot", "limits", "max_speed")`, or of its nearest enclosing key, or 1.
 
         >>> Document(Path("a.yaml"), {"a": {}}, {("a",): 3}).line_of(("a", "missing"))
         3

@@ -308,7 +308,7 @@ class _RecordingReader:
             return found.planar()
 
     def _evenly_spaced(self, topic: str) -> list[Message]:
-        """Return all messages of a topic, or, of many messages, `_OUTLINES` to twice as many at even intervals."""
+        """Return the messages of a topic; of many messages, `_OUTLINES` to 2 * `_OUTLINES` at even intervals."""
         found: list[Message] = []
         every = 1
         for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
@@ -321,7 +321,7 @@ class _RecordingReader:
         return found
 
     def _footprint(self) -> Footprint:
-        """Return the median outline in the robot's frame, because single poses are only known to a control cycle."""
+        """Return the median outline in the robot's frame, because each pose is only accurate to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:

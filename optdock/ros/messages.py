@@ -68,7 +68,7 @@ def refuse(message: Message, field: str, rule: str, value: object) -> NoReturn:
     Args:
         message: The whole message.
         field: Wrong field, with indices, in Python's syntax.
-        rule: Rule that the field breaks.
+        rule: Rule that the field violates.
         value: Value of the field.
 
     Raises:

@@ -231,7 +231,7 @@ def _checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: 
             tilt > most_tilted,
             tilt,
             " rad",
-            f"must turn about the vertical alone, tilted by at most {most_tilted:.4g} rad",
+            f"must rotate about the vertical axis only, tilted by at most {most_tilted:.4g} rad",
         ),
     ):
         if wrong.any():

@@ -109,7 +109,7 @@ class _Track:
         return (x, y, z), (qx, qy, qz, qw)
 
     def inserted(self, time: float, sample: array[float], first: int) -> _Track:
-        """Return a track with one more sample and without samples before `first`; an equal time is replaced."""
+        """Return a track with one more sample and no samples before `first`; a sample at the same time is replaced."""
         row = bisect_left(self.times, time)
         after = row + (row < len(self.times) and self.times[row] == time)
         times = self.times[first:row] + array("d", [time]) + self.times[after:]

@@ -287,8 +287,8 @@ class DifferentialDrive:
     """Plant of a robot with two driven wheels.
 
     A step is split at the arrivals of commands. Between arrivals, the robot follows the arc of its mean velocity, in
-    sub-steps if there is a lag. The result is exact for constant velocities. Accelerations are not limited; limiting
-    them is the task of the controller. `step` is a pure function.
+    sub-steps if there is a lag. The result is exact for constant velocities. Accelerations are not limited; the
+    controller must limit them. `step` is a pure function.
 
     Args:
         robot: Robot whose limits are applied to every command.

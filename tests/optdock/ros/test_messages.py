@@ -180,7 +180,7 @@ WRONG = [
     (ros.path_poses, PATH, "poses[2].pose.position.z", INF, "must be finite, got inf"),
     (ros.path_poses, PATH, "poses[1].pose.orientation.w", NAN, "must be finite, got nan"),
     (ros.path_poses, PATH, "poses[1].pose.orientation.w", 0.0, "must be of length 1 within 0.01, got 0 for (0, 0, 0"),
-    (ros.path_poses, PATH, "poses[1].pose.orientation.x", 0.1, "must turn about the vertical alone"),
+    (ros.path_poses, PATH, "poses[1].pose.orientation.x", 0.1, "must rotate about the vertical axis only"),
     (ros.path_poses, PATH, "poses[1].header.frame_id", "odom", "must be the path's, 'map', got 'odom'"),
     (ros.path_poses, PATH, "header.frame_id", "", "must be the name of a coordinate frame, got ''"),
     (ros.path_poses, PATH, "header.stamp.nanosec", 2 * 10**9, "must be in 0..999999999, got 2000000000"),
