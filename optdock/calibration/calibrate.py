@@ -135,8 +135,8 @@ def _check_docks(recordings: Sequence[Recording]) -> None:
         off = stored.in_frame_of(other)
         if math.hypot(off.x, off.y) > _SAME_DOCK[0] or abs(off.yaw) > _SAME_DOCK[1]:
             raise InvalidValue(
-                f"{source}: its dock is stored at {stored.brief}, that of {first} at {other.brief}; calibrate one dock "
-                "at a time"
+                f"{source}: its dock is stored at {stored.brief}, not at {other.brief} as in {first}; calibrate one "
+                "dock at a time"
             )
 
 

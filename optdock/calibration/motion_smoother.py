@@ -57,7 +57,7 @@ class Noise(NamedTuple):
     """Standard deviations of detections and of slip.
 
     Attributes:
-        position: Detected x and y at range 0, each [m].
+        position: Detected x and y at a range of 0, each [m].
         position_slope: Increase of `position` per metre of range [1].
         yaw: Detected yaw at range 0 [rad].
         yaw_slope: Increase of `yaw` per metre of range [rad/m].

@@ -119,7 +119,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 
 
 class _Increments:
-    """Distance and yaw in one recording, by the poses and by integrals of the twists.
+    """Distance and yaw in one recording, computed from the poses and from integrals of the twists.
 
     Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
     """

@@ -95,8 +95,8 @@ class CommandLimiter:
         """Return the command nearest to `wanted` that is reachable from the last command.
 
         Speed, yaw rate, wheel speed, lateral acceleration, acceleration, jerk, yaw acceleration, curvature and steering
-        rate are within the limits; so is the lateral jerk, except while braking in a bend. At rest a command of almost
-        zero speed turns steered wheels.
+        rate are within the limits. The lateral jerk is within its limit except while braking in a bend. At rest a
+        command of almost zero speed turns steered wheels.
 
         Args:
             wanted: Sum of feed-forward and feedback.

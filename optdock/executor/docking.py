@@ -183,7 +183,7 @@ class DockingExecutor:
         return step
 
     def _completed(self, intake: Intake) -> Measurements:
-        """Replace a missing stamp by the last one plus a period, and a missing twist by the last command."""
+        """Replace a missing stamp by the last stamp plus a period, and a missing twist by the last command."""
         found = intake.measurements
         names = {name for name, _ in intake.faults}
         for name, detail in intake.faults:

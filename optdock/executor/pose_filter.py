@@ -492,7 +492,7 @@ class _Outside(NamedTuple):
     Attributes:
         stamp: Stamp of the measurement [s].
         now: Pose of the robot at the arrival of the measurement, according to the measurement.
-        reckoned: Pose by dead reckoning at the arrival of the measurement.
+        reckoned: Pose according to dead reckoning at the arrival of the measurement.
         noise: Covariance, Shape (3, 3).
         accepted_since: Number of measurements accepted since then.
         is_measured: False for a supposed pose.

@@ -66,7 +66,7 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
 
     Raises:
         InvalidFile: If the plan has no path and no motion.
-        InvalidValue: If the plan is in another frame than the problem.
+        InvalidValue: If the plan and the problem are in different frames.
     """
     if plan.path is None and plan.raw_path is None and plan.trajectory is None:
         raise InvalidFile(f"the plan contains no path and no motion to record, its status is {plan.status}")
