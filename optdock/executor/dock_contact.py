@@ -1,7 +1,7 @@
 """Actions at the dock: detection at rest, confirmation, pressing, backing out, correction of small errors.
 
-The motions in this module are short, straight or in place, and not planned. Before each motion is driven, its time of
-impact with the obstacles is checked.
+The motions in this module are short, straight or in place, and not planned. Backing out and small corrections are
+checked against the obstacles by time of impact; pressing on towards contact is not checked.
 """
 
 from __future__ import annotations
