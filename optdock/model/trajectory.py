@@ -35,7 +35,7 @@ class TrajectoryState(NamedTuple):
 
 
 class TrajectorySamples(NamedTuple):
-    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed, negative in reverse."""
+    """Samples as columns of Shape (n,) in SI units; speed, acceleration and jerk are negative in reverse."""
 
     t: FloatArray
     s: FloatArray
@@ -69,7 +69,8 @@ class Trajectory(FrozenArrays):
         time_law: Distance over time, from 0 to the length of the path.
 
     Raises:
-        InvalidValue: If the path or the time law has another class; subclasses could override poses or distances.
+        InvalidValue: If the path or the time law has the wrong class. Subclasses are rejected because they could
+            override poses or distances.
     """
 
     path: Path
@@ -107,7 +108,7 @@ class Trajectory(FrozenArrays):
         )
 
     def sample(self, period: float) -> TrajectorySamples:
-        """Return samples at most `period` [s] apart, with start, end and the arrival at every cusp.
+        """Return samples at most `period` [s] apart, including the start, the end and the arrival at every cusp.
 
         Raises:
             InvalidValue: If the period is not a finite number > 0 or far too small.
@@ -131,7 +132,7 @@ class Trajectory(FrozenArrays):
 
     @property
     def cusp_times(self) -> FloatArray:
-        """Times at which the robot reaches the cusps, before any rest there; Shape (number of cusps,) [s]."""
+        """Times at which the robot arrives at the cusps, before any wait there; Shape (number of cusps,) [s]."""
         cusps, law = np.asarray(self.path.cusps), self.time_law
         borders = law.states[:, 0]
         nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)

@@ -103,7 +103,7 @@ class CellMotion(NamedTuple):
     twist: FloatArray
 
     def farthest(self, ends: CellEnds, distances: FloatArray) -> FloatArray:
-        """Return the largest distance within each cell from a fixed point, of its distances at the places of `ends`.
+        """Return an upper bound of the distance from a fixed point within each cell, from the distances at the `ends`.
 
         The distance is convex along the chord, and a cell deviates from its chord by at most bend * width^2 / 8.
         """
