@@ -111,7 +111,7 @@ class Trajectory(FrozenArrays):
         """Return samples at most `period` [s] apart, including the start, the end and the arrival at every cusp.
 
         Raises:
-            InvalidValue: If the period is not a finite number > 0 or far too small.
+            InvalidValue: If the period is not a finite number > 0 or is far too small.
         """
         period = sampling_step(period, self.duration, "period")
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
@@ -122,7 +122,7 @@ class Trajectory(FrozenArrays):
         """Return times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
 
         Raises:
-            InvalidValue: If the period is not a finite number > 0 or far too small.
+            InvalidValue: If the period is not a finite number > 0 or is far too small.
         """
         step = sampling_step(period, self.duration, "period")
         whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # rounding must not duplicate the end

@@ -298,7 +298,7 @@ class _Subdivision:
         return everything.subset(rows), rows
 
     def _touches_violation(self, ends: CellEnds, nodes: Nodes, result: _Round) -> BoolArray:
-        """Return a mask of the cells that contain a violating pose and hence cannot be proven by refinement."""
+        """Return a mask of the cells that contain a violating pose, so that refinement cannot prove them."""
         if len(result.violations) == 0:
             return np.zeros(ends.first.size, dtype=bool)
         low, high = nodes.s[ends.first], nodes.s[ends.last]
