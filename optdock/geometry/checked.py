@@ -68,7 +68,7 @@ def non_negative(value: object, name: str, unit: str = "") -> float:
     """Return a finite number >= 0 as a float.
 
     Raises:
-        InvalidValue: If the value is not such a number.
+        InvalidValue: If the value is not a finite number >= 0.
     """
     found = number(value, name)
     if not (math.isfinite(found) and found >= 0.0):
@@ -80,7 +80,7 @@ def positive(value: object, name: str, unit: str = "") -> float:
     """Return a finite number > 0 as a float.
 
     Raises:
-        InvalidValue: If the value is not such a number.
+        InvalidValue: If the value is not a finite number > 0.
     """
     found = number(value, name)
     if not (math.isfinite(found) and found > 0.0):
@@ -123,7 +123,7 @@ def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
     """Return the value if it is an instance of `kind`.
 
     Raises:
-        InvalidValue: If the value is of another class.
+        InvalidValue: If the value is not an instance of `kind`.
     """
     if isinstance(value, kind):
         return value
@@ -134,7 +134,7 @@ def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
     """Return the value if its class is `kind` and not a subclass, which could override methods that proofs rely on.
 
     Raises:
-        InvalidValue: If the value is of another class or a subclass.
+        InvalidValue: If the class of the value is not exactly `kind`.
     """
     if type(value) is kind:
         return value

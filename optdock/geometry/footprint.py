@@ -41,7 +41,8 @@ class Footprint(FrozenArrays):
         bodies: Convex pieces that cover exactly the polygon; one piece if it is convex.
         core: Convex pieces that cover all points at least `CORE_DEPTH` inside a non-convex polygon; empty for a convex
             one (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
-            that lie outside it, so the pieces contain the exact core up to one hundredth of `CORE_DEPTH`.
+            that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
+            `CORE_DEPTH`.
 
     Raises:
         InvalidValue: If the polygon has fewer than three distinct vertices, no area, crossing edges or NaN.

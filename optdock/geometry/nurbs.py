@@ -64,7 +64,7 @@ class Nurbs(FrozenArrays):
         return float(np.max(self.degree * legs / span))
 
     def points_at(self, u: ArrayLike) -> FloatArray:
-        """Return points of the curve. Shape (m, 2) [m]."""
+        """Return the points of the curve at parameters `u`. Shape (m, 2) [m]."""
         return self._derivatives(u, 0)[0]
 
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:

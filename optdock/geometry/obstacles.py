@@ -31,7 +31,7 @@ __all__ = ["ObstacleSet", "box_distance", "in_words", "without_repeated"]
 class ObstacleSet(FrozenArrays):
     """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
 
-    Created by `empty`, `from_polygons`, `from_rectangles` or `from_footprint`; sets are joined with `+`.
+    Sets are created by `empty`, `from_polygons`, `from_rectangles` or `from_footprint`, and joined with `+`.
 
     Args:
         vertices: Shape (m, k, 2) [m].
@@ -115,7 +115,7 @@ class ObstacleSet(FrozenArrays):
     @classmethod
     @functools.cache
     def empty(cls) -> ObstacleSet:
-        """Return the set without obstacles, always the same object."""
+        """Return the set without obstacles, which is always the same object."""
         return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
 
     @classmethod
@@ -193,7 +193,7 @@ class ObstacleSet(FrozenArrays):
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
     def rows_at(self, points: FloatArray) -> IntArray:
-        """Return the row of a piece that contains each point, Shape (n, 2) [m], outline included, else -1."""
+        """Return for each point, Shape (n, 2) [m], the row of a piece that contains or touches it, or -1."""
         found = np.full(len(points), -1)
         near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
         for row in near.tolist():

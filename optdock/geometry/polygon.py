@@ -92,7 +92,7 @@ def _depth_of_dents(vertices: FloatArray) -> float:
 
 
 def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
-    """Return a checked, read-only polygon with counter-clockwise vertices, none repeated. Shape (n, 2) [m].
+    """Return a checked, read-only polygon, counter-clockwise and without repeated vertices. Shape (n, 2) [m].
 
     Args:
         vertices: Shape (n, 2) [m], either orientation, open or closed.

@@ -55,7 +55,11 @@ class ConvexPieces(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """Signed distance (m,) [m], in an overlap minus the depth, and unit axis (m, 2) from obstacle to body."""
+    """Signed distances and separating axes of pairs.
+
+    `distance`: minus the penetration depth for an overlap, Shape (m,) [m]. `axis`: unit vectors from obstacle to body,
+    Shape (m, 2).
+    """
 
     distance: FloatArray
     axis: FloatArray

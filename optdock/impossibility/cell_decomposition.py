@@ -78,7 +78,7 @@ def prove_impossible(
 
     Args:
         problem: The planning problem.
-        time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+        time_budget: Wall-clock time [s]; the call returns at most a few milliseconds later.
         cancel_checker: Polled every few milliseconds; True ends the search.
 
     Returns:
@@ -114,7 +114,7 @@ class ImpossibilitySearch:
         """Continue the search.
 
         Args:
-            time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+            time_budget: Wall-clock time [s]; the call returns at most a few milliseconds later.
             cancel_checker: Polled every few milliseconds; True interrupts the search.
             only_disc: Stop if there is no proof with the largest disc alone.
 
@@ -292,7 +292,7 @@ class _Search:
         return proof
 
     def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
-        """Refine the tiles that are not yet finest, by examination or by splitting; return whether there are any."""
+        """Refine tiles that are not yet finest, by examination or splitting; return whether there are any."""
         keys = {key for key in keys if graph.tiles[key].level < FINEST}
         new: list[Tile] = []
         for key in sorted(keys):
@@ -335,7 +335,7 @@ class _Search:
         )
 
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
-        """Yield the narrowest place of the widest route of a disc, from cells that are refined until it is accurate."""
+        """Yield the narrowest place of the widest route of a disc, from cells refined until the place is accurate."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
         graph.add([self.graph.tiles[key] for key in self.graph.present()])
         with contextlib.suppress(OutOfTime):
@@ -520,7 +520,7 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """Return the names of the obstacle nearest to the robot at a pose and of the nearest on the other side."""
+        """Return the names of the nearest obstacle to the robot at a pose and of the nearest on the other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])

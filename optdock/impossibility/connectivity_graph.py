@@ -303,8 +303,8 @@ class PlaceGraph(ConnectivityGraph):
 def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
     """Return the flat indices of the cells of two tiles that share a face along an axis (0: x), Shape (n,) each.
 
-    `sides`: for each tile its level, column, row, number of cells along a side, number of headings, and the shared
-    side: 0 for the lower, -1 for the upper one.
+    `sides`: for each tile its level, column, row, number of cells along a side, number of headings, and the shared side
+    (0 for the lower, -1 for the upper one).
     """
     finest = max(side[0] for side in sides)
     size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one

@@ -11,14 +11,14 @@ than r + c - e to the middle of some disc of the robot. Here r is the radius of 
 required of any pose in the cell. Therefore, at every pose in the cell, an obstacle is nearer to the footprint than
 required, or inside it if no clearance is required.
 
-*The rim.* The proof names a set of cells, `inside`. It contains the inner end of the motion, the goal or the start.
-Every cell outside the set is blocked if it shares a face with a cell of the set or contains the inner end, and no cell
-of the set contains the other end. Suppose that a motion keeps the clearance. No cell that contains a pose of this
-motion is blocked, so one end of the motion is in the set and the other is outside. At the border of the set the motion
-has a pose that is both in a cell of the set and in a cell outside. The cells around that pose are joined by faces, so
-one of these cells that is in the set shares a face with another that is not. The cell outside the set is blocked, which
-is a contradiction. Cells may be of different
-sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading, each level with cells half as large.
+*The rim.* The proof names a set of cells, `inside`. The set lies around the inner end of the motion, which is the goal
+or the start. Every cell outside the set is blocked if it shares a face with a cell of the set or contains the inner
+end, and no cell of the set contains the other end. Suppose that a motion keeps the clearance. No cell that contains a
+pose of this motion is blocked, so one end of the motion is in the set and the other is outside. At the border of the
+set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that pose are joined
+by faces, so one of these cells that is in the set shares a face with another that is not. The cell outside the set is
+blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the plane hold 16 x 16 cells for
+every heading, and the cells of each level are half as large as those of the level before.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
@@ -430,7 +430,7 @@ class _Rim:
         return all(cells.size > 1 or not cells.any() for cells in self.blocked)
 
     def _meet(self, first: int, second: int, axis: int) -> None:
-        """Mark the rim across the common side of two tiles: along an axis, the upper side of the first tile."""
+        """Mark the rim across the common side of two tiles, which is the upper side of `first` along an axis."""
         both = (first, second)
         low, high = max(self.boxes[k, 1 - axis] for k in both), min(self.boxes[k, 3 - axis] for k in both)
         sizes = [(self.boxes[k, 2] - self.boxes[k, 0]) // self.inside[k].shape[1] for k in both]

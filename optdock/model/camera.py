@@ -38,7 +38,7 @@ class Camera:
         max_range: Largest distance at which the marker is detected, > min_range; may be infinite [m].
 
     Raises:
-        InvalidValue: If a value is out of range or the mount is not a pose.
+        InvalidValue: If a value is out of range or the mount is not a `Pose2`.
     """
 
     mount: Pose2
@@ -111,7 +111,7 @@ class ViewMargins(NamedTuple):
 
     @property
     def smallest(self) -> FloatArray:
-        """Signed distance to the boundary of the view; outside the view it may be smaller. Shape (n,) [m]."""
+        """Signed distance to the boundary of the view, or a smaller value for points outside. Shape (n,) [m]."""
         smallest: FloatArray = np.minimum(self.cone, np.minimum(self.near, self.far))
         return smallest
 

@@ -272,7 +272,7 @@ def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
 
 
 def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
-    """Sample a polyline that has steps without length by pose number, which arc length cannot distinguish."""
+    """Sample a polyline by pose number, because arc length cannot distinguish poses of steps without length."""
     counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
     borders = np.arange(segment.knots.size)
     step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])

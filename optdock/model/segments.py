@@ -221,7 +221,7 @@ class TurnSegment(FrozenArrays):
         knots: Begin and end of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
 
     Raises:
-        InvalidValue: If the pose is not a pose, or the turn is 0, not finite or leads beyond 1e6 rad.
+        InvalidValue: If `pose` is not a `Pose2`, or the turn is 0, not finite, or leads beyond 1e6 rad.
     """
 
     pose: Pose2

@@ -77,7 +77,7 @@ class DockPlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: As `create_plan`.
-            PlannerException: As `create_plan`, and all its subclasses.
+            PlannerException: As `create_plan`, including all subclasses of this error.
         """
         robot = self.context.footprint
         if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:
@@ -102,7 +102,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, as is checked for cells of the costmap."""
+    """Check that no obstacle lies on the path of the robot's origin, in analogy to the check of the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

@@ -68,7 +68,7 @@ _CHUNK = 5_000  # samples between two calls of the cancel checker, about 2 ms
 
 
 class DockPlannerParameters(PluginParameters):
-    """Parameters of the two-segment planner; `alpha` to `resolution` are not in the source."""
+    """Parameters of the two-segment planner; `alpha` to `resolution` are not part of the original method."""
 
     cost_threshold: int = Field(200, ge=0, le=255, description="cost from which a cell blocks the curve")
     calib_safety_distance: float = Field(0.0, description="distance added to the robot's circumscribed radius [m]")
@@ -165,9 +165,9 @@ class ApproachAxis(FrozenArrays):
     def point_f(self) -> FloatArray:
         """The far end of the centreline, Shape (2,) [m].
 
-        Its distance from D, which the source does not define, is the safety distance, or the distance of the start from
-        the axis if that is longer: this is enough for a turn away from the dock up to about 0.6 safety distances off
-        the axis.
+        Its distance from D, which the original method does not define, is the safety distance, or the distance of the
+        start from the axis if that is longer. This is enough for a turn away from the dock up to about 0.6 safety
+        distances off the axis.
         """
         return self._at(
             self.distance_min_c + (self.along - self.distance_min_c) + max(self.safety_distance, self.distance_ad)
@@ -333,10 +333,10 @@ class CurveSampler:
     def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
         """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
-        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
-        of |dC/du| instead, so its spacing is up to twice as large in fast parts of the curve. As in the source, the
-        last pose has the yaw of the previous pose. Samples that are not finite are skipped. `control_points`: Shape (n,
-        2) [m], n > degree, of unit weight.
+        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The original method uses
+        the mean of |dC/du| instead, so its spacing is up to twice as large in fast parts of the curve. As in the
+        original method, the last pose has the yaw of the previous pose. Samples that are not finite are skipped.
+        `control_points`: Shape (n, 2) [m], n > degree, of unit weight.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -391,7 +391,7 @@ class CurveSampler:
 
 
 class JointKind(IntEnum):
-    """The variable `dir` of the source."""
+    """Kind of a joint, the variable `dir` of the original method."""
 
     TOWARD = 1  # turns onto the axis toward the dock, tangent at the end
     AWAY = -1  # turns onto the axis away from the dock, then changes gear

@@ -171,7 +171,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
 
 
 def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
-    """Return the gears with enough knots, or None if a segment is of another class or too short."""
+    """Return the gears with enough knots, or None if a segment has another class or is too short."""
     gears = []
     for segment in path.segments:
         if isinstance(segment, TurnSegment):

@@ -161,7 +161,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         FailedToTimePath: If no time law satisfies the motion limits.
         TimedOut: If no plan was found and a stage ran out of time: a planner (PlannerTimedOut), the smoothing of a
             guess or its proof (SmootherTimedOut), or the time law or its proof (TimingTimedOut). A larger `time_budget`
-            may give a plan, whatever the reasons for which other guesses failed.
+            may give a plan, regardless of why other guesses failed.
         Cancelled: If `cancel_checker` returned True, as PlannerCancelled, SmootherCancelled or TimingCancelled.
         CertificationFailed: If a result of a plugin cannot be proven.
         PluginError: If a plugin is unknown, returned a value of a wrong type, or raised an exception that is not in its

@@ -199,7 +199,7 @@ class DockPlan:
     def load(cls, source: str | FilePath, problem: DockingProblem) -> DockPlan:
         """Read a plan file and prove its path and motion for `problem`; the certificate in the file is not used.
 
-        `load_plan` reads a file without a proof.
+        `load_plan` reads a file without proving its content.
 
         Args:
             source: File with the exact time law that `save` writes.

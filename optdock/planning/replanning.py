@@ -9,8 +9,8 @@ continuity. The following methods are tried in order until a plan is certified:
 3. `plan_dock` from the joint.
 
 If nothing is certified in time, the old plan continues if its rest is certified in the new world and ends at the new
-dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint cannot be
-changed any more, so it is proven first; if that fails, the robot brakes at once.
+dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint can no longer
+be changed, so it is proven first. If this proof fails, the robot brakes at once.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ class Replanned:
 
     Args:
         outcome: The decision.
-        trajectory: Trajectory to drive from its time 0, once the running trajectory's own clock shows `starts_at`.
-        starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; 0 for KEPT.
+        trajectory: Trajectory to drive from its time 0, when the clock of the running trajectory shows `starts_at`.
+        starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
         reason: Reason why there is no new plan; empty for NEW.
         way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over

@@ -36,7 +36,7 @@ class DriveState(NamedTuple):
     """Progress of a robot on its trajectory.
 
     Attributes:
-        time: Time of the reference on the trajectory's own clock [s].
+        time: Time of the reference on the clock of the trajectory [s].
         rate: Rate of that clock, 1 at the planned speed [1].
         pose: Measured pose at that time; None means a robot on the trajectory. If the pose is within the tube around
             the running path, the controller corrects the error and a new plan begins on that path. Otherwise a new plan
@@ -56,7 +56,7 @@ class DriveState(NamedTuple):
 class BranchPoint(NamedTuple):
     """A place on the running trajectory, and the state of the robot there.
 
-    `time`: time on the trajectory's own clock [s]. `s`: arc length on its path [m]. `pose`, `speed`, `acceleration`:
+    `time`: time on the clock of the trajectory [s]. `s`: arc length on its path [m]. `pose`, `speed`, `acceleration`:
     state of the robot, the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the
     robot, or None if no path remains.
     """
@@ -92,7 +92,7 @@ class RunningDrive:
 
     @functools.cached_property
     def path(self) -> Path:
-        """The running path, at its current place."""
+        """The running path, transformed by `moved`."""
         path, moved = self.plan.path, self.state.moved
         return path if moved is None else path.moved(moved)
 
@@ -123,7 +123,7 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state after `lead` seconds, or at a next rest that is near or ends a turn in place."""
+        """Return the state after `lead` seconds, or at the next rest if it is near or ends a turn in place."""
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -156,7 +156,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time `rest`, or the end of the rest that begins there if the wheels are turned meanwhile."""
+        """Return the time `rest`, or the end of the rest that begins there if steered wheels turn during it."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest

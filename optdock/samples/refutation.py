@@ -70,7 +70,7 @@ _ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of rounded phases; ten units, bec
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """Result of a check of samples; true if they do not refute the motion, which does not prove the motion.
+    """Result of a check of samples; true if the samples do not refute the motion, which is not a proof.
 
     Args:
         violations: Every violated rule; empty if the samples do not refute the motion.

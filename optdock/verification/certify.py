@@ -61,7 +61,7 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         path: The path to certify; it may come from any source.
         problem: The problem.
         is_late: Polled after every round of the proof and between the blocks of long rounds; a round takes less than a
-            millisecond for a path of some metres among a hundred obstacles. Once it is True, everything not yet proven
+            millisecond for a path of a few metres among a hundred obstacles. Once it is True, everything not yet proven
             is `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
 
     Returns:

@@ -425,7 +425,7 @@ def advance_bounds(
         obstacles: At least one.
         exact_within: Shape (n,) [m]: pairs that may come closer than this are left to the narrow phase; the broad phase
             bounds the others.
-        is_late: Polled between blocks of some milliseconds; once it is True, the remaining bounds are -inf.
+        is_late: Polled between blocks of a few milliseconds. Once it is True, the remaining bounds are -inf.
     """
     n = advances.width.size
     corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]

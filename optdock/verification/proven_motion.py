@@ -94,11 +94,11 @@ class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
     It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
-    robot afterwards. Created by `prove_motion` only. Pickles are trusted, because unpickling can execute any code in
-    any case.
+    robot afterwards. Only `prove_motion` creates such objects. Pickles are trusted, because unpickling can execute any
+    code in any case.
 
     Raises:
-        InvalidValue: If it is constructed, or accessed without a proof.
+        InvalidValue: If it is constructed directly, or accessed without a proof.
     """
 
     __slots__ = ()
@@ -142,10 +142,10 @@ class ProvenMotion(_Proven[_Motion]):
 class ProvenWay(_Proven[_Way]):
     """The remaining path of a moving robot with proven clearance, without a time law.
 
-    Created by `prove_way`, `proven_way` and `unchanged_way` only.
+    Only `prove_way`, `proven_way` and `unchanged_way` create such objects.
 
     Raises:
-        InvalidValue: If it is constructed, or accessed without a proof.
+        InvalidValue: If it is constructed directly, or accessed without a proof.
     """
 
     __slots__ = ()
@@ -187,7 +187,7 @@ def prove_motion(
 
     Raises:
         CertificationFailed: If a rule is violated or a proof was interrupted, with the message of the first violation.
-        InvalidValue: If trajectory or problem has another class or a subclass.
+        InvalidValue: If the class of `trajectory` or `problem` is not exactly the expected one.
     """
     exactly(Trajectory, trajectory, "trajectory")
     exactly(DockingProblem, problem, "problem")
@@ -210,7 +210,7 @@ class WayVerdict(NamedTuple):
 
     Attributes:
         way: The way; None if it is not proven.
-        reason: Reason of the failure; empty if the way is proven.
+        reason: Reason for the failure; empty if the way is proven.
     """
 
     way: ProvenWay | None
@@ -248,7 +248,7 @@ def prove_way(
         start_relief: Start relief of the clearance rule if `begun` is given [m]; see `ClearanceRule.required_at`.
 
     Raises:
-        InvalidValue: If path or problem has another class or a subclass.
+        InvalidValue: If the class of `path` or `problem` is not exactly the expected one.
     """
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")

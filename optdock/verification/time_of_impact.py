@@ -56,8 +56,8 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
 ) -> Sweep:
     """Return the duration for which the footprint keeps its clearance from every obstacle along the continuous motion.
 
-    If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, it only must not come
-    closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.
+    If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, the motion is only required
+    not to come closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.
 
     Args:
         footprint: Outline of the robot.

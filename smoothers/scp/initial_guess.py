@@ -105,7 +105,7 @@ class InitialGuesses:
 
     @cached_property
     def trust_region(self) -> float:
-        """First bound of the heading changes [rad]; position errors are half the length times the squared bound."""
+        """First bound of the heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))

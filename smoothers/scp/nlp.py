@@ -222,7 +222,7 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
-    """The goal moved back by the final straight, with a yaw continuous with the input's."""
+    """Return the goal moved back by the final straight, with a yaw that is continuous with the input."""
     goal = problem.goal.as_array()
     back = sign * problem.dock.final_straight
     goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])

@@ -225,7 +225,7 @@ def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -
 
 
 def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Sequence[Path | None]:
-    """Return the pieces of an earlier result if it has the same sequence of drives and turns, or Nones."""
+    """Return the pieces of an earlier result with the same sequence of drives and turns, or None for each part."""
     nothing: tuple[Path | None, ...] = (None,) * len(parts)
     if earlier is None:
         return nothing

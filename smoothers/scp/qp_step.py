@@ -225,7 +225,7 @@ class ProgramPool:
 
     Attributes:
         build_time: Total time for building programs [s].
-        pace: Time of an iteration relative to the machine of the benchmarks, measured by `warm_up`.
+        pace: Time of an iteration relative to the benchmark machine, measured by `warm_up`.
     """
 
     def __init__(self) -> None:
@@ -243,7 +243,7 @@ class ProgramPool:
         return self._programs[key]
 
     def load_fallback(self) -> None:
-        """Load the library of the fallback solver, which takes some milliseconds."""
+        """Load the library of the fallback solver, which takes a few milliseconds."""
         program = DenseProgram(2, 1)
         program.h[:] = np.eye(2)
         program.lba[0], program.uba[0], program.a[0, 0] = 0.0, 1.0, 1.0

@@ -282,7 +282,7 @@ class Solver:
         """Return a certified path.
 
         Raises:
-            FailedToSmoothPath: If a bound cannot be kept.
+            FailedToSmoothPath: If a bound cannot be satisfied.
             SmootherTimedOut: If no path is certified in time.
             SmootherCancelled: If `cancelled` returned True.
         """

@@ -174,7 +174,7 @@ class ArcTree:
         return np.arange(first, len(self))
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Return lengths and curvatures of the arcs between root and node, as driven. Shape (k,) each."""
+        """Return lengths and curvatures of the arcs between root and node, in driving order. Shape (k,) each."""
         lengths, curvatures = [], []
         while row > 0:
             lengths.append(self.lengths[row])

@@ -1,8 +1,9 @@
 """Straight lines and arcs out of the start and out of the dock; the search connects the ends of both.
 
 A robot alongside a wall cannot turn away from the wall at full lock, because its tail would hit the wall. If the tail
-may come some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially (equation
-(R9) of `docs/theory/search.md`). This motion is approximated by chains of short arcs, each as sharp as the wall allows.
+may come a few millimetres closer, the robot can follow the wall while heading and curvature grow exponentially
+(equation (R9) of `docs/theory/search.md`). This motion is approximated by chains of short arcs, each as sharp as the
+wall allows.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ class EndTrees:
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
-        """Return the start and the ends of free arcs and lines from it, cached; in a narrow place more arcs follow."""
+        """Return the start and the ends of free arcs and lines from it, with more arcs in narrow places; cached."""
         key = effort._replace(nodes=0), bends
         if key not in self._by_effort:
             tree = self.from_start()
@@ -133,7 +134,8 @@ class EndTrees:
 
         Returns the rows of the new nodes, empty if all arcs are blocked, and the mean free length of the first arcs
         [m].
-        `gears`: signs of the first lengths. `bends`: curvatures of the arcs, in curvatures of the smallest radius.
+        `gears`: signs of the first lengths. `bends`: curvatures of the arcs, relative to the curvature of the smallest
+        radius.
         """
         tree, first = end
         station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)

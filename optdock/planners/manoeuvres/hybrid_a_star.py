@@ -83,8 +83,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     words are tried as long as they may be cheaper.
 
     Args:
-        exits: The start, to which every node is joined, and other nodes of its tree, to one of which every node is also
-            joined, in turn.
+        exits: The start and other nodes of its tree. Every node is joined to the start and, in turn, to one of the
+            others.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
@@ -92,7 +92,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         worthwhile: Function that returns the price at or above which a manoeuvre is useless; infinite while there is no
             plan.
         from_start: Whether to grow the start's tree instead and join its nodes to the entries.
-        bends: Curvatures of the arcs that are used in addition to straight lines, in curvatures of the smallest radius.
+        bends: Curvatures of the arcs that are used in addition to straight lines, relative to the curvature of the
+            smallest radius.
     """
     growing, aims = (exits, entries) if from_start else (entries, exits)
     tree, limits, radius = growing.tree, space.problem.robot.limits, effort.radius

@@ -102,7 +102,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: If the planner is not configured.
-            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            NoValidPathCouldBeFound: If the search found nothing, which does not prove that no path exists.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
@@ -118,7 +118,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: If the planner is not configured.
-            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            NoValidPathCouldBeFound: If the search found nothing, which does not prove that no path exists.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         problem = self.context.problem_at_hand(None)

@@ -1,4 +1,4 @@
-"""Price of a manoeuvre: its duration, a price per cusp, and a price per metre in reverse; with fast estimates."""
+"""Price of a manoeuvre (duration, price per cusp and price per metre in reverse), and fast estimates of the price."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 
 def price_of(path: Path, duration: float, robot: Robot) -> float:
-    """Return the price by which plans are compared [s]: duration, `CUSP_PRICE` per stop, and reversing.
+    """Return the price by which plans are compared [s]: duration, `CUSP_PRICE` per stop, and cost of reversing.
 
     Args:
         path: Path of any kind.
@@ -186,7 +186,7 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time lost by starting, the dock's speed zone and stopping, against full speed [s].
+    """Return a lower bound of the time that starting, speed zone and stopping add to the time at full speed [s].
 
     The bound is exact if the jerk is not limited, the gears are known, and the way is long enough for full speed.
     """

@@ -6,7 +6,7 @@ cheapest sequence of words and checks a word for collisions only when the search
 [Bohlin2000], where the vertices of the roadmap are random).
 
 The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this way towards the
-middle of the free space, until it has the room in which the robot can turn.
+middle of the free space, until there is enough room around it for the robot to turn.
 """
 
 from __future__ import annotations
