@@ -41,8 +41,8 @@ def readonly(array: _Array) -> _Array:
 class FrozenArrays:
     """Base class of frozen dataclasses with arrays: the arrays are read-only, and copying returns the object itself.
 
-    A dataclass that defines `__post_init__` must make its arrays `readonly` there. Arrays restored by pickle are made
-    `readonly` again.
+    A dataclass that defines `__post_init__` must make its arrays `readonly` in that method. Arrays restored by pickle
+    are made `readonly` again.
     """
 
     def __post_init__(self) -> None:

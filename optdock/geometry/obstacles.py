@@ -100,7 +100,7 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def of(cls, obstacles: ObstacleSet | Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
-        """Return an obstacle set unchanged, or convert simple polygons by `from_polygons`.
+        """Return an obstacle set unchanged, or convert simple polygons with `from_polygons`.
 
         Raises:
             InvalidValue: If the argument is neither a set nor a list of polygons, or if a polygon is invalid; the
@@ -193,7 +193,7 @@ class ObstacleSet(FrozenArrays):
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
     def rows_at(self, points: FloatArray) -> IntArray:
-        """Return for each point, Shape (n, 2) [m], the row of a piece that contains or touches it, or -1."""
+        """Return the row of a piece that contains or touches each point, Shape (n, 2) [m], or -1. Shape (n,)."""
         found = np.full(len(points), -1)
         near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
         for row in near.tolist():

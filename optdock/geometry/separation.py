@@ -123,7 +123,7 @@ class _BodyEdges(NamedTuple):
 def _along_likely_normals(
     before: _Along, at: _Corners, edges: _BodyEdges, pieces: ConvexPieces
 ) -> tuple[_Along, FloatArray]:
-    """Return the best of `before` and the likely normals, and an upper bound of the gaps along all others."""
+    """Return the best of `before` and the likely normals, and an upper bound of all other gaps, Shape (m,)."""
     corners, pair = _Corners(pieces.x, pieces.y), np.arange(pieces.x.shape[1])
     near = _picked(at, np.argmin(before.x * at.x + before.y * at.y, axis=0))
     far = _picked(corners, np.argmax(before.x * corners.x + before.y * corners.y, axis=0))

@@ -133,7 +133,7 @@ class ConnectivityGraph:
         self.joints: dict[tuple[int, int], IntArray] = {}
 
     def add(self, tiles: Iterable[Tile]) -> None:
-        """Add tiles to the plane in place of removed ones, and join them to their neighbours."""
+        """Add tiles to the plane in place of removed tiles, and join them to their neighbours."""
         first = len(self.tiles)
         for tile in tiles:
             self._label(tile)

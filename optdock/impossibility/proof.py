@@ -18,7 +18,7 @@ pose of this motion is blocked, so one end of the motion is in the set and the o
 set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that pose are joined
 by faces, so one of these cells that is in the set shares a face with another that is not. The cell outside the set is
 blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the plane hold 16 x 16 cells for
-every heading, and the cells of each level are half as large as those of the level before.
+every heading, and the cells of each level are half as large as the cells of the previous level.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
@@ -167,7 +167,7 @@ class ImpossibilityProof(FrozenArrays):
         return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
 
     def squares(self) -> list[FloatArray]:
-        """Return squares of positions that are in the set at some heading, by corners, Shape (4, 2) each [m]."""
+        """Return the positions that are in the set at some heading, as squares, Shape (4, 2) each [m]."""
         found = []
         corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
         for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):

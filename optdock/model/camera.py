@@ -154,8 +154,8 @@ class RequiredView(NamedTuple):
     def stretch(self, path: Path) -> tuple[float, float] | None:
         """Return the interval of `s` on which the marker must be visible [m], or None if it is empty.
 
-        Turns in place cover no distance. A turn belongs to the part if less than `visible_distance` and at least
-        `blind_distance` remain to be driven after it.
+        Turns in place cover no distance. A turn belongs to the part if the distance to be driven after the turn is less
+        than `visible_distance` and at least `blind_distance`.
         """
         begin = max(0.0, place_before_end(path, self.visible_distance))
         end = place_before_end(path, self.blind_distance)

@@ -91,7 +91,7 @@ class ClearanceRule:
         return self._tapered(from_goal, self.at_dock)
 
     def near_start(self, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """Return the required clearance at distances from a start too close to an obstacle; see `required_at`."""
+        """Return the clearance required at distances from a start that is too close, Shape (n,) [m]."""
         leaving = self.leaving(from_start, start_clearance, start_relief)
         return np.minimum(leaving, self.undocking(from_start)) if start_relief > 0.0 else leaving
 

@@ -312,7 +312,7 @@ def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
 
 
 def place_before_end(path: Path, distance: float) -> float:
-    """Return the `s` at which `distance` [m] remain to be driven; negative if the path is shorter."""
+    """Return the `s` at which `distance` [m] remains to be driven; negative if the path is shorter."""
     s = path.length - distance
     for segment, end in (
         zip(path.segments[::-1], path.segment_starts[:0:-1].tolist(), strict=True) if path.turns else ()

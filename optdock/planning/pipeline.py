@@ -229,8 +229,8 @@ def warm_up(
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        robot: Robot of later problems. If given, the data of its footprint that proofs need are computed, in up to 0.1
-            s.
+        robot: Robot of later problems. If it is given, the footprint data needed for proofs are computed, which takes
+            up to 0.1 s.
 
     Raises:
         PluginError: If a plugin is unknown or cannot be built.

@@ -107,7 +107,7 @@ class Replanned:
 
     Args:
         outcome: The decision.
-        trajectory: Trajectory to drive from its time 0, when the clock of the running trajectory shows `starts_at`.
+        trajectory: Trajectory to be driven from its time 0 when the clock of the running trajectory shows `starts_at`.
         starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
         reason: Reason why there is no new plan; empty for NEW.

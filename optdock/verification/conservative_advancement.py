@@ -185,7 +185,7 @@ class _Subdivision:
         motion: The path as cells.
         world: Robot, obstacles and rule.
         attained: Smallest known clearance of a pose on the path [m].
-        crop: Obstacles farther from the swept area are left out [m].
+        crop: Distance from the swept area beyond which obstacles are left out [m].
         is_late: See `prove_clearance`.
     """
 
@@ -366,9 +366,9 @@ def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advance
 class Advances(NamedTuple):
     """Stretches of motion from known poses: n stretches from k poses, because neighbouring stretches share poses.
 
-    `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du there, into the
-    stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell: `speed` of |p'|, `turn`
-    of |yaw'|, `bend` of |p''|, `twist` of |yaw''| + yaw'^2.
+    `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du at this pose, in
+    the direction of the stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell:
+    `speed` of |p'|, `turn` of |yaw'|, `bend` of |p''|, `twist` of |yaw''| + yaw'^2.
     """
 
     poses: FloatArray

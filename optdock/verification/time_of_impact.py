@@ -1,8 +1,9 @@
 """Time of impact: how long a footprint can move at a constant body velocity before it is too close to an obstacle.
 
 Between two evaluations of the scene the bound of `conservative_advancement` holds: along the axis n that attains the
-distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
-M = |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs one step.
+distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and M
+= |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs only one
+step.
 
 If pieces may touch, their unions are checked as in `contact_tolerance`: a needle between two adjacent obstacles, or a
 post in a fan of thin pieces, must not enter deeper than 3 micrometres.

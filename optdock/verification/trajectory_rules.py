@@ -186,7 +186,7 @@ def _border_at(law: TimeLaw, s: float) -> int:
 
 
 def _rest_at(law: TimeLaw, s: float) -> int:
-    """Return the nearest phase border at rest, which distinguishes the ends of turns smaller than the tolerance."""
+    """Return the phase border at rest nearest to `s`, so that turns below the tolerance have distinct ends."""
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
     off = np.where(still, np.abs(law.states[:, 0] - s), np.inf)
     k = int(np.argmin(off))

@@ -95,7 +95,7 @@ def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
 
 
 def with_travel_yaw(poses: FloatArray) -> FloatArray:
-    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or opposite in reverse; the last is kept.
+    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step (opposite in reverse), except the last.
 
     A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose without a step
     of at least 0.1 mm keeps its yaw.

@@ -267,7 +267,10 @@ def _saved_by_rounding(
 def _whole(
     exits: TreeNodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: TreeNodes, entry_row: int
 ) -> TurnsAndDrives:
-    """Return the manoeuvre of a run out of the start, the turns and drives `middle`, and a run into the dock."""
+    """Return the manoeuvre of a run out of the start, the turns and drives `middle`, and a run into the dock.
+
+    `middle` contains one turn more than drives.
+    """
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
     nothing = np.zeros(1)
     turns = np.concatenate((np.zeros(out.size), middle[0], np.zeros(into.size)))
@@ -299,7 +302,7 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
-    """Whether a manoeuvre is free, with the margin at widely spaced poses and without it at close ones."""
+    """Whether a manoeuvre is free, with the margin at widely spaced poses and without it at close poses."""
     space.poll()
     reach = space.footprint.circumscribed_radius
     if not space.is_free(whole.poses_every(space.spacing(effort), reach), effort.margin, effort.start_relief).all():

@@ -122,7 +122,7 @@ class Scene:
         return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
 
     def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
-        """Return the slope of the required clearance over the distance from an end where `least` is required."""
+        """Return the slope of the required clearance over the distance from an end that requires `least`, (n,)."""
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)

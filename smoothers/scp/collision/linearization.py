@@ -65,7 +65,10 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Return a mask of pairs with overlaps too deep to determine a side, or deep near very deep ones. Shape (p,)."""
+    """Return a mask of the pairs whose overlap is too deep to determine a side. Shape (p,).
+
+    If any overlap is very deep, pairs with a small positive margin are also included.
+    """
     if worst >= -settings.deep * width:
         return np.zeros(margin.size, dtype=np.bool_)
     least = -settings.deep if worst >= -settings.very_deep else settings.near_deep

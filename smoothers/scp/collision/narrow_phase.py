@@ -75,7 +75,7 @@ def narrow_phase(
 
 
 def _both_ends(points: Points, column: IntArray) -> Points:
-    """Stack the columns of the left nodes above those of the right nodes."""
+    """Stack the columns of the left nodes above the columns of the right nodes."""
     both = np.concatenate((column, column + 1))
     count, size = points.x.shape[0], column.size
     return Points(
@@ -146,7 +146,7 @@ def best_separating_axes(
     order.
 
     Args:
-        hull: Swept vertices, those of the left node first, Shape (2v, p).
+        hull: Swept vertices, with the vertices of the left node first, Shape (2v, p).
         outline: Obstacle vertices, Shape (k, p).
         normals: Outward obstacle edge normals, Shape (k, p).
         inward: Inward body edge normals at the left node, Shape (v, p).
