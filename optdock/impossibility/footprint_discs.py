@@ -25,7 +25,7 @@ _ROWS = 8192  # pairs of a point and an edge per step, half a millisecond
 
 
 class DiscCover(NamedTuple):
-    """Discs within a footprint: a centre (2,), discs (n, 3) around it, and the reach of the footprint from it [m]."""
+    """Discs within a footprint: a centre (2,), discs (n, 3) around it, and the extent of the body from it [m]."""
 
     centre: FloatArray
     discs: FloatArray

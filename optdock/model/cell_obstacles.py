@@ -86,7 +86,7 @@ def added_obstacles(
 ) -> ObstacleSet:
     """Return the cells near given points that are obstacles in a costmap but not in an earlier one, and the border.
 
-    The border is omitted if both costmaps have the same grid or if all points are far inside the map.
+    The border is omitted if both costmaps have the same grid or if all points are at least `reach` inside the map.
 
     Args:
         costmap: The new costmap.

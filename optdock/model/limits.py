@@ -259,7 +259,7 @@ class MotionLimits:
         return turned / self.max_steering_rate
 
     def start_wait(self, path: Path) -> float:
-        """Return the time to steer wheels from an unknown angle to the angle at the start of `path` [s]."""
+        """Return the longest time to steer wheels from an unknown angle to the angle at the start of `path` [s]."""
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 

@@ -47,8 +47,8 @@ class ProblemFingerprint(NamedTuple):
     """Hexadecimal digests of the parts of a docking problem, and the name of its frame.
 
     `footprint`: outline of the robot. `limits`: motion limits, drive and camera. `obstacles`: all obstacles including
-    the station. `clearance`: the clearance rule. `dock`: pose, station, gear, straight, approach and view. `start`:
-    pose, speed, curvature and acceleration.
+    the station. `clearance`: the clearance rule. `dock`: pose, station, gear, final straight, speed zone, tolerances
+    and view. `start`: pose, speed, curvature and acceleration.
     """
 
     footprint: str

@@ -223,7 +223,7 @@ def warm_up(
     """Load libraries and build the one-time data of plugins, so that later calls need not wait for them.
 
     The first call in a process plans a small problem, which takes about a second; later calls return immediately.
-    Errors of plugins are not raised here but in the first real call.
+    Errors of plugins during this plan are suppressed here; they are raised in the first real call.
 
     Args:
         planner: As in `plan_dock`.

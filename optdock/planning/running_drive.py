@@ -123,7 +123,10 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state after `lead` seconds, or at the next rest if it is near or ends a turn in place."""
+        """Return the state after `lead` seconds.
+
+        With `at_a_rest` it is the state at the next rest, if that is near or the robot turns in place.
+        """
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)

@@ -278,7 +278,10 @@ class _Rules:
             lag *= 2
 
     def check_poses(self) -> tuple[float, float]:
-        """Check that poses are on the path or within its clearance; return the largest distance [m] and angle [rad]."""
+        """Check that poses are on the path, or that the clearance covers their deviations.
+
+        Return the largest distance [m] and the largest angle [rad] from the path.
+        """
         motion, apart, turned = self._motion, self._places.apart, self._places.turned
         offset = (float(np.max(apart)), float(np.max(turned)))
         i = int(np.argmax(np.maximum(apart, turned)))

@@ -94,8 +94,8 @@ class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
     It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
-    robot afterwards. Only `prove_motion` creates such objects. Pickles are trusted, because unpickling can execute any
-    code in any case.
+    robot afterwards. Only `prove_motion` creates such objects. Pickles are trusted, because unpickling can execute
+    arbitrary code anyway.
 
     Raises:
         InvalidValue: If it is constructed directly, or accessed without a proof.

@@ -66,7 +66,7 @@ class InitialGuesses:
 
     @property
     def other(self) -> SearchGuess | None:
-        """The fit or the pursuit, if not used first, for obstacles passed on the wrong side; None if close to it."""
+        """Second guess, fit or pursuit, for obstacles passed on the wrong side; None if close to the first guess."""
         settings, second = self.nlp.settings.guess, self._untracked
         if self._first is second:
             second = self.pursued if second is self.fitted else self.fitted

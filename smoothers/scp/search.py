@@ -218,7 +218,7 @@ class IterationTimes:
         self.pace = math.inf
 
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
-        """Predict the times of a program on a machine that is `pace` times slower than the benchmark machine."""
+        """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
         self.iteration = pace * self.expected_iteration(nlp)
         self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
 

@@ -88,7 +88,7 @@ class EndTrees:
         return TreeNodes(tree, np.arange(len(tree)))
 
     def straight_runs(self, effort: Effort) -> dict[str, float]:
-        """Return the free straight length before the dock in each gear, up to a length of some turning radii [m]."""
+        """Return the free straight length before the dock in each gear, up to the final straight plus two radii [m]."""
         tree = self._from_goal()
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
         tree.grow(ROOT, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)

@@ -53,7 +53,10 @@ def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, Floa
 def _by_world_boxes(
     scene: Scene, boxes: list[tuple[FloatArray, FloatArray]], reach: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return the rows of `boxes` and obstacles within `reach` [m], and their separation. Groups are tested first."""
+    """Return the rows of `boxes` and obstacles within `reach` [m], and their separation.
+
+    Groups of rows are tested first.
+    """
     lower, upper, count = scene.obstacles.lower, scene.obstacles.upper, boxes[0][0].size
     together = scene.settings.grouped_intervals
     starts = np.arange(0, count, together)
