@@ -1,4 +1,4 @@
-"""`CasadiSmoother`: a certified clothoid spline near the input path, or an error with the bound that cannot be kept."""
+"""`CasadiSmoother`: a certified clothoid spline near the input path, or an error that names the violated bound."""
 
 from __future__ import annotations
 
@@ -82,8 +82,8 @@ class CasadiSmoother(Smoother):
     """Minimize length, curvature, curvature rate and distance to the input under the problem's hard bounds.
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
-    `optdock.verification`. Gears keep their order; cusps may move, turns in place keep their positions. Instances can
-    be used in several threads.
+    `optdock.verification`. The order of the gears is kept. Cusps may move, but turns in place keep their positions.
+    Instances can be used in several threads.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
@@ -102,30 +102,32 @@ class CasadiSmoother(Smoother):
         """Return a certified clothoid path between the start and the goal of `problem`, near `path`.
 
         If `problem` is given, the result leads from its start to its goal; `path` may begin behind the robot or end at
-        an earlier estimate of the dock. A path is rejected if it passes the start, or ends next to the goal, at a
-        distance of more than 1 m and more than a fifth of its length.
+        an earlier estimate of the dock. A path is rejected if its distance from the start, or the distance of its end
+        from the goal, exceeds both 1 m and a fifth of its length.
 
         Args:
-            path: Input, from any source.
+            path: Input path, from any source.
             max_time: Wall-clock time for the whole call [s].
-            problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
-                with the ends of `path` if they differ; without a configured problem, from the first to the last pose of
-                `path` with the footprint and costmaps of the context and the limits of the parameters. The least
-                clearance of the result is then at least that of `path`, up to `kept_clearance`. Without a costmap no
-                obstacle is known, and the report has a `warning`.
-            warm_start: Earlier result with the same gears; returned if it is still certified and no other is found.
-            cancel_checker: Polled every iteration.
+            problem: Constraints; the configured costmap is added if the problem has none. If None, the configured
+                problem is used, with the ends of `path` if they differ. Without a configured problem, the result leads
+                from the first to the last pose of `path` with the footprint and costmaps of the context and the limits
+                of the parameters. The smallest clearance of the result is then at least the smallest clearance of
+                `path`, up to `kept_clearance`. Without a costmap no obstacle is known, and the report has a `warning`.
+            warm_start: Earlier result with the same gears, which is returned if it is still certified and no other path
+                is found.
+            cancel_checker: Polled in every iteration.
 
         Raises:
-            InvalidPath: If `path` is not a Path, has another frame than the problem, or leads elsewhere.
+            InvalidPath: If `path` is not a Path, is in another frame than the problem, or is too far from start or
+                goal.
             InvalidValue: If `max_time` is not finite or negative, there is neither a problem nor a footprint, or
-                `problem` or `warm_start` is of another class.
-            FailedToSmoothPath: If a bound cannot be kept. `where["reason"]` is `start_in_collision`,
+                `problem` or `warm_start` has the wrong class.
+            FailedToSmoothPath: If a bound cannot be satisfied. `where["reason"]` is `start_in_collision`,
                 `start_curvature`, `direction`, `turn`, `approach_blocked`, `goal_unreachable` or `clearance`; `where`
-                also has `s` [m], `pose`, `amount`, `obstacle`, and for clearance the measured `clearance` and
-                the `required` one. The best path found is the `path` of `partial`.
+                also has `s` [m], `pose`, `amount`, `obstacle`, and for clearance the measured `clearance` and the
+                clearance `required`. The best path found is the `path` of `partial`.
             SmootherTimedOut: If no path is certified within `max_time`. The path of the last iterate is the `path` of
-                `partial`, a `warm_start` for a later call.
+                `partial` and can be the `warm_start` of a later call.
             SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
@@ -143,7 +145,7 @@ class CasadiSmoother(Smoother):
     def _smooth_alone(
         self, path: Path, warm_start: Path | None, deadline: Deadline, cancel_checker: Callable[[], bool]
     ) -> SmoothingResult:
-        """Smooth a path without a problem, among the cells of the costmap around it."""
+        """Smooth a path without a problem, with the cells of the costmap around it as obstacles."""
         chosen, context = self.parameters, self.context
         free = self._between_ends(path, ClearanceRule(0.0), max(chosen.clearance, chosen.kept_clearance))
         is_known = context.costmap is not None or context.local_costmap is not None
@@ -166,7 +168,7 @@ class CasadiSmoother(Smoother):
         return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_NO_OBSTACLES))
 
     def _solve(self, call: Call, deadline: Deadline, cancel_checker: Callable[[], bool]) -> SmoothingResult:
-        """Run the strategy, for each piece between turns in place."""
+        """Run the strategy for each piece between turns in place."""
         pool, robot = pool_of_this_thread(), call.problem.robot
         built = pool.build_time
         if robot.turns_in_place and call.problem.start_speed == 0.0:
@@ -188,7 +190,7 @@ class CasadiSmoother(Smoother):
         return SmoothingResult(best.path, outcome.converged, report)
 
     def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
-        """Return the task of a call, with the weights and the resolution of the parameters."""
+        """Return the smoothing task, with weights and resolution from the parameters."""
         chosen = self.parameters
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
@@ -221,7 +223,7 @@ class CasadiSmoother(Smoother):
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
-        """The problem between the ends of `path`, with the occupied cells around it up to `reach` [m]; see `covers`."""
+        """Return the problem between the ends of `path`, with occupied cells up to `reach` [m] around; see `covers`."""
         chosen, context = self.parameters, self.context
         if context.footprint is None:
             raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
@@ -255,8 +257,8 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
     """Return the configured problem, with the ends of `path` if they differ.
 
-    A different start is at rest with free steering. A different end is not a dock: the station is an obstacle, and no
-    gear, final straight or slow approach is required.
+    At a different start the robot is at rest with free steering. A different end is not a dock: the station is only an
+    obstacle, and no gear, final straight or slow approach is required.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
         problem = problem.starting_at(path.start)
@@ -267,7 +269,7 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 
 
 def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
-    """Return a rule that requires the least clearance of `path`, and allows the clearance of its ends.
+    """Return a rule that requires the smallest clearance of `path` and accepts the clearance at its ends.
 
     Args:
         path: Path.
@@ -289,7 +291,7 @@ def kept_clearance(path: Path, problem: DockingProblem, least: float, most: floa
 
 
 def covers(path: Path, result: Path) -> bool:
-    """Whether the region read around `path` contains every cell that the footprint can reach on `result`."""
+    """Whether the map region that was read around `path` contains every cell that the footprint reaches on `result`."""
     points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
     slack = _READ_AROUND - _SPACING
     inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)

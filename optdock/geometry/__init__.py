@@ -1,1 +1,1 @@
-"""Poses, curves, convex polygons and their distances; the lowest layer, independent of robots."""
+"""Poses, curves, convex polygons and distances between polygons: the lowest layer, independent of robot models."""

@@ -41,8 +41,8 @@ def readonly(array: _Array) -> _Array:
 class FrozenArrays:
     """Base class of frozen dataclasses with arrays: the arrays are read-only, and copying returns the object itself.
 
-    A dataclass that defines `__post_init__` must make its arrays `readonly` there. Arrays restored by pickle are made
-    `readonly` again.
+    A dataclass that defines `__post_init__` must make its arrays `readonly` in that method. Arrays restored by pickle
+    are made `readonly` again.
     """
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class FrozenArrays:
 
 
 def frozen(value: _Value) -> _Value:
-    """Return a value with all arrays in it, also within tuples, made `readonly`."""
+    """Return the value with all its arrays, including arrays within tuples, made `readonly`."""
     if isinstance(value, np.ndarray):
         return readonly(value)
     if isinstance(value, tuple):
@@ -78,7 +78,7 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
         columns: Number of columns of a two-dimensional array; None for one dimension.
 
     Raises:
-        InvalidValue: If the shape is wrong, or an element is not a number (text or a bool), NaN or infinite.
+        InvalidValue: If the shape is wrong, or if an element is text, a bool, NaN or infinite.
     """
     try:
         given = np.asarray(values)
@@ -97,10 +97,10 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
 
 
 def digest(*parts: ArrayLike | str) -> str:
-    """Return a hexadecimal digest of numbers, arrays and strings, in this order and with these shapes.
+    """Return a hexadecimal digest of numbers, arrays and strings, which depends on their order and shapes.
 
-    Equal digests mean numbers that are equal to the last bit; -0.0 has the digest of 0.0, and an integer that of the
-    float.
+    Equal digests mean that all numbers are equal to the last bit, except that -0.0 has the digest of 0.0 and an integer
+    has the digest of the equal float.
     """
     found = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in parts:

@@ -56,7 +56,7 @@ def finite_number(value: object, name: str) -> float:
     """Return a finite number as a float.
 
     Raises:
-        InvalidValue: If the value is not a number, NaN or infinite.
+        InvalidValue: If the value is NaN, infinite or not a number.
     """
     found = number(value, name)
     if not math.isfinite(found):
@@ -68,7 +68,7 @@ def non_negative(value: object, name: str, unit: str = "") -> float:
     """Return a finite number >= 0 as a float.
 
     Raises:
-        InvalidValue: If the value is not such a number.
+        InvalidValue: If the value is not a finite number >= 0.
     """
     found = number(value, name)
     if not (math.isfinite(found) and found >= 0.0):
@@ -80,7 +80,7 @@ def positive(value: object, name: str, unit: str = "") -> float:
     """Return a finite number > 0 as a float.
 
     Raises:
-        InvalidValue: If the value is not such a number.
+        InvalidValue: If the value is not a finite number > 0.
     """
     found = number(value, name)
     if not (math.isfinite(found) and found > 0.0):
@@ -89,7 +89,7 @@ def positive(value: object, name: str, unit: str = "") -> float:
 
 
 def sampling_step(step: object, extent: float, name: str) -> float:
-    """Return a step between samples over `extent`, both in the same unit.
+    """Return a checked step between samples over `extent`, which has the same unit.
 
     Raises:
         InvalidValue: If the step is not finite and > 0, or gives more than `MOST_SAMPLES` samples.
@@ -101,7 +101,7 @@ def sampling_step(step: object, extent: float, name: str) -> float:
 
 
 def member(kind: type[_Member], value: object, name: str) -> _Member:
-    """Return the member of an enumeration that equals `value` or has exactly this value.
+    """Return the member of the enumeration `kind` that is `value` or whose value equals `value`.
 
     Raises:
         InvalidValue: If there is no such member; the message lists the members.
@@ -120,10 +120,10 @@ def member(kind: type[_Member], value: object, name: str) -> _Member:
 
 
 def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
-    """Return the value if it is an instance of this class.
+    """Return the value if it is an instance of `kind`.
 
     Raises:
-        InvalidValue: If the value is of another class.
+        InvalidValue: If the value is not an instance of `kind`.
     """
     if isinstance(value, kind):
         return value
@@ -134,7 +134,7 @@ def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
     """Return the value if its class is `kind` and not a subclass, which could override methods that proofs rely on.
 
     Raises:
-        InvalidValue: If the value is of another class or a subclass.
+        InvalidValue: If the class of the value is not exactly `kind`.
     """
     if type(value) is kind:
         return value

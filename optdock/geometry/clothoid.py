@@ -29,7 +29,7 @@ _MAX_CELLS = 100_000
 
 
 def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Return knots with points between them such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
+    """Return the knots with additional points, such that no cell turns by more than `_MAX_TURN_PER_CELL`."""
     steps = np.diff(knots)
     turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
     parts = np.ceil(np.clip(turn / _MAX_TURN_PER_CELL, 1.0, _MAX_CELLS + 1.0)).astype(np.int64)
@@ -61,7 +61,7 @@ class ClothoidSpline(FrozenArrays):
 
     Raises:
         InvalidValue: If shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, a pose
-            exceeds 1e8 m or 1e6 rad, or a turn takes less distance than floats resolve.
+            exceeds 1e8 m or 1e6 rad, or a turn is shorter than the resolution of floats.
     """
 
     start: Pose2
@@ -143,7 +143,7 @@ class ClothoidSpline(FrozenArrays):
         return rates
 
     def piece(self, begin: float, end: float) -> ClothoidSpline:
-        """Return the curve from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s starts at 0."""
+        """Return the piece from arc length `begin` to `end` [m], 0 <= begin < end <= length; its `s` starts at 0."""
         inside = self.knots[(self.knots > begin) & (self.knots < end)]
         knots = np.concatenate(([begin], inside, [end]))
         start = self.start if begin == 0.0 else Pose2.from_sequence(self.poses_at(begin)[0])
@@ -156,7 +156,7 @@ class ClothoidSpline(FrozenArrays):
 
 
 def _displacements(step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray) -> FloatArray:
-    """Integrate (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
+    """Return the integrals of (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
     u = 0.5 * step[:, None] * (1.0 + _NODES)
     theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
     half = 0.5 * step

@@ -1,4 +1,4 @@
-"""Outline of the robot, in Nav2's syntax."""
+"""Footprint of the robot as a polygon, with a parser of Nav2's syntax."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ class Footprint(FrozenArrays):
 
     Attributes:
         bodies: Convex pieces that cover exactly the polygon; one piece if it is convex.
-        core: Convex pieces that cover all points at least `CORE_DEPTH` inside a polygon that is not convex; empty if it
-            is convex (`optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
-            that lie outside it, so the pieces contain the exact core up to one hundredth of `CORE_DEPTH`.
+        core: Convex pieces that cover all points at least `CORE_DEPTH` inside a non-convex polygon; empty for a convex
+            one (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
+            that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
+            `CORE_DEPTH`.
 
     Raises:
         InvalidValue: If the polygon has fewer than three distinct vertices, no area, crossing edges or NaN.
@@ -121,7 +122,7 @@ class Footprint(FrozenArrays):
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
 
     def displacement(self, pose: Pose2, reference: Pose2) -> float:
-        """Return the largest distance between points of the outline at the pose and at the reference [m]."""
+        """Return an upper bound of the distance that a point of the outline moves from `reference` to `pose` [m]."""
         turn = normalize_angle(pose.yaw - reference.yaw)
         return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
@@ -142,7 +143,7 @@ def _core(vertices: FloatArray) -> tuple[ConvexBody, ...]:
 
 
 def convex_body(piece: ArrayLike) -> ConvexBody:
-    """Return a convex piece, Shape (n, 2) [m], with the planes of its edges."""
+    """Return a convex piece, Shape (n, 2) [m], with the normals and offsets of its edges."""
     vertices = np.array(piece, dtype=np.float64)
     normals, offsets = edge_planes(vertices)
     return ConvexBody(readonly(vertices), readonly(normals), readonly(offsets))

@@ -1,4 +1,4 @@
-"""Planar NURBS curves with unit weights and clamped, evenly spaced knots, which are B-splines.
+"""Planar NURBS curves with unit weights and clamped, evenly spaced knots; such curves are B-splines.
 
 `C(u) = sum_i N_i(u) P_i / sum_i N_i(u)` ([Piegl1997] eq. 4.1).
 """
@@ -58,20 +58,20 @@ class Nurbs(FrozenArrays):
 
     @property
     def speed_bound(self) -> float:
-        """Upper bound of |dC/du|: the largest control point of the derivative ([Piegl1997] eq. 3.4)."""
+        """Upper bound of |dC/du|: the largest norm of a control point of the derivative ([Piegl1997] eq. 3.4)."""
         span = self.knots[self.degree + 1 : -1] - self.knots[1 : -self.degree - 1]
         legs = np.sqrt(np.sum(np.diff(self.control_points, axis=0) ** 2, axis=1))
         return float(np.max(self.degree * legs / span))
 
     def points_at(self, u: ArrayLike) -> FloatArray:
-        """Return points of the curve. Shape (m, 2) [m]."""
+        """Return the points of the curve at parameters `u`. Shape (m, 2) [m]."""
         return self._derivatives(u, 0)[0]
 
     def tangent_yaw_at(self, u: ArrayLike) -> FloatArray:
         """Return the direction of travel in (-pi, pi]. Shape (m,) [rad].
 
-        If the first derivative is zero, the direction is that of the second derivative, reversed at u = 1; NaN if both
-        are zero.
+        Where the first derivative is zero, the direction follows from the second derivative, reversed at u = 1. The
+        result is NaN where both derivatives are zero.
         """
         heading = self._derivatives(u, 1)[1]
         still = ~np.any(heading, axis=1)
@@ -94,7 +94,7 @@ class Nurbs(FrozenArrays):
     def _derivatives(self, u: ArrayLike, order: int) -> tuple[FloatArray, ...]:
         """Return C and its derivatives up to `order` by the quotient rule ([Piegl1997] eq. 4.8).
 
-        The weight function is 1 up to the rounding of the basis, which the division removes.
+        The weight function equals 1 except for rounding errors of the basis functions, which the division removes.
         """
         at = np.clip(np.atleast_1d(np.asarray(u, dtype=np.float64)), 0.0, 1.0)
         a: list[FloatArray] = [self._spline(at, nu) for nu in range(order + 1)]

@@ -31,7 +31,7 @@ __all__ = ["ObstacleSet", "box_distance", "in_words", "without_repeated"]
 class ObstacleSet(FrozenArrays):
     """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
 
-    Created by `empty`, `from_polygons`, `from_rectangles` or `from_footprint`; sets are joined with `+`.
+    Sets are created by `empty`, `from_polygons`, `from_rectangles` or `from_footprint`, and joined with `+`.
 
     Args:
         vertices: Shape (m, k, 2) [m].
@@ -40,7 +40,7 @@ class ObstacleSet(FrozenArrays):
 
     Attributes:
         normals: Shape (m, k, 2), outward unit normals of the edges.
-        offsets: Shape (m, k) [m], extent of the piece along each normal.
+        offsets: Shape (m, k) [m], support of the piece along each normal.
         lower: Shape (m, 2) [m], lower corner of each bounding box.
         upper: Shape (m, 2) [m], upper corner of each bounding box.
 
@@ -100,10 +100,11 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def of(cls, obstacles: ObstacleSet | Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
-        """Return the set itself, or the set of simple polygons made by `from_polygons`.
+        """Return an obstacle set unchanged, or convert simple polygons with `from_polygons`.
 
         Raises:
-            InvalidValue: If the argument is neither of them, or a polygon is invalid; the message names the polygon.
+            InvalidValue: If the argument is neither a set nor a list of polygons, or if a polygon is invalid; the
+                message names the polygon.
         """
         if isinstance(obstacles, cls):
             return obstacles
@@ -114,7 +115,7 @@ class ObstacleSet(FrozenArrays):
     @classmethod
     @functools.cache
     def empty(cls) -> ObstacleSet:
-        """Return the set without obstacles, always the same object."""
+        """Return the set without obstacles, which is always the same object."""
         return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
 
     @classmethod
@@ -136,7 +137,7 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def from_rectangles(cls, lower: FloatArray, upper: FloatArray, name: str) -> ObstacleSet:
-        """Return axis-aligned rectangles given by their corners, Shape (m, 2) [m] each, all named `name`.
+        """Return axis-aligned rectangles from lower and upper corners, Shape (m, 2) [m] each, all named `name`.
 
         Raises:
             InvalidValue: If the numbers of corners differ, or an upper corner is not above its lower corner.
@@ -152,7 +153,7 @@ class ObstacleSet(FrozenArrays):
 
     @classmethod
     def from_footprint(cls, footprint: Footprint, pose: Pose2, name: str) -> ObstacleSet:
-        """Return the pieces of a footprint at a pose."""
+        """Return the convex pieces of a footprint at a pose, in one group `name`."""
         return cls.from_pieces(
             [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies], name
         )
@@ -188,11 +189,11 @@ class ObstacleSet(FrozenArrays):
         return some if rows.size == len(some) else some.subset(rows)
 
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
-        """Return the rows of the pieces that `in_box` selects, ascending."""
+        """Return the rows of the pieces that `in_box` selects, in ascending order."""
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
     def rows_at(self, points: FloatArray) -> IntArray:
-        """Return the piece that contains each point, Shape (n, 2) [m], outline included, or -1. Shape (n,)."""
+        """Return the row of a piece that contains or touches each point, Shape (n, 2) [m], or -1. Shape (n,)."""
         found = np.full(len(points), -1)
         near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
         for row in near.tolist():
@@ -201,7 +202,7 @@ class ObstacleSet(FrozenArrays):
         return found
 
     def name_of(self, row: int) -> str:
-        """Return the name of piece `row`; `in_words` gives the name in a message."""
+        """Return the name of piece `row`, as used in files; messages use `in_words` of the name."""
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
@@ -216,7 +217,7 @@ class ObstacleSet(FrozenArrays):
 
 
 def _widen(vertices: FloatArray, width: int) -> FloatArray:
-    """Repeat the last vertex up to `width` vertices; Shape (..., n, 2) to (..., width, 2)."""
+    """Repeat the last vertex until there are `width` vertices; Shape (..., n, 2) to (..., width, 2)."""
     missing = width - vertices.shape[-2]
     if missing == 0:
         return vertices
@@ -224,7 +225,7 @@ def _widen(vertices: FloatArray, width: int) -> FloatArray:
 
 
 def in_words(name: str) -> str:
-    """Return the name of an obstacle for a message; files and `where` use the name itself.
+    """Return the name of an obstacle for a message; files and the error details `where` use the unchanged name.
 
     >>> in_words("unknown"), in_words("dock")
     ('unknown cells of the map', 'dock')

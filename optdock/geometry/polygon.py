@@ -38,8 +38,8 @@ def signed_area(vertices: FloatArray) -> float:
 def is_convex(vertices: FloatArray) -> bool:
     """Whether counter-clockwise vertices form a simple polygon that is convex up to dents of at most a nanometre.
 
-    Straight angles are allowed. The depth of a dent is measured from the convex hull of all vertices, so that many
-    dents that are individually flat cannot add up.
+    Straight angles are allowed. The depth of a dent is measured from the convex hull of all vertices, so several
+    shallow dents cannot add up to a deep one.
     """
     before, after = _edges_at(vertices)
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -80,7 +80,7 @@ def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
 
 
 def _depth_of_dents(vertices: FloatArray) -> float:
-    """Return the largest distance of a vertex from the hull edge across its pocket [m], a bound for all points."""
+    """Return the largest distance of a vertex from the hull edge that closes its pocket [m]; it bounds every dent."""
     corners = _hull_members(vertices)
     index = np.arange(len(vertices))
     nearest = np.searchsorted(corners, index, side="right") - 1
@@ -92,7 +92,7 @@ def _depth_of_dents(vertices: FloatArray) -> float:
 
 
 def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
-    """Return a checked polygon: counter-clockwise, without repeated vertices, read-only. Shape (n, 2) [m].
+    """Return a checked, read-only polygon, counter-clockwise and without repeated vertices. Shape (n, 2) [m].
 
     Args:
         vertices: Shape (n, 2) [m], either orientation, open or closed.
@@ -150,10 +150,10 @@ def edge_normals(vertices: FloatArray) -> FloatArray:
 
 
 def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the outward unit normals, Shape (..., n, 2), and the extent of the polygon along each, Shape (..., n).
+    """Return the outward unit normals, Shape (..., n, 2), and the support of the polygon along each, Shape (..., n).
 
-    The extent is that of the farthest vertex and not of the edge, so no part of the polygon is beyond any plane,
-    regardless of the rounding of the normals and of dents.
+    The support is computed from all vertices and not only from the edge, so no part of the polygon is beyond any of the
+    planes, even with dents or rounded normals.
     """
     normals = edge_normals(vertices)
     reach = np.full(vertices.shape[:-1], -np.inf)
@@ -166,7 +166,7 @@ def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
 def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
     """Decompose a simple counter-clockwise polygon into convex counter-clockwise pieces that cover it.
 
-    The pieces exceed the polygon by at most a nanometre, where dents are filled. Constrained Delaunay triangles are
+    Dents are filled, so the pieces may exceed the polygon by up to a nanometre. Constrained Delaunay triangles are
     merged over shared edges while the union stays convex ([Hertel1983]: at most four times the minimum number of
     pieces).
     """
@@ -187,7 +187,7 @@ def convex_cover(shape: BaseGeometry) -> tuple[FloatArray, ...]:
 
 
 def _without_dents(vertices: FloatArray) -> FloatArray:
-    """Return the hull of a polygon that is convex up to dents; straight angles are kept if there is no dent."""
+    """Return the hull of a polygon that is convex up to dents; a polygon without dents keeps its straight angles."""
     before, after = _edges_at(vertices)
     if np.all(before[:, 0] * after[:, 1] >= before[:, 1] * after[:, 0]):
         return readonly(np.array(vertices))
@@ -199,7 +199,7 @@ def _oriented(points: FloatArray) -> _Ring:
 
 
 def _merge_convex(rings: list[_Ring]) -> list[_Ring]:
-    """Join triangles over every diagonal that convexity does not require; one pass is enough."""
+    """Merge triangles over every diagonal whose removal leaves a convex piece; one pass is enough."""
     pieces = dict(enumerate(rings))
     owner = {edge: i for i, ring in pieces.items() for edge in _edges(ring)}
     for a, b in [edge for edge in owner if edge < edge[::-1]]:
@@ -217,6 +217,6 @@ def _edges(ring: _Ring) -> list[tuple[_Point, _Point]]:
 
 
 def _joined(first: _Ring, second: _Ring, edge: tuple[_Point, _Point]) -> _Ring:
-    """Return the union over an edge that runs from a to b in the first ring and from b to a in the second."""
+    """Return the union of two rings over an edge, which runs from a to b in the first and from b to a in the second."""
     i, j = first.index(edge[1]), second.index(edge[0])
     return first[i:] + first[:i] + (second[j:] + second[:j])[1:-1]

@@ -42,7 +42,7 @@ MOST_TURNED = 1e6  # [rad], largest yaw: the spacing of floats is then 1e-10 rad
 
 
 def check_range(poses: FloatArray, name: str) -> None:
-    """Check that poses, Shape (n, 3), are in the range in which floats resolve them.
+    """Check that poses, Shape (n, 3), are in the range in which floats have sufficient resolution.
 
     Raises:
         InvalidValue: If a coordinate is beyond 1e8 m or a yaw beyond 1e6 rad.
@@ -55,7 +55,7 @@ def check_range(poses: FloatArray, name: str) -> None:
 
 
 def normalize_angle(angle: float) -> float:
-    """Return the same direction in (-pi, pi].
+    """Return the equivalent angle in (-pi, pi] [rad].
 
     >>> normalize_angle(3 * math.pi) == math.pi
     True
@@ -65,13 +65,13 @@ def normalize_angle(angle: float) -> float:
 
 
 def wrap_angles(angles: FloatArray) -> FloatArray:
-    """Return the same directions in [-pi, pi), for angles of any shape [rad]."""
+    """Return the equivalent angles in [-pi, pi), for an array of any shape [rad]."""
     wrapped: FloatArray = np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi
     return wrapped
 
 
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:
-    """Return continuous yaws: consecutive values differ by at most pi. Shape (n,) [rad]."""
+    """Return yaws shifted by whole turns, such that consecutive values differ by at most pi. Shape (n,) [rad]."""
     return np.asarray(np.unwrap(yaw), dtype=np.float64)
 
 
@@ -98,7 +98,7 @@ class Pose2:
         yaw: Counter-clockwise heading [rad], not normalized, within +-1e6.
 
     Raises:
-        InvalidValue: If a component is not a number, NaN, infinite or out of range.
+        InvalidValue: If a component is NaN, infinite, out of range or not a number.
 
     >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
     Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
@@ -163,7 +163,7 @@ class Pose2:
 
     @classmethod
     def from_sequence(cls, values: Sequence[float] | FloatArray) -> Pose2:
-        """Return the pose of `[x, y, yaw]`.
+        """Return the pose with the components `[x, y, yaw]`.
 
         Raises:
             InvalidValue: If there are not exactly three finite numbers.
@@ -183,7 +183,7 @@ class Twist2:
         lateral: Leftward speed [m/s].
 
     Raises:
-        InvalidValue: If a component is not a number, NaN or infinite.
+        InvalidValue: If a component is NaN, infinite or not a number.
     """
 
     linear: float = 0.0
@@ -199,7 +199,7 @@ class Twist2:
 
 
 def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """Transform body points to the world at every pose.
+    """Transform points from the body frame to the world, for every pose.
 
     Args:
         poses: Shape (n, 3) [m, m, rad].
@@ -230,7 +230,7 @@ def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:
 
 
 def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
-    """Return poses in the frames of their references, yaw in (-pi, pi]. Shape (n, 3) each."""
+    """Return every pose in the frame of its reference, with yaw in (-pi, pi]. Shape (n, 3) each."""
     delta = poses - references
     c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
     yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
@@ -240,7 +240,7 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
 def displacement(off: Number, turn: Number, radius: float) -> Number:
     """Return an upper bound of the distance that any point within `radius` of the origin moves [m].
 
-    A rotation moves a point by a chord, so the bound is off + 2 R sin(|turn| / 2).
+    A rotation moves a point along a chord of at most 2 R |sin(turn / 2)|, so the bound is off + 2 R |sin(turn / 2)|.
 
     Args:
         off: Distance between the positions, a number or an array [m].

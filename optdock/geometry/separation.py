@@ -1,14 +1,15 @@
 """Exact signed distance between convex polygons, for many pairs at once, with the separating axis.
 
 For convex sets A and B every unit axis n gives a lower bound `min_A n.a - max_B n.b` of their signed distance, and the
-best axis attains it ([Ericson2005] ch. 5.2). For polygons the best axis is an edge normal of either, or the direction
-between two vertices, so the maximum over these axes is the exact distance and its axis proves it.
+best axis attains it ([Ericson2005] ch. 5.2). For polygons the best axis is an edge normal of one of them, or the
+direction between two vertices. The maximum over these axes is therefore the exact distance, and the axis that attains
+the maximum proves it.
 
 If both polygons have many corners, most edges are skipped. A vertex a of A bounds the gap along every n from above,
-`min_A n.a' - max_B n.b <= n.a - max_B n.b`, so an edge whose bound is below a known gap cannot be the best one. Vertex
-directions are evaluated near the best edges only: if A and B are apart, the gap as a function of the direction has one
-maximum, and no edge normal lies between it and the better of its two neighbours, so both have the same nearest
-vertices.
+`min_A n.a' - max_B n.b <= n.a - max_B n.b`, so a normal whose bound is below a known gap cannot be the best axis.
+Directions between vertices are evaluated only near the best edges. If A and B are apart, the gap as a function of the
+direction has one maximum. No edge normal lies between this maximum and the better of the two neighbouring normals, so
+both directions have the same nearest vertices.
 """
 
 from __future__ import annotations
@@ -54,7 +55,11 @@ class ConvexPieces(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """Signed distance (m,) [m], negative by the penetration depth, and unit axis (m, 2) from obstacle to body."""
+    """Signed distances and separating axes of pairs.
+
+    `distance`: minus the penetration depth for an overlap, Shape (m,) [m]. `axis`: unit vectors from obstacle to body,
+    Shape (m, 2).
+    """
 
     distance: FloatArray
     axis: FloatArray
@@ -118,7 +123,7 @@ class _BodyEdges(NamedTuple):
 def _along_likely_normals(
     before: _Along, at: _Corners, edges: _BodyEdges, pieces: ConvexPieces
 ) -> tuple[_Along, FloatArray]:
-    """Return the better of `before` and the likely edges, and an upper bound of all skipped edges, Shape (m,)."""
+    """Return the best of `before` and the likely normals, and an upper bound of all other gaps, Shape (m,)."""
     corners, pair = _Corners(pieces.x, pieces.y), np.arange(pieces.x.shape[1])
     near = _picked(at, np.argmin(before.x * at.x + before.y * at.y, axis=0))
     far = _picked(corners, np.argmax(before.x * corners.x + before.y * corners.y, axis=0))
@@ -136,7 +141,7 @@ def _along_likely_normals(
 
 
 def _repeated(corners: _Corners) -> BoolArray:
-    """Return which vertices are repeated by padding and must not displace others, Shape (k, m)."""
+    """Return a mask of vertices repeated by padding, Shape (k, m); they must not displace others in a selection."""
     same: BoolArray = (corners.x == np.roll(corners.x, 1, axis=0)) & (corners.y == np.roll(corners.y, 1, axis=0))
     return same
 
@@ -153,7 +158,7 @@ def _turned(vectors: FloatArray, turn: tuple[FloatArray, FloatArray]) -> tuple[F
 
 
 def _largest(values: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the rows of the `_LIKELY` largest values of every column, and the largest other value, Shape (m,)."""
+    """Return the rows of the `_LIKELY` largest values per column, and the largest of the other values, Shape (m,)."""
     order = np.argpartition(values, -_LIKELY - 1, axis=0)
     return order[-_LIKELY:], np.take_along_axis(values, order[-_LIKELY - 1 : -_LIKELY], axis=0)[0]
 
@@ -164,14 +169,14 @@ def _picked(points: _Corners, row: IntArray) -> _Corners:
 
 
 class _Corners(NamedTuple):
-    """World coordinates of the body's vertices, Shape (v, m) [m]."""
+    """World coordinates of vertices, Shape (v, m) [m]."""
 
     x: FloatArray
     y: FloatArray
 
 
 class _Along(NamedTuple):
-    """Distance and axis components, Shape (m,)."""
+    """Gap along an axis, and the components of the axis, Shape (m,)."""
 
     distance: FloatArray
     x: FloatArray
@@ -206,7 +211,7 @@ def _along_body_normals(
 def _along_nearest_vertices(
     at: _Corners, pieces: ConvexPieces, mine: _Corners | None = None, theirs: _Corners | None = None
 ) -> _Along:
-    """Evaluate the direction between the nearest vertices of all, or of `mine` and `theirs`."""
+    """Return the gap along the line through the nearest two vertices, of all or only of `mine` and `theirs`."""
     first, second = mine or at, theirs or _Corners(pieces.x, pieces.y)
     shape = (first.x.shape[0] * second.x.shape[0], first.x.shape[1])
     dx = (first.x[:, None] - second.x).reshape(shape)  # (v k, m)

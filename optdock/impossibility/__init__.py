@@ -1,7 +1,7 @@
-"""Proofs that no motion exists, their searches, and the checker, which is independent of the searches.
+"""Proofs that no motion exists, the searches for such proofs, and a checker that is independent of the searches.
 
 - `blocked_straight`: every motion ends with a straight line into the dock, and that line is blocked.
-- `proof`: blocked cells that separate start from goal prove that no motion exists, and the checker.
+- `proof`: the proof by blocked cells that separate start from goal, and its checker.
 - `cell_decomposition`: the search for such cells, with `footprint_discs` and `connectivity_graph`.
 """
 
@@ -43,7 +43,7 @@ NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight
 
 
 def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; all its data are computed again.
+    """Check a proof from any source against `problem`; every claim of the proof is computed again.
 
     Args:
         proof: Proof to be checked.
@@ -60,6 +60,6 @@ def impossibility_from_dict(values: Mapping[str, object]) -> NoMotionProof:
     """Read a proof of either kind from the result of its `as_dict`.
 
     Raises:
-        InvalidFile: If something is missing, or of another kind.
+        InvalidFile: If an entry is missing or has the wrong type.
     """
     return BlockedStraight.from_dict(values) if "straight" in values else ImpossibilityProof.from_dict(values)

@@ -1,12 +1,13 @@
-"""Proof that no motion exists because the straight before the dock, with which every certified path ends, is blocked.
+"""Proof that no motion exists because the final straight, with which every certified path ends, is blocked.
 
 **Theorem.** Let `check_blocked_straight(proof, problem)` be proven. Then no path to the dock is certified for the
-problem: a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear that the
-dock allows (`path_rules`). Up to the tolerance of the certificate a path therefore has every pose on one of these
-straights, and for each of them the proof names a pose that overlaps an obstacle, or is closer to it, by more than the
-tolerance, than the least clearance that any certificate requires there (`least_required`).
+problem, because a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear
+that the dock allows (`path_rules`). A certified path therefore passes every pose on one of these straights, up to the
+tolerance of the certificate. For each straight the proof names a pose that violates the certificate: the footprint
+overlaps an obstacle, or its clearance is below the least clearance that any certificate requires there
+(`least_required`), by more than the tolerance.
 
-The checker measures the poses again, by distances of shapely.
+The checker measures the clearances of these poses again, with shapely.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class BlockedPose:
 
 @dataclass(frozen=True)
 class BlockedStraight:
-    """A blocked pose on each straight by which the dock may be entered.
+    """A blocked pose on each straight along which the dock may be entered.
 
     Args:
         poses: One pose for every gear that the dock allows.
@@ -105,7 +106,7 @@ class BlockedStraight:
 
     @property
     def bottleneck(self) -> None:
-        """None: the proof gives blocked poses instead of a bottleneck."""
+        """Always None, because the proof gives blocked poses instead of a bottleneck."""
         return
 
     def as_dict(self) -> dict[str, object]:
@@ -117,7 +118,7 @@ class BlockedStraight:
         """Read the result of `as_dict`.
 
         Raises:
-            InvalidFile: If something is missing, or of another kind.
+            InvalidFile: If an entry is missing or has the wrong type.
         """
         try:
             document = _Document.model_validate(values)
@@ -134,9 +135,9 @@ class _Document(BaseModel):
 
 
 def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
-    """Return the proof that the final straight is blocked in every gear that the dock allows; None if it is not.
+    """Return the proof that the final straight is blocked in every gear that the dock allows, or None.
 
-    Poses one centimetre apart are measured, in about a millisecond.
+    The clearances of poses one centimetre apart are measured, which takes about a millisecond.
     """
     straight, slack = problem.dock.final_straight, _slack(problem)
     if straight <= 0.0 or len(problem.all_obstacles) == 0:
@@ -158,14 +159,14 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
 
 
 def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; all distances are measured again.
+    """Check a proof from any source against `problem`; all distances are measured again.
 
     Args:
         proof: Proof to be checked.
         problem: The planning problem.
 
     Returns:
-        The verdict; its `cells` are the checked poses.
+        The verdict, in which `cells` is the number of checked poses.
     """
     import shapely
 
@@ -195,7 +196,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
 
 
 def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return poses at distances before the dock, Shape (n,) [m] to (n, 3)."""
+    """Return the poses at the distances `before` the dock, Shape (n,) [m]. Shape (n, 3)."""
     goal, back = problem.goal, -gear * before
     x, y = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
     poses: FloatArray = np.column_stack((x, y, np.full(before.size, goal.yaw)))
@@ -203,5 +204,5 @@ def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray
 
 
 def _slack(problem: DockingProblem) -> float:
-    """Return the largest distance [m] of a point of the robot from its place on the exact straight."""
+    """Return the largest accepted deviation [m] of a point of the robot from its place on the exact straight."""
     return STRAIGHT_TOLERANCE * (1.0 + problem.robot.footprint.circumscribed_radius) + SLACK

@@ -4,12 +4,12 @@
 found, or the time has run out:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
-2. Each cell of an examined tile is blocked, appears open, or is neither, which is called narrow. Connected cells of one
-   kind are one node of a graph.
-3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These are split.
+2. Each cell of an examined tile is blocked, appears open, or is narrow, which means neither of the two. Connected cells
+   of one kind are one node of a graph.
+3. The cheapest route through the graph passes the fewest narrow and unexamined tiles. These tiles are split.
 
-A tile takes a few milliseconds: its cells share one lattice of distances from the obstacles, which every disc of the
-body reads at every heading, shifted by whole nodes.
+The examination of a tile takes a few milliseconds because its cells share one lattice of distances from the obstacles.
+For every disc of the body and every heading, distances are read from this lattice, shifted by a whole number of nodes.
 """
 
 from __future__ import annotations
@@ -78,11 +78,11 @@ def prove_impossible(
 
     Args:
         problem: The planning problem.
-        time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+        time_budget: Wall-clock time [s]; the call returns at most a few milliseconds later.
         cancel_checker: Polled every few milliseconds; True ends the search.
 
     Returns:
-        The proof; or None: there may be a motion, or the time was too short. `check_impossibility` checks the proof.
+        The proof, or None if a motion may exist or the time was too short. `check_impossibility` checks the proof.
     """
     return ImpossibilitySearch(problem).proof(time_budget, cancel_checker)
 
@@ -90,8 +90,8 @@ def prove_impossible(
 class ImpossibilitySearch:
     """A search for a proof that can be continued after an interruption.
 
-    The first search is for the largest disc within the robot. A gap too narrow for the disc is too narrow for the robot
-    at any heading, and without headings there are a hundred times fewer cells.
+    The first search replaces the robot by the largest disc within it. A gap too narrow for the disc is too narrow for
+    the robot at any heading, and without headings there are a hundred times fewer cells.
 
     Args:
         problem: The planning problem.
@@ -114,12 +114,12 @@ class ImpossibilitySearch:
         """Continue the search.
 
         Args:
-            time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+            time_budget: Wall-clock time [s]; the call returns at most a few milliseconds later.
             cancel_checker: Polled every few milliseconds; True interrupts the search.
             only_disc: Stop if there is no proof with the largest disc alone.
 
         Returns:
-            The proof, with the bottleneck as accurate as the time allows; None if no proof was found, or not yet.
+            The proof, with a bottleneck as accurate as the time allows; None if no proof has been found so far.
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
@@ -154,8 +154,8 @@ class _Obstacles:
     def distances(self, corner: FloatArray, step: float, count: int) -> NDArray[np.float32]:
         """Return upper bounds of the distances of lattice nodes from the obstacles, Shape (count, count) [m].
 
-        Rows run along y. The distance of a node is measured to an obstacle point next to the nearest lattice node at an
-        obstacle; obstacles beyond the last node are ignored.
+        Rows run along y. The distance of a node is measured to an obstacle point, namely the point next to the closest
+        node at an obstacle. Obstacles outside the lattice are ignored.
         """
         from scipy import ndimage
 
@@ -180,7 +180,7 @@ class _Obstacles:
         return single
 
     def _inside(self, corner: FloatArray, step: float, count: int) -> BoolArray:
-        """Return which nodes lie in an obstacle, from the interval of nodes of every piece and row."""
+        """Return a mask of the nodes inside obstacles, from the interval of nodes that a piece covers in a row."""
         low, high = (self.lower - corner) / step, (self.upper - corner) / step
         met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
         first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
@@ -221,7 +221,7 @@ class _Obstacles:
 
 
 class _Search:
-    """The tiles so far, and the graph of their cells that may be free."""
+    """Search for one body: the present tiles, and the graph of their cells that may be free."""
 
     def __init__(self, problem: DockingProblem, body: DiscCover, deadline: Deadline) -> None:
         self.problem, self.body, self.deadline = problem, body, deadline
@@ -234,7 +234,7 @@ class _Search:
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
     def _grid(self) -> CellGrid:
-        """Return tiles that cover both ends, and the obstacles near enough to matter."""
+        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -272,7 +272,10 @@ class _Search:
         return bool(set.intersection(*found) - {0})
 
     def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
-        """Split the narrow tiles on the cheapest route until no route is left, or an open one; may be continued."""
+        """Split the narrow tiles on the cheapest route until no route is left or a route is open.
+
+        After an interruption another call continues the search.
+        """
         self.deadline = deadline
         while True:
             self.deadline.look()
@@ -289,7 +292,7 @@ class _Search:
         return proof
 
     def _split(self, graph: ConnectivityGraph, keys: set[int]) -> bool:
-        """Examine tiles, or their quarters, if they can be split; return whether any tile could be split."""
+        """Refine tiles that are not yet finest, by examination or splitting; return whether there are any."""
         keys = {key for key in keys if graph.tiles[key].level < FINEST}
         new: list[Tile] = []
         for key in sorted(keys):
@@ -303,7 +306,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """Return the proof once no route is left: around the goal, or around the start if the goal is not enclosed."""
+        """Return the proof when no route is left: cells around the goal, or the start if the goal is not enclosed."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)
@@ -332,7 +335,7 @@ class _Search:
         )
 
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
-        """Yield the narrowest place of the widest route of a disc, in cells that are refined until it is known."""
+        """Yield the narrowest place of the widest route of a disc, from cells refined until the place is accurate."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
         graph.add([self.graph.tiles[key] for key in self.graph.present()])
         with contextlib.suppress(OutOfTime):
@@ -353,7 +356,7 @@ class _Search:
                 yield bottleneck
 
     def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """Return the bottleneck at a place of the disc, with the best heading of the body; None within an obstacle."""
+        """Return the bottleneck at a place of the disc, with the best heading of the body; None inside an obstacle."""
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
@@ -367,7 +370,7 @@ class _Search:
         return self._bottleneck((x, y, yaw), most, half)
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
-        """Yield the narrowest place of the widest route, by margins at the centres of ever finer cells."""
+        """Yield the narrowest place of the widest route, from margins at the centres of successively finer cells."""
         present, half = set(self.graph.present()), self.grid.cell
         tiles = [  # the examined ones of level 0, and all that were not examined
             tile
@@ -396,7 +399,7 @@ class _Search:
             low, high = low - half, high + half
 
     def _widest(self, tiles: list[Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
-        """Bracket and bisect the margin: return one with a route and one without [m]."""
+        """Bracket and bisect the margin; return a margin with a route and a larger margin without a route [m]."""
         step = high - low
         while self._by_margin(tiles, high, high).route():
             low, high = high, high + step
@@ -414,7 +417,7 @@ class _Search:
         return graph
 
     def _seen(self, level: int, column: int, row: int) -> Tile:
-        """Examine a tile if it was not examined yet."""
+        """Return a tile after its examination; each tile is examined only once."""
         self.deadline.look()
         known = self.known.get((level, column, row))
         if known is not None:
@@ -466,7 +469,7 @@ class _Search:
         return least_required(self.problem, *at, reach, self.start_clearance)
 
     def _at_node(self, graph: ConnectivityGraph, node: int) -> Bottleneck:
-        """Return the bottleneck at the widest cell of a node."""
+        """Return the bottleneck at the cell of a node that has the largest margin."""
         key = graph.tile_of[node]
         tile = graph.tiles[key]
         assert tile.margin is not None
@@ -479,7 +482,7 @@ class _Search:
         return self._bottleneck(at, most, half)
 
     def _bottleneck(self, at: tuple[float, float, float], most: float, half: float) -> Bottleneck:
-        """Return the bottleneck at a pose of the centre at which the discs have the distance `most` from obstacles."""
+        """Return the bottleneck at a pose of the centre where the discs are at least `most` [m] away from obstacles."""
         (x, y, yaw), (x0, y0), (mx, my) = at, self.grid.origin, self.body.centre
         c, s = math.cos(yaw), math.sin(yaw)
         pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
@@ -490,7 +493,7 @@ class _Search:
     def _best_near(
         self, pose: FloatArray, reach: FloatArray, body: DiscCover
     ) -> tuple[tuple[float, float, float], float]:
-        """Return the pose near `pose` at which the discs are farthest from obstacles, and their least distance.
+        """Return the pose near `pose` at which the discs are farthest from obstacles, and their smallest distance.
 
         `reach`: largest differences from `pose` in x [m], y [m] and yaw [rad], Shape (3,).
         """
@@ -517,7 +520,7 @@ class _Search:
         return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
-        """Return the names of the obstacle nearest to the robot at a pose and of the nearest one on the other side."""
+        """Return the names of the nearest obstacle to the robot at a pose and of the nearest on the other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])
@@ -538,5 +541,5 @@ class _Search:
 
 
 def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
-    """Return the position of a point of the robot at a pose relative to an origin, and the heading. Shape (3,)."""
+    """Return the position of a point of the robot relative to an origin, and the heading, for a pose. Shape (3,)."""
     return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)

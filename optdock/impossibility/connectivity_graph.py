@@ -1,4 +1,4 @@
-"""Connectivity graph of a cell decomposition: its nodes are connected cells of one kind in one tile.
+"""Connectivity graph of a cell decomposition: each node is a set of connected cells of one kind in one tile.
 
 Cells lie in tiles of a quadtree of the plane, with all headings ([Brooks1985], [Zhang2008]). A tile that was not
 examined is one cell.
@@ -62,7 +62,7 @@ class CellGrid(NamedTuple):
         return 2.0 * CELLS * self.half(level)
 
     def count(self, level: int) -> int:
-        """Return the number of headings."""
+        """Return the number of headings at a level."""
         return self.headings << level
 
 
@@ -90,7 +90,10 @@ _NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def by_certainty(grid: CellGrid) -> Kinds:
-    """Return the cells that appear open, and the other cells that are not blocked. Unexamined tiles are narrow."""
+    """Return a function that selects the open and the narrow cells of a tile; unexamined tiles are narrow.
+
+    Cells whose margin exceeds half a cell appear open. All other cells that are not blocked are narrow.
+    """
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.blocked is None or tile.margin is None:
@@ -102,7 +105,7 @@ def by_certainty(grid: CellGrid) -> Kinds:
 
 
 def by_margin(low: float, high: float) -> Kinds:
-    """Return the kinds of cells: those with a margin of at least `high`, and others with at least `low`."""
+    """Return a function that selects the cells with margins of at least `high`, and from `low` to below `high`."""
 
     def kinds(tile: Tile) -> tuple[BoolArray, BoolArray]:
         if tile.margin is None:
@@ -116,7 +119,7 @@ OUTSIDE, START, GOAL = range(3)  # nodes
 
 
 class ConnectivityGraph:
-    """Graph of adjacent tiles; `kinds` returns the open and the narrow cells of a tile, the others are left out.
+    """Graph of the open and narrow cells of adjacent tiles, as selected by `kinds`; other cells are left out.
 
     `ends`: poses of the centre at start and goal.
     """
@@ -130,7 +133,7 @@ class ConnectivityGraph:
         self.joints: dict[tuple[int, int], IntArray] = {}
 
     def add(self, tiles: Iterable[Tile]) -> None:
-        """Add tiles to the plane in place of removed ones, and join them to their neighbours."""
+        """Add tiles to the plane in place of removed tiles, and join them to their neighbours."""
         first = len(self.tiles)
         for tile in tiles:
             self._label(tile)
@@ -142,11 +145,11 @@ class ConnectivityGraph:
             self._join(key, 1, -1, rows.stop, columns)
 
     def remove(self, keys: set[int]) -> None:
-        """Remove tiles; others must be added in their place."""
+        """Remove tiles; the caller must add other tiles in their place."""
         self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
 
     def present(self) -> list[int]:
-        """Return the keys of the tiles that are present."""
+        """Return the keys of the tiles that have not been removed."""
         return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
 
     def _label(self, tile: Tile) -> None:
@@ -174,7 +177,7 @@ class ConnectivityGraph:
         self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
 
     def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
-        """Join a tile over its lower (0) or upper (-1) side along an axis."""
+        """Join a tile to its neighbours across its lower (0) or upper (-1) side along an axis."""
         if not 0 <= beyond < len(self.tile_at):
             nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
             nodes = nodes[nodes >= 0]
@@ -188,7 +191,7 @@ class ConnectivityGraph:
                 self.joints[pair] = self._met_over(key, other, axis, edge)
 
     def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
-        """Return pairs of nodes that share a face on a side of a tile, Shape (n, 2)."""
+        """Return the pairs of nodes of two tiles that share a face across a side of the first tile, Shape (n, 2)."""
         if self.labels[key].size == self.labels[other].size == 1:
             met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
             return met if met.min() >= 0 else _NONE
@@ -231,7 +234,7 @@ class ConnectivityGraph:
         return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
 
     def _matrix(self) -> csr_matrix:
-        """Return the adjacency matrix with the cost of the node that is entered."""
+        """Return the adjacency matrix; each edge has the cost of the node to which it leads."""
         from scipy import sparse
 
         joints, cost = self._all_joints(), np.array(self.cost)
@@ -251,7 +254,7 @@ class ConnectivityGraph:
         return route
 
     def reached(self, node: int) -> BoolArray:
-        """Return which nodes are connected to a node."""
+        """Return a mask of the nodes that are connected to a node."""
         from scipy.sparse import csgraph
 
         component = csgraph.connected_components(self._matrix(), directed=False)[1]
@@ -260,7 +263,7 @@ class ConnectivityGraph:
 
 
 class PlaceGraph(ConnectivityGraph):
-    """Graph with a node per place of a cell, whose cost is a lower bound of the clearance that a disc lacks there.
+    """Graph with a node per position cell, whose cost is a lower bound of the clearance that a disc lacks there.
 
     Costs are negative if the disc fits. Unexamined tiles have the lowest cost.
     """
@@ -298,9 +301,10 @@ class PlaceGraph(ConnectivityGraph):
 
 @functools.lru_cache(maxsize=4096)
 def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
-    """Return flat indices of cells of two tiles that share a face across an axis (0: x), Shape (n,) each.
+    """Return the flat indices of the cells of two tiles that share a face along an axis (0: x), Shape (n,) each.
 
-    `sides`: per tile level, column, row, cells along a side, headings, and the side: 0 the lower, -1 the upper.
+    `sides`: for each tile its level, column, row, number of cells along a side, number of headings, and the shared side
+    (0 for the lower, -1 for the upper one).
     """
     finest = max(side[0] for side in sides)
     size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
@@ -318,7 +322,10 @@ def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, In
 
 
 def _met_within(labels: IntArray, kinds: int) -> IntArray:
-    """Return adjacent nodes of one tile, Shape (n, 2); nodes of one kind are adjacent only over the full turn."""
+    """Return pairs of adjacent nodes of one tile, Shape (n, 2).
+
+    Two nodes of one kind are adjacent only where the heading wraps around.
+    """
     most = int(labels.max()) + 1
     found = [_pairs(labels[0], labels[-1], most)]
     if kinds > 1:
@@ -331,7 +338,7 @@ def _met_within(labels: IntArray, kinds: int) -> IntArray:
 
 
 def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
-    """Return different pairs of nodes below `most` at the same places of two arrays, Shape (n, 2)."""
+    """Return the distinct pairs of different nodes, all below `most`, at equal places of two arrays, Shape (n, 2)."""
     met = (first >= 0) & (second >= 0) & (first != second)
     codes = first[met] * most + second[met]
     changes = np.ones(codes.size, dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Approximation of a footprint by few discs within it: an obstacle that overlaps a disc overlaps the footprint."""
+"""Approximation of a footprint by a few discs within it: an obstacle that overlaps a disc overlaps the footprint."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROWS = 8192  # pairs of a point and an edge per step, half a millisecond
 
 
 class DiscCover(NamedTuple):
-    """Discs within a footprint: centre (2,) in its frame, discs (n, 3), reach from the centre [m]."""
+    """Discs within a footprint: a centre (2,), discs (n, 3) around it, and the extent of the body from it [m]."""
 
     centre: FloatArray
     discs: FloatArray
@@ -33,7 +33,7 @@ class DiscCover(NamedTuple):
 
     @property
     def largest_disc(self) -> DiscCover:
-        """The largest of the discs alone, which does not depend on the heading."""
+        """Cover by the largest disc alone, which does not depend on the heading."""
         x, y, radius = self.discs[0].tolist()
         return DiscCover(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
 
@@ -45,14 +45,15 @@ class DiscCover(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
-    """Return the cached list of a footprint's discs; empty until they are computed."""
+    """Return the cached list that holds the discs of a footprint; it is empty until they are computed."""
     return []
 
 
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     """Return the discs of a footprint, computed once.
 
-    `look` is called every few milliseconds; its exceptions are passed on, and no result is cached then.
+    `look` is called every few milliseconds. If it raises an exception, the exception is passed on and no result is
+    cached.
     """
     kept = _bodies(footprint)
     if not kept:
@@ -66,7 +67,7 @@ def prepare_footprint(footprint: Footprint) -> None:
 
 
 def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
-    """Return few discs that fill a footprint up to `_FIT`, chosen greedily by the outline that they cover."""
+    """Return a few discs that fill a footprint up to `_FIT`, chosen greedily by the part of the outline they cover."""
     outline = footprint.vertices
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     outline = outline - centre
@@ -106,7 +107,7 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
 
 
 def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
-    """Return columns that together are true in every row, chosen greedily by the number of new rows."""
+    """Return columns such that one of them is true in every row, chosen greedily by the number of new rows."""
     chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
     while True:
         newly = np.flatnonzero(left & covers[:, chosen[-1]])

@@ -5,24 +5,26 @@ goal keeps the clearance that the problem requires, along any path of any curvat
 turning in place. The converse does not hold: without a proof a motion may or may not exist.
 
 *Cells.* The poses are divided into closed cells, [x +- h] x [y +- h] x [yaw +- a], where x and y are the position of
-one point of the robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has
-an obstacle nearer than r + c - e at the middle of the cell. Here e = sqrt(2) h + 2 |p| sin(a / 2) is the largest motion
-of the disc's centre within the cell, and c is the least clearance required of any pose in it. Therefore, at every pose
-in the cell, an obstacle is nearer to the footprint than required, or inside it if no clearance is required.
+one point of the robot, `centre`. A cell is blocked if, with the robot at the middle of the cell, an obstacle is nearer
+than r + c - e to the middle of some disc of the robot. Here r is the radius of the disc, p its position relative to
+`centre`, e = sqrt(2) h + 2 |p| sin(a / 2) the largest motion of its middle within the cell, and c the least clearance
+required of any pose in the cell. Therefore, at every pose in the cell, an obstacle is nearer to the footprint than
+required, or inside it if no clearance is required.
 
-*The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with a cell of the set and is not in
-the set is blocked; every cell at the inner end, the goal or the start, that is not in the set is also blocked; and no
-cell at the other end is in the set. Suppose that a motion keeps the clearance. No cell that holds any of its poses is
-blocked, so it begins in the set and ends outside. At the border of the set the motion has a pose that is both in a cell
-of the set and in a cell outside. The cells around that pose are joined by faces, so one of them that is in the set
-shares a face with one that is not. The latter cell is blocked, which is a contradiction. Cells may be of different
-sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading, each level with cells half as large.
+*The rim.* The proof names a set of cells, `inside`. The set lies around the inner end of the motion, which is the goal
+or the start. Every cell outside the set is blocked if it shares a face with a cell of the set or contains the inner
+end, and no cell of the set contains the other end. Suppose that a motion keeps the clearance. No cell that contains a
+pose of this motion is blocked, so one end of the motion is in the set and the other is outside. At the border of the
+set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that pose are joined
+by faces, so one of these cells that is in the set shares a face with another that is not. The cell outside the set is
+blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the plane hold 16 x 16 cells for
+every heading, and the cells of each level are half as large as the cells of the previous level.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only with a margin of ten micrometres (`SLACK`), which also covers
 rounding. Near the start the weakest clearance rule that a certificate may apply is used.
 
-The checker examines the rim again, by exact distances.
+The checker examines the rim again, with exact distances.
 """
 
 from __future__ import annotations
@@ -99,7 +101,7 @@ class Bottleneck:
 
     @property
     def body_fits(self) -> bool:
-        """Whether the body fits, up to a millimetre, but not the body with the required clearance."""
+        """Whether the body alone fits, up to a millimetre, but does not fit with the required clearance."""
         return self.missing_without_clearance <= 0.001 < self.missing_width
 
     def __str__(self) -> str:
@@ -117,7 +119,7 @@ class Bottleneck:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpossibilityProof(FrozenArrays):
-    """Cells around one end of a problem whose rim is blocked, and the bottleneck of the widest way out.
+    """Set of cells around start or goal whose rim is blocked, and the bottleneck of the widest way out.
 
     Args:
         end: The end that the cells surround, `goal` or `start`.
@@ -127,7 +129,7 @@ class ImpossibilityProof(FrozenArrays):
         centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
         tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
-        inside: Cells of each tile that are in the set, Shape (headings, rows, columns).
+        inside: For each tile, the mask of its cells that are in the set, Shape (headings, rows, columns).
         whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
         bottleneck: The bottleneck; None if an end itself is blocked, or the time ran out.
         problem: Digests of the problem.
@@ -165,7 +167,7 @@ class ImpossibilityProof(FrozenArrays):
         return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
 
     def squares(self) -> list[FloatArray]:
-        """Return the positions of the centre with a cell in the set, as corners of squares, Shape (4, 2) each [m]."""
+        """Return the positions that are in the set at some heading, as squares, Shape (4, 2) each [m]."""
         found = []
         corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
         for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):
@@ -177,7 +179,7 @@ class ImpossibilityProof(FrozenArrays):
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """Return plain values for a plan file; the cells are bits, compressed by zlib, in base 64."""
+        """Return plain values for a plan file; the cells are bits, compressed by zlib and encoded in base 64."""
         bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
         return {
             "end": self.end,
@@ -198,7 +200,7 @@ class ImpossibilityProof(FrozenArrays):
         """Read the result of `as_dict`.
 
         Raises:
-            InvalidFile: If something is missing, or of another kind.
+            InvalidFile: If an entry is missing or has the wrong type.
         """
         try:
             return cls._read(_ProofDocument.model_validate(values))
@@ -279,10 +281,10 @@ def least_required(
 
 
 class ImpossibilityVerdict(NamedTuple):
-    """Verdict on a proof; true if it holds.
+    """Verdict on a proof; its truth value is `proven`.
 
-    `proven`: whether the proof holds. `reason`: its fault, empty if it holds. `cells`: number of checked cells of the
-    rim.
+    `proven`: whether the proof holds. `reason`: fault of the proof, empty if it holds. `cells`: number of checked cells
+    of the rim.
     """
 
     proven: bool
@@ -294,7 +296,7 @@ class ImpossibilityVerdict(NamedTuple):
 
 
 def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
-    """Check a proof from any source for `problem`; all its data are computed again.
+    """Check a proof from any source against `problem`; every claim of the proof is computed again.
 
     Args:
         proof: Proof to be checked.
@@ -359,7 +361,7 @@ def _middle(pose: Pose2, proof: ImpossibilityProof) -> FloatArray:
 
 
 class _Rim:
-    """The cells of a proof that must be blocked, of every tile, Shape (headings, rows, columns) each."""
+    """The cells of a proof that must be blocked: one mask per tile, Shape (headings, rows, columns) each."""
 
     def __init__(self, proof: ImpossibilityProof) -> None:
         self.cell = proof.cell
@@ -373,7 +375,7 @@ class _Rim:
         self.blocked = [np.zeros(cells.shape, dtype=np.bool_) for cells in self.inside]
 
     def fault(self, inner: FloatArray, outer: FloatArray) -> str:
-        """Find the rim between the poses of both ends; return the fault of the set itself, empty if there is none."""
+        """Mark the rim of the set, given both end poses; return a fault of the set itself, or an empty string."""
         within, is_covered = self._cells_at(inner)
         for k, cells in within:
             self.blocked[k][cells] |= ~self.inside[k][cells]
@@ -409,7 +411,7 @@ class _Rim:
         return found, bool(is_in.all(axis=2).any(axis=0).all())
 
     def _is_closed_at_sides(self) -> bool:
-        """Whether a tile exists beyond every side that the set reaches; its cells outside of the set join the rim."""
+        """Whether every side that the set reaches has a neighbouring tile; its outside cells join the rim."""
         for axis in (0, 1):
             lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
             low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
@@ -428,7 +430,7 @@ class _Rim:
         return all(cells.size > 1 or not cells.any() for cells in self.blocked)
 
     def _meet(self, first: int, second: int, axis: int) -> None:
-        """Mark the rim over the upper side of the first tile along an axis, which is the lower side of the second."""
+        """Mark the rim across the common side of two tiles, which is the upper side of `first` along an axis."""
         both = (first, second)
         low, high = max(self.boxes[k, 1 - axis] for k in both), min(self.boxes[k, 3 - axis] for k in both)
         sizes = [(self.boxes[k, 2] - self.boxes[k, 0]) // self.inside[k].shape[1] for k in both]

@@ -1,8 +1,8 @@
 """The robot's camera: mount, field of view, and the part of a path on which the dock's marker must be visible.
 
 The field of view is a cone truncated by two circles. The margin of a point is a length and not an angle: the smallest
-of its signed distances to the edges of the cone and to the circles. The length is 1-Lipschitz in the position of the
-point and regular near the camera, where bearings are singular.
+of its signed distances to the edges of the cone and to the circles. This length is 1-Lipschitz in the position of the
+point, and it is regular near the camera, where bearings are singular.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Camera:
         mount: Pose of the camera in the robot frame; the optical axis is the x axis of this pose.
         field_of_view: Full angle of the cone, > 0 and <= 2 pi [rad].
         min_range: Smallest distance at which the marker is detected, >= 0 [m].
-        max_range: Largest such distance, > min_range; may be infinite [m].
+        max_range: Largest distance at which the marker is detected, > min_range; may be infinite [m].
 
     Raises:
-        InvalidValue: If a value is out of range or the mount is not a pose.
+        InvalidValue: If a value is out of range or the mount is not a `Pose2`.
     """
 
     mount: Pose2
@@ -59,11 +59,11 @@ class Camera:
 
     @property
     def sees_all_around(self) -> bool:
-        """Whether the field of view is a whole turn, so that every bearing is inside."""
+        """Whether the field of view is a whole turn, which contains every bearing."""
         return self.field_of_view >= _WHOLE_TURN
 
     def points_seen(self, poses: FloatArray, point: FloatArray) -> FloatArray:
-        """Return a world point in the camera frame, for every pose of the robot.
+        """Return the position of a world point in the camera frame, for every pose of the robot.
 
         Args:
             poses: Robot poses, Shape (n, 3).
@@ -81,8 +81,8 @@ class Camera:
     def margins(self, points: FloatArray) -> ViewMargins:
         """Compute the margins of points in the camera frame, Shape (n, 2) [m], to the boundary of the view.
 
-        With bearing b, distance r and half-angle h, the distance to the edges of the cone is r sin(min(h - b, pi / 2)):
-        the distance to the nearer edge line, or to the apex if that is nearer.
+        With bearing b, distance r and half-angle h, the distance to the edges of the cone is r sin(min(h - b, pi / 2)),
+        which is the distance to the nearer edge line, or to the apex if the apex is nearer.
         """
         bearing = np.abs(np.arctan2(points[:, 1], points[:, 0]))
         distance = np.hypot(points[:, 0], points[:, 1])
@@ -111,13 +111,13 @@ class ViewMargins(NamedTuple):
 
     @property
     def smallest(self) -> FloatArray:
-        """Signed distance to the boundary of the view, or a lower value outside. Shape (n,) [m]."""
+        """Signed distance to the boundary of the view, or a smaller value for points outside. Shape (n,) [m]."""
         smallest: FloatArray = np.minimum(self.cone, np.minimum(self.near, self.far))
         return smallest
 
 
 class ViewQuantity(NamedTuple):
-    """The worst quantity of a view, `bearing` [rad] or `distance` [m], with its value and the violated limit."""
+    """The quantity of a view that is violated most, `bearing` [rad] or `distance` [m], with its value and limit."""
 
     name: str
     unit: str
@@ -141,9 +141,9 @@ class RequiredView(NamedTuple):
 
     Attributes:
         camera: Camera of the robot.
-        marker: Shape (2,), in the world [m].
-        visible_distance: Distance of the beginning of the part from the end of the path, along the path [m].
-        blind_distance: Distance of the end of the part from the end of the path [m].
+        marker: Position of the marker in the world, Shape (2,) [m].
+        visible_distance: Distance from the beginning of the part to the end of the path, along the path [m].
+        blind_distance: Distance from the end of the part to the end of the path, along the path [m].
     """
 
     camera: Camera
@@ -154,8 +154,8 @@ class RequiredView(NamedTuple):
     def stretch(self, path: Path) -> tuple[float, float] | None:
         """Return the interval of `s` on which the marker must be visible [m], or None if it is empty.
 
-        Turns in place have no driven distance. A turn belongs to the part if less than `visible_distance` and at least
-        `blind_distance` remain to be driven after it.
+        Turns in place cover no distance. A turn belongs to the part if the distance to be driven after the turn is less
+        than `visible_distance` and at least `blind_distance`.
         """
         begin = max(0.0, place_before_end(path, self.visible_distance))
         end = place_before_end(path, self.blind_distance)
@@ -166,7 +166,7 @@ class RequiredView(NamedTuple):
         return self.camera.margins(self.camera.points_seen(poses, self.marker))
 
     def worst(self, margins: ViewMargins, at: int, required: float) -> ViewQuantity:
-        """Return the quantity that violates a required margin at row `at`, with the limit that the requirement implies.
+        """Return the quantity that violates a required margin at row `at`, with the implied limit.
 
         Args:
             margins: Margins of the poses.

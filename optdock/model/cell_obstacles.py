@@ -1,4 +1,4 @@
-"""Occupied cells as obstacles: square cells are merged into few exact rectangles."""
+"""Obstacles from occupied cells, which are merged into a small number of exact rectangles."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def obstacles_from_costmap(
     region: Region | None = None,
     border: bool = True,
 ) -> ObstacleSet:
-    """Return the occupied cells as exact, disjoint, axis-aligned rectangles, and the outside of the map.
+    """Return the occupied cells as exact, disjoint, axis-aligned rectangles, together with the outside of the map.
 
     The groups are named `map` (occupied cells), `unknown` and `map border`. The border is an obstacle by default,
-    because the outside is unknown and Nav2's collision checkers reject poses off the map. It is represented by four
-    half-planes.
+    because the outside of the map is unknown and Nav2's collision checkers reject poses off the map. Four half-planes
+    represent it.
 
     Args:
         costmap: The grid.
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles.
-        region: Lower and upper corner [m] of the region of interest; cells that do not intersect it are omitted, and
-            the run time is proportional to its size. None for the whole map.
+        region: Lower and upper corner [m] of the region of interest; cells that do not intersect the region are
+            omitted, and the run time is proportional to its size. None means the whole map.
         border: Whether the outside of the map is an obstacle.
 
     Raises:
@@ -77,20 +77,22 @@ def obstacles_from_costmap(
 
 @functools.lru_cache(maxsize=16)
 def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> ObstacleSet:
-    """Return `obstacles_from_costmap` of a whole frozen costmap; the most recent results are cached."""
+    """Return the result of `obstacles_from_costmap` for a whole frozen costmap; the latest results are cached."""
     return obstacles_from_costmap(costmap, unknown_is_obstacle=unknown_is_obstacle)
 
 
 def added_obstacles(
     costmap: Costmap, known: Costmap | None, places: FloatArray, reach: float, *, unknown_is_obstacle: bool = True
 ) -> ObstacleSet:
-    """Return cells near given points that are obstacles in a costmap but not in an earlier one, and the border.
+    """Return the cells near given points that are obstacles in a costmap but not in an earlier one, and the border.
+
+    The border is omitted if both costmaps have the same grid or if all points are at least `reach` inside the map.
 
     Args:
         costmap: The new costmap.
-        known: The earlier costmap; None, or one with another grid, means that no obstacle was known.
+        known: The earlier costmap. None, or a costmap with another grid, means that no obstacle was known.
         places: Shape (n, 2) [m].
-        reach: Cells farther than this from all places are omitted [m].
+        reach: Cells farther than this distance from all places are omitted [m].
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles in both costmaps.
     """
     lower, upper = places.min(axis=0) - reach, places.max(axis=0) + reach
@@ -124,19 +126,21 @@ def added_obstacles(
 
 
 def is_same_grid(first: Costmap, second: Costmap) -> bool:
-    """Whether two costmaps have the same cells."""
+    """Whether two costmaps have equal shapes, origins and resolutions."""
     same = first.data.shape == second.data.shape and first.origin == second.origin
     return same and first.resolution == second.resolution
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
-    """Return disjoint rectangles that cover exactly the true cells: the fewer of merged row and column runs.
+    """Return disjoint rectangles that cover exactly the true cells, from merged runs of rows or columns.
+
+    The direction of the runs that gives fewer rectangles is used.
 
     Args:
         occupied: Shape (rows, columns).
 
     Returns:
-        Shape (m, 4): first column, first row, and the column and row after the last.
+        Shape (m, 4): first column, first row, and the column and row after the last ones.
     """
     by_rows = _merged_runs(occupied)
     by_columns = _merged_runs(occupied.T)
@@ -144,7 +148,7 @@ def cell_rectangles(occupied: BoolArray) -> IntArray:
 
 
 def _merged_runs(occupied: BoolArray) -> IntArray:
-    """Return runs of true cells in rows, equal runs in consecutive rows merged to one rectangle. Shape (m, 4)."""
+    """Return rectangles of true cells: runs in rows, with equal runs in consecutive rows merged. Shape (m, 4)."""
     padded = np.zeros((occupied.shape[0], occupied.shape[1] + 2), dtype=np.bool_)
     padded[:, 1:-1] = occupied
     # The number of changes per row is even, so the flat list alternates between starts and stops of runs.
@@ -177,7 +181,7 @@ def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
 
 
 def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) -> tuple[IntArray, IntArray]:
-    """Return the first cell (i, j) of the box and the one after its last cell; an empty window off the map."""
+    """Return the first cell (i, j) of the box and the cell after its last one; off the map the window is empty."""
     size = np.array([costmap.columns, costmap.rows])
     if box is None:
         return np.zeros(2, dtype=np.int64), size
@@ -189,8 +193,9 @@ def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) ->
 def _border(costmap: Costmap) -> ObstacleSet:
     """Return four half-planes around the map that overlap beyond its corners.
 
-    Each is a rectangle whose far sides lie beyond every point that a footprint can reach at any pose. The large extent
-    does not reduce the precision: the normal of the near side is exactly an axis, so the distance is one subtraction.
+    Each half-plane is a rectangle whose far sides lie beyond every point that a footprint can reach at any pose. The
+    large extent does not reduce the precision: the normal of the near side is exactly an axis, so a single subtraction
+    gives the distance.
     """
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
     left, low = min(x0 - 1.0, -_BORDER_END), min(y0 - 1.0, -_BORDER_END)

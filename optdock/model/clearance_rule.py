@@ -1,4 +1,4 @@
-"""The required clearance as a function of the pose: taper at the dock and relief at the start."""
+"""Required clearance as a function of the pose, with a taper at the dock and a relief at the start."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class ClearanceRule:
         required: Clearance away from the goal [m].
         at_dock: Clearance at the goal [m].
         taper: Distance over which the clearance grows linearly from `at_dock` to `required` [m].
-        dock_run: Distance from the goal within which `at_dock` suffices [m]; the growth starts there. It is needed for
-            docks next to an obstacle, because a robot along a wall cannot turn away unless its tail or nose approaches
-            the wall.
-        at_start: As `at_dock`, for a start that violates `required`, such as a start in a dock. None: such a robot may
-            approach the obstacle by at most `START_SLACK` [m].
+        dock_run: Distance from the goal within which `at_dock` suffices [m]; the taper starts at this distance. A dock
+            next to an obstacle needs it, because a robot alongside a wall cannot turn away unless its tail or nose
+            approaches the wall.
+        at_start: Clearance at a start that violates `required`, such as a start in a dock [m]; it grows with distance
+            like `at_dock`. If None, such a robot may approach the obstacle by at most `START_SLACK`.
 
     Raises:
         InvalidValue: If a value is negative or not finite, or at_dock or at_start exceeds required.
@@ -53,7 +53,7 @@ class ClearanceRule:
 
     @classmethod
     def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
-        """Return the rule itself, or the rule of one number [m] that holds everywhere, also at the dock.
+        """Return a rule unchanged, or the rule that requires one number [m] everywhere, including at the dock.
 
         Raises:
             InvalidValue: If the value is neither a rule nor a finite number >= 0.
@@ -82,28 +82,28 @@ class ClearanceRule:
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose [m].
             start_relief: 0 for the strict rule; otherwise the distance from the start within which the weaker rule
-                requires little more than the clearance of the start, e.g. for a robot along a wall [m].
+                requires at most the clearance of the start, e.g. for a robot alongside a wall [m].
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
 
     def near_goal(self, from_goal: FloatArray) -> FloatArray:
-        """Return the requirement at distances from the goal, regardless of the start, Shape (n,) [m]."""
+        """Return the required clearance at distances from the goal, regardless of the start, Shape (n,) [m]."""
         return self._tapered(from_goal, self.at_dock)
 
     def near_start(self, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """Return the requirement at distances from a start that is too close, Shape (n,) [m]; see `required_at`."""
+        """Return the clearance required at distances from a start that is too close, Shape (n,) [m]."""
         leaving = self.leaving(from_start, start_clearance, start_relief)
         return np.minimum(leaving, self.undocking(from_start)) if start_relief > 0.0 else leaving
 
     @staticmethod
     def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """Return a requirement that grows from the start clearance, or beyond `start_relief` from a lower value."""
+        """Return a requirement that grows from the start clearance, or from a lower value beyond `start_relief`."""
         kept = max(0.0, start_clearance)
         least = kept if start_relief == 0.0 else _relieved(kept)
         return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
 
     def undocking(self, from_start: FloatArray) -> FloatArray:
-        """Return the requirement of `at_start` at distances from the start, Shape (n,) [m]; inf if it is None."""
+        """Return the clearance required by `at_start` at distances from the start, Shape (n,) [m]; inf if None."""
         return np.full_like(from_start, np.inf) if self.at_start is None else self._tapered(from_start, self.at_start)
 
     def _tapered(self, distance: FloatArray, least: float) -> FloatArray:
@@ -113,7 +113,7 @@ class ClearanceRule:
         return wanted
 
     def raised(self, more: float) -> ClearanceRule:
-        """Return the rule that requires `more` everywhere [m], for a robot with `raised_start`.
+        """Return the rule that requires `more` [m] of additional clearance everywhere, for use with `raised_start`.
 
         Raises:
             InvalidValue: If the requirement becomes negative.
@@ -123,7 +123,7 @@ class ClearanceRule:
 
     @staticmethod
     def raised_start(more: float, start_clearance: float, start_relief: float = 0.0) -> float:
-        """Return the start clearance for which `leaving` requires `more` than for `start_clearance` [m]."""
+        """Return the start clearance for which `leaving` requires `more` [m] in addition to `start_clearance`."""
         kept = max(0.0, start_clearance)
         if start_relief == 0.0:
             return kept + more
@@ -132,11 +132,11 @@ class ClearanceRule:
 
     @property
     def parts(self) -> tuple[float, ...]:
-        """Numbers of the digest; parameters added later are included only if set, so that older digests stay valid."""
+        """Numbers that enter the digest; parameters added later enter only if set, so older digests stay valid."""
         least = () if self.at_start is None else (self.at_start,)
         return self.required, self.at_dock, self.taper, *((self.dock_run, *least) if self.dock_run or least else ())
 
 
 def _relieved(kept: float) -> float:
-    """Return the requirement of the weaker rule near a start with this clearance [m]."""
+    """Return the clearance that the weaker rule requires near a start with the clearance `kept` [m]."""
     return max(kept - START_SLACK, 0.5 * kept)

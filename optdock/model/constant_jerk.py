@@ -1,7 +1,7 @@
 """Motion under piecewise constant jerk: states, braking, and the time law of a trajectory.
 
-This is the only implementation in the library: `constant_jerk` within a phase, `border_states` over many phases. The
-reference implementations in `experiments` deliberately evaluate it independently.
+The library has no other implementation of this motion: `constant_jerk` evaluates it within a phase, `border_states`
+over many phases. The reference implementations in `experiments` are deliberately independent.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ Number = TypeVar("Number", float, FloatArray)
 
 
 def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
-    """Return distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
+    """Return distance, speed and acceleration after a time `t` of constant jerk, for numbers or arrays of one shape.
 
     The distance is s + v t + a t^2 / 2 + j t^3 / 6; speed and acceleration are its derivatives.
 
     Args:
-        t: Time since the state [s].
-        s: Distance [m].
+        t: Time since the initial state [s].
+        s: Initial distance [m].
         v: Speed [m/s].
         a: Acceleration [m/s^2].
         jerk: Jerk [m/s^3].
@@ -66,11 +66,11 @@ def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, 
 
 
 def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
-    """Return full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
+    """Return the phases (duration [s], jerk [m/s^3]) of full braking to rest: -J to -D, hold, and +J to rest.
 
     The state must allow a stop without reversing: v >= 0, and v >= a^2 / (2 J) if a < 0. Moving the acceleration from a
-    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most the deceleration, and the remaining speed
-    is reduced at b. A deceleration beyond D is reduced first.
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); b is at most D, and the remaining speed is reduced at
+    the deceleration b. An initial deceleration beyond D is first reduced to D.
 
     Args:
         v: Speed along the travel [m/s].
@@ -103,7 +103,7 @@ def braking_time(speed: float, deceleration: float, jerk: float) -> float:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TimeLaw(FrozenArrays):
-    """Travelled distance over time, in phases of constant jerk.
+    """Travelled distance as a function of time, in phases of constant jerk.
 
     Args:
         durations: Shape (n,) [s], each > 0.
@@ -164,7 +164,7 @@ class TimeLaw(FrozenArrays):
         return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
 
     def phase_middles(self, t: FloatArray) -> FloatArray:
-        """Return the mean of the end distances of the phases at the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
+        """Return the mean of the two end distances of the phase at each time `t`, Shape (n,) [s]. Shape (n,) [m]."""
         phase = self._phases_at(t)
         middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
         return middles

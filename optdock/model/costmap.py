@@ -1,4 +1,4 @@
-"""Costmaps and occupancy grids: cells with their place in the world."""
+"""Costmaps and occupancy grids: cells with a position in the world."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _FAR = 2.0**40  # cells; index limit of points that are farther or not finite
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Costmap:
-    """Square cells with a cost each; cell (i, j) is column i (along x) and row j (along y).
+    """Grid of square cells with one cost each; cell (i, j) is in column i (along x) and row j (along y).
 
     Args:
         data: Shape (rows, columns), integers 0..255; row 0 has the lowest y. Copied and made read-only.
@@ -64,7 +64,7 @@ class Costmap:
             raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
 
     def __reduce__(self) -> tuple[Callable[..., Costmap], tuple[object, ...]]:
-        """Copy and pickle as read-only or writable, like the original."""
+        """Preserve in copies and pickles whether the grid is writable."""
         made = _writable if self._is_writable else Costmap
         return made, (self.data, self.resolution, self.origin)
 
@@ -76,7 +76,7 @@ class Costmap:
     def writable(
         cls, shape: tuple[int, int], resolution: float, origin: tuple[float, float], fill: int = FREE_SPACE
     ) -> Costmap:
-        """Return a grid that layers can write into; publish `frozen()` copies of it.
+        """Return a grid that layers can write into, to be published as `frozen()` copies.
 
         Args:
             shape: Rows and columns.
@@ -90,16 +90,16 @@ class Costmap:
         return _writable(np.full(shape, fill, dtype=np.uint8), resolution, origin)
 
     def frozen(self) -> Costmap:
-        """Return the grid itself if it is read-only, else a read-only copy."""
+        """Return the grid itself if it is read-only, otherwise a read-only copy."""
         return Costmap(self.data, self.resolution, self.origin) if self._is_writable else self
 
     @property
     def _is_writable(self) -> bool:
-        """Whether layers can write into the grid; only then the array owns its memory, regardless of its flags."""
+        """Whether layers can write into the grid; only the array of a writable grid owns its memory."""
         return self.data.flags.owndata
 
     def with_data(self, data: ArrayLike) -> Costmap:
-        """Return the same grid with other costs.
+        """Return a grid with the same geometry and other costs.
 
         Raises:
             InvalidValue: If the shape differs or the costs are not integers in 0..255.
@@ -130,7 +130,7 @@ class Costmap:
         return self.origin[0] + self.columns * self.resolution, self.origin[1] + self.rows * self.resolution
 
     def cell_of(self, points: ArrayLike) -> IntArray:
-        """Return the cells (i, j) of points: floor((point - origin) / resolution), also off the map.
+        """Return the cells (i, j) of points: floor((point - origin) / resolution), also for points off the map.
 
         Args:
             points: Shape (n, 2) [m]; points that are not finite map to cells off the map.
@@ -165,13 +165,13 @@ class Costmap:
         return costs
 
     def occupancy(self) -> OccupancyArray:
-        """Return the occupancies that Nav2 publishes for the costs, Shape (rows, columns), -1 (unknown) or 0..100."""
+        """Return the occupancies that Nav2 publishes for these costs, -1 (unknown) or 0..100, Shape (rows, columns)."""
         return occupancy_from_costs(self.data)
 
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid(FrozenArrays):
-    """Occupancies with their place in the world (ROS: `nav_msgs/OccupancyGrid`).
+    """Grid of occupancies with a position in the world (ROS: `nav_msgs/OccupancyGrid`).
 
     Args:
         data: Shape (rows, columns), -1 (unknown) or 0..100; row 0 has the lowest y. Copied and made read-only.
@@ -195,11 +195,11 @@ class OccupancyGrid(FrozenArrays):
 
     @property
     def costmap(self) -> Costmap:
-        """The costmap by the default rule: unknown cells stay unknown."""
+        """The costmap according to the default rule, by which unknown cells stay unknown."""
         return self.costmap_by(OccupancyRule())
 
     def costmap_by(self, rule: OccupancyRule) -> Costmap:
-        """Return the costmap by another rule."""
+        """Return the costmap according to `rule`."""
         return Costmap(costs_from_occupancy(self.data, rule), self.resolution, self.origin)
 
 

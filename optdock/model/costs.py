@@ -50,7 +50,7 @@ class OccupancyRule:
         track_unknown_space: Whether unknown cells stay unknown (255); otherwise they are free.
         lethal_cost_threshold: Smallest occupancy of a lethal cell, 1..100.
         trinary_costmap: Whether all values below the threshold are free; otherwise they are scaled.
-        unknown_cost_value: The occupancy that means unknown, as an unsigned byte: 255 is -1.
+        unknown_cost_value: The occupancy that means unknown, as an unsigned byte; 255 stands for -1.
         inscribed_obstacle_cost_value: The occupancy that means inscribed (253).
 
     Raises:
@@ -71,7 +71,7 @@ class OccupancyRule:
                 raise InvalidValue(f"{name}: must be in 0..255, got {getattr(self, name)}")
 
     def table(self) -> CostArray:
-        """Return the costs of the occupancies 0..100, then of -1. Shape (102,)."""
+        """Return the costs of the occupancies 0..100, followed by the cost of -1. Shape (102,)."""
         occupancy = np.append(np.arange(101), 255)
         scaled = (occupancy / self.lethal_cost_threshold * LETHAL).astype(np.int64)
         below = np.zeros_like(scaled) if self.trinary_costmap else scaled
@@ -82,7 +82,7 @@ class OccupancyRule:
 
 
 def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None) -> CostArray:
-    """Return the costs of occupancies; by default 100 is 254, 99 is 253, -1 is 255 and other values are 0.
+    """Convert occupancies to costs; by default 100 becomes 254, 99 becomes 253, -1 becomes 255, all others 0.
 
     Args:
         occupancy: Integers, -1 (unknown) or 0..100, any shape.
@@ -102,7 +102,7 @@ def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None
 
 
 def occupancy_from_costs(costs: CostArray) -> OccupancyArray:
-    """Return the occupancies that Nav2 publishes: 1..252 to 1..98, 253 to 99, 254 to 100, 255 to -1. Any shape."""
+    """Convert costs to the occupancies that Nav2 publishes: 1..252 to 1..98, 253 to 99, 254 to 100, 255 to -1."""
     scale = np.arange(256)
     table = np.where(scale == FREE_SPACE, 0, 1 + (97 * (scale - 1)) // 251)
     table[[INSCRIBED, LETHAL, NO_INFORMATION]] = (_OCCUPANCY_INSCRIBED, 100, OCCUPANCY_UNKNOWN)

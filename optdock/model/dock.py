@@ -24,7 +24,7 @@ __all__ = ["Dock", "DockDirection", "DockTolerances"]
 
 
 class DockDirection(str, Enum):
-    """Gear of the last motion into the dock."""
+    """Gear in which the robot enters the dock."""
 
     FORWARD = "forward"
     BACKWARD = "backward"
@@ -53,7 +53,7 @@ class DockTolerances:
             vars(self)[name] = positive(getattr(self, name), f"dock.tolerances.{name}")
 
     def accept(self, found: Pose2, wanted: Pose2) -> bool:
-        """Whether a robot at one pose counts as docked at another."""
+        """Whether a robot at the pose `found` counts as docked at the pose `wanted`."""
         seen = found.in_frame_of(wanted)
         return abs(seen.x) <= self.along and abs(seen.y) <= self.cross and abs(seen.yaw) <= self.yaw
 
@@ -64,23 +64,23 @@ class Dock:
 
     Args:
         pose: Pose of the docked robot.
-        footprint: Outline of the station in the frame of the docked robot, or None; it is an obstacle.
-        direction: Gear of the last motion, a `DockDirection` or its value; AUTO: the planner chooses by the side of the
-            start.
-        final_straight: Length of the straight run at the end [m].
+        footprint: Outline of the station in the frame of the docked robot, or None. The station is an obstacle.
+        direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear by
+            the side on which the start lies.
+        final_straight: Length of the straight line at the end of the path [m].
         approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
-        approach_distance: Length of the slow zone at the end of the path [m]; 0 for no zone.
+        approach_distance: Length of the speed zone at the end of the path [m]; 0 for no zone.
         tolerances: Tolerances of the docked pose.
         marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The
             orientation of the marker is not modelled.
-        visible_distance: Length of the last part of the path [m], or the whole of a shorter path, on which the marker
-            must be in the view of `Robot.camera`; 0 for no requirement.
+        visible_distance: Length of the last part of the path on which the marker must be in the view of `Robot.camera`
+            [m]. For a shorter path this is the whole path; 0 means no requirement.
         blind_distance: Length of the last part of the path on which the marker may be invisible [m].
 
     Raises:
         InvalidValue: If final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
             direction is unknown, the marker is not a pair of finite numbers, visible_distance is > 0 without a marker,
-            blind_distance is not >= 0 or, if > 0, not < visible_distance, or a part has another class.
+            blind_distance is not >= 0 or, if > 0, not < visible_distance, or an argument has the wrong class.
     """
 
     pose: Pose2
@@ -126,12 +126,12 @@ class Dock:
 
     @functools.cached_property
     def approach(self) -> SpeedZone:
-        """The slow zone at the end of the path."""
+        """The speed zone at the end of the path."""
         return SpeedZone(self.approach_speed, self.approach_distance)
 
 
 def _point(value: object, name: str) -> tuple[float, float]:
-    """Return a point (x, y) of finite numbers in the range of coordinates [m]."""
+    """Return a point (x, y) [m] after checking that both numbers are finite and in the range of coordinates."""
     if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or len(value) != 2:
         raise InvalidValue(f"{name}: must be [x, y] in m, got {value!r}")
     place = Pose2(finite_number(value[0], name), finite_number(value[1], name), 0.0)  # checks the range

@@ -1,7 +1,7 @@
 """Motion limits of the robot's drive.
 
-`LIMITS` is the single table of the bounds in `MotionLimits`: certificates, sample checks, scenario files, their
-reference and the plots use its names, units and quantities.
+`LIMITS` is the only table of the bounds in `MotionLimits`. Certificates, sample checks, scenario files, their reference
+and the plots take names, units and quantities from it.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ __all__ = [
 
 
 class LimitKind(str, Enum):
-    """Dependence of a limited quantity, which determines the certificate that proves the limit.
+    """What a limited quantity depends on; this determines the certificate that proves the limit.
 
-    Trajectory certificates prove the first two, path certificates the last.
+    Trajectory certificates prove the first two kinds, path certificates the last one.
     """
 
     TIME_LAW = "time law"
@@ -51,7 +51,7 @@ class LimitKind(str, Enum):
 
 
 class TurningMotion(Protocol):
-    """Instants of a motion along a curve, Shape (n,) each."""
+    """States of a motion along a curve at n instants, Shape (n,) each."""
 
     @property
     def v(self) -> FloatArray:
@@ -76,11 +76,12 @@ class Limit(NamedTuple):
     Attributes:
         name: Field of `MotionLimits`.
         unit: SI.
-        kind: Dependence of the quantity.
+        kind: What the quantity depends on.
         formula: The bounded quantity in terms of speed v, its derivatives a and j, curvature k and its derivative k'
             per metre, track width b and wheelbase L.
-        words: Description for references.
-        size: For `LimitKind.TURNING`: absolute value of the quantity at instants of a motion. Shape (n,).
+        words: Description for the reference documentation.
+        size: For `LimitKind.TURNING`: function that returns the absolute value of the quantity at instants of a motion,
+            Shape (n,).
         steered: Whether the limit applies only to robots with steered wheels.
         finite: Whether the limit must be finite.
     """
@@ -173,16 +174,17 @@ class MotionLimits:
         max_lateral_acceleration: speed^2 * |curvature| [m/s^2].
         max_wheel_speed: Rim speed of either wheel, |v| * (1 + track_width / 2 * |curvature|) [m/s].
         track_width: Distance between the wheels [m]; used with max_wheel_speed and for turns in place.
-        max_curvature: 1 / smallest turning radius [1/m]; reduced to the curvature of `max_steering_angle` if larger.
+        max_curvature: 1 / smallest turning radius [1/m]; reduced to the curvature at `max_steering_angle` if that is
+            smaller.
         max_curvature_rate: |d curvature / ds| [1/m^2].
         wheelbase: Distance between the axles of a robot with steered wheels [m]; required by the two limits below.
         max_steering_angle: |atan(wheelbase * curvature)| [rad].
-        max_steering_rate: Steering rate [rad/s], also at rest: the robot waits at jumps of the curvature, and at a
-            start from rest with unknown steering angle.
+        max_steering_rate: Steering rate [rad/s]. It also applies at rest: the robot waits at jumps of the curvature,
+            and at a start from rest with an unknown steering angle.
         max_lateral_jerk: |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; 0 at rest and in turns in place.
 
     Raises:
-        InvalidValue: If a bound is not > 0 or NaN, a speed, acceleration or jerk limit is infinite, a steering angle is
+        InvalidValue: If a bound is NaN or not > 0, a speed, acceleration or jerk limit is infinite, a steering angle is
             a quarter turn or more, or a steering limit is given without a wheelbase.
     """
 
@@ -218,11 +220,11 @@ class MotionLimits:
 
     @property
     def turning(self) -> TurnLimits:
-        """Limits of a turn in place, where the wheels run in opposite directions at track_width / 2 * yaw rate.
+        """Limits of a turn in place, in which the wheels run in opposite directions at track_width / 2 * yaw rate.
 
-        If the track width is known, the wheels keep max_wheel_speed and the smaller of max_acceleration and
-        max_deceleration. The yaw acceleration builds up in the same time as the linear one, max_acceleration / max_jerk
-        (or deceleration, if larger), which defines the yaw jerk.
+        If the track width is known, the wheels satisfy max_wheel_speed and the smaller of max_acceleration and
+        max_deceleration. The yaw jerk is chosen such that the yaw acceleration builds up in the same time as the linear
+        one, which is the larger of max_acceleration and max_deceleration divided by max_jerk.
         """
         lever = 0.5 * self.track_width
         rate = min(self.max_yaw_rate, self.max_wheel_speed / lever if lever > 0.0 else math.inf)
@@ -231,7 +233,7 @@ class MotionLimits:
         return TurnLimits(rate, acceleration, acceleration * self.max_jerk / stronger)
 
     def steering_angle(self, curvature: FloatArray) -> FloatArray:
-        """Return the steering angle on a path of this curvature, driven forward; negated in reverse. Shape (n,) [rad].
+        """Return the steering angle on a path of this curvature, negated if driven in reverse. Shape (n,) [rad].
 
         Bicycle model [DeLuca2001]: the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
         """
@@ -249,20 +251,23 @@ class MotionLimits:
         return turned
 
     def steering_times(self, curvatures: FloatArray) -> FloatArray:
-        """Return the times to steer between two curvatures, signed as forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
+        """Return the times to steer between pairs of curvatures, Shape (n, 2) [1/m]. Shape (n,) [s].
+
+        The curvatures have the sign for driving forward.
+        """
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
 
     def start_wait(self, path: Path) -> float:
-        """Return the wait at the start of `path` until wheels with unknown steering angle have its angle [s]."""
+        """Return the longest time to steer wheels from an unknown angle to the angle at the start of `path` [s]."""
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 
     def steering_time_to(self, curvature: float) -> float:
-        """Return the largest time to steer from an unknown angle to that of a curvature [1/m], in [s].
+        """Return the longest time to steer from an unknown angle to the angle for a curvature [1/m], in [s].
 
-        The farthest angle is `max_steering_angle` or, if unlimited, that of `max_curvature`, else a quarter turn. The
-        time is 0 if `max_steering_rate` is unlimited.
+        The farthest initial angle is `max_steering_angle`. If that is unlimited, it is the angle for `max_curvature`,
+        and a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.
         """
         if not math.isfinite(self.max_steering_rate):
             return 0.0
@@ -273,13 +278,13 @@ class MotionLimits:
 
 
 def finite_limits(limits: MotionLimits) -> dict[str, float]:
-    """Return every finite bound by its name, including fields that `LIMITS` does not list."""
+    """Return all finite bounds by name, including bounds that `LIMITS` does not list."""
     values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:
-    """Return the constraint on a field in words and whether the value satisfies it."""
+    """Return the constraint on a field in words, and whether `value` satisfies it."""
     if name in DIMENSIONS:
         return "finite and >= 0 m", math.isfinite(value) and value >= 0.0
     limit = LIMITS.get(name)
@@ -294,14 +299,14 @@ def _rule(name: str, value: float) -> tuple[str, bool]:
 
 @dataclass(frozen=True)
 class SpeedZone:
-    """A slow zone at the end of a path.
+    """A speed zone at the end of a path.
 
     Args:
         speed: Largest speed in the zone, in either gear [m/s].
         distance: Length of the zone [m]; 0 means no zone.
 
     Raises:
-        InvalidValue: If the speed is not > 0 or the distance not finite and >= 0.
+        InvalidValue: If the speed is not > 0 or the distance is not finite and >= 0.
     """
 
     speed: float = math.inf

@@ -1,7 +1,7 @@
-"""Paths: gear segments by arc length, joined at cusps.
+"""Paths: sequences of gear segments, parameterized by arc length and joined at cusps.
 
-`s` is the travelled distance, never negative, in either gear; a turn in place has a length of 1 m per rad (see
-`segments`). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory`.
+`s` is the travelled distance, which grows in either gear; a turn in place has a length of 1 m per rad (see `segments`).
+Curvature is d yaw / d s, positive if the yaw increases along the travel. A path contains no times; see `trajectory`.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class Path(FrozenArrays):
         segment_starts: Arc length at the start of each segment, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: If there is no segment, a segment has another class than the three segment classes, or the frame is
-            not a string.
+        InvalidPath: If there is no segment, a segment is not of one of the three segment classes, or the frame is not a
+            string.
     """
 
     segments: tuple[Segment, ...]
@@ -93,9 +93,9 @@ class Path(FrozenArrays):
 
     @classmethod
     def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
-        """Return a polyline path; the gear of a step is the sign of (motion . heading), a change of gear is a cusp.
+        """Return a polyline path with gears from the sign of (motion . heading) and cusps at changes of gear.
 
-        Repeated poses are dropped. A step that only turns has the gear of its predecessor.
+        Repeated poses are dropped. A step without motion of the position has the gear of the step before.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.
@@ -123,10 +123,10 @@ class Path(FrozenArrays):
         )
 
     def with_frame(self, frame: str) -> Path:
-        """Return the same path with the frame name set; an empty name has no effect.
+        """Return the same path with the name of its frame set; an empty name has no effect.
 
         Raises:
-            InvalidPath: If the path has another frame; poses are not transformed.
+            InvalidPath: If the path is in another frame, because poses are not transformed.
         """
         if frame in ("", self.frame):
             return self
@@ -141,12 +141,12 @@ class Path(FrozenArrays):
 
     @property
     def length(self) -> float:
-        """Arc length over all gears and turns, the upper end of `s` [m]."""
+        """Arc length over all gears and turns in place, which is the largest `s` [m]."""
         return float(self.segment_starts[-1])
 
     @property
     def driven(self) -> float:
-        """Driven distance [m]: the arc length without turns in place."""
+        """Driven distance: the arc length without turns in place [m]."""
         turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
         return self.length - turned
 
@@ -156,7 +156,7 @@ class Path(FrozenArrays):
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
 
     def piece(self, begin: float, end: float = math.inf) -> Path:
-        """Return the part of the path from `begin` to `end` [m], clipped to the path; its own s starts at 0.
+        """Return the part of the path from `begin` to `end` [m], clipped to the path; its `s` starts at 0.
 
         Raises:
             InvalidPath: If the part is empty; parts shorter than `SAME_POSITION` count as empty.
@@ -174,7 +174,7 @@ class Path(FrozenArrays):
         return Path(tuple(found), self.frame)
 
     def moved(self, move: Pose2) -> Path:
-        """Return the path after a rigid motion of the plane: every pose p becomes `move @ p`."""
+        """Return the path transformed by a rigid motion of the plane: every pose p becomes `move @ p`."""
         return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
     @property
@@ -184,7 +184,7 @@ class Path(FrozenArrays):
 
     @functools.cached_property
     def start(self) -> Pose2:
-        """Pose at s = 0, before a first turn in place."""
+        """Pose at s = 0; if the path begins with a turn in place, the pose before the turn."""
         return first_pose(self.segments[0])
 
     @functools.cached_property
@@ -195,7 +195,7 @@ class Path(FrozenArrays):
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of the exact curves; equal for equal paths."""
+        """Digest of the exact curves, which is equal for equal paths."""
         return digest(*(part for segment in self.segments for part in _definition(segment)))
 
     def pose_at(self, s: float) -> Pose2:
@@ -203,7 +203,7 @@ class Path(FrozenArrays):
         return Pose2.from_sequence(self.poses_at(s)[0])
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp the pose of the next gear. Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp for the next gear. Shape (n, 3)."""
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
@@ -215,7 +215,7 @@ class Path(FrozenArrays):
         return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
 
     def direction_at(self, s: ArrayLike) -> IntArray:
-        """Return 1 or -1 at `s`, and 0 in turns in place; at a cusp the value of the next gear. Shape (n,)."""
+        """Return the gear at `s`: 1, -1, or 0 in turns in place; at a cusp the next gear. Shape (n,)."""
         gears = np.array([int(segment.direction) for segment in self.segments])
         directions: IntArray = gears[_owners(self, np.atleast_1d(np.asarray(s, dtype=np.float64)))]
         return directions
@@ -233,10 +233,10 @@ class Path(FrozenArrays):
         return out
 
     def sample(self, spacing: float) -> PathSamples:
-        """Return points at most `spacing` [m] apart, with ends and cusps; a cusp appears once with each gear.
+        """Return points at most `spacing` [m] apart, including ends and cusps; a cusp appears once for each gear.
 
         Raises:
-            InvalidValue: If the spacing is not a finite number > 0 or far too small.
+            InvalidValue: If the spacing is not a finite number > 0 or is far too small.
         """
         spacing = sampling_step(spacing, self.length, "spacing")
         blocks = [_sample_segment(segment, spacing) for segment in self.segments]
@@ -247,7 +247,7 @@ class Path(FrozenArrays):
 
 
 def may_be_one_frame(first: str, second: str) -> bool:
-    """Whether two names can denote the same frame: they are equal, or one is empty (unknown)."""
+    """Whether two names can denote the same frame: either they are equal, or one is empty (unknown)."""
     return first == second or "" in (first, second)
 
 
@@ -272,7 +272,7 @@ def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
 
 
 def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
-    """Sample a polyline with turning steps by pose number, because arc length cannot distinguish their poses."""
+    """Sample a polyline by pose number, because arc length cannot distinguish poses of steps without length."""
     counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
     borders = np.arange(segment.knots.size)
     step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])
@@ -302,7 +302,7 @@ def _step_gears(poses: FloatArray) -> IntArray:
 
 
 def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of `s` between turns in place [m], in order."""
+    """Return the intervals of `s` between turns in place [m], in driving order."""
     if not path.turns:
         return ((0.0, path.length),)
     ends = itertools.pairwise(path.segment_starts.tolist())
@@ -312,7 +312,7 @@ def driven_stretches(path: Path) -> tuple[tuple[float, float], ...]:
 
 
 def place_before_end(path: Path, distance: float) -> float:
-    """Return the `s` at which `distance` [m] remain to be driven; negative if the path is shorter."""
+    """Return the `s` at which `distance` [m] remains to be driven; negative if the path is shorter."""
     s = path.length - distance
     for segment, end in (
         zip(path.segments[::-1], path.segment_starts[:0:-1].tolist(), strict=True) if path.turns else ()
@@ -323,7 +323,7 @@ def place_before_end(path: Path, distance: float) -> float:
 
 
 def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
-    """Split a path at its turns in place into paths without turns, and the turns, in order."""
+    """Split a path at its turns in place; return the paths without turns and the turns, in driving order."""
     groups = itertools.groupby(path.segments, key=lambda segment: isinstance(segment, TurnSegment))
     cut = [[*segments] if turn else [Path(tuple(segments), path.frame)] for turn, segments in groups]
     return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # by the key of the groups
@@ -332,8 +332,8 @@ def parts_between_turns(path: Path) -> tuple[Path | TurnSegment, ...]:
 def joint_curvatures(path: Path) -> FloatArray:
     """Return the curvature just before and just after every cusp, Shape (cusps, 2) [1/m].
 
-    The sign is that for driving forward, positive for a left turn of the wheels; for a curve driven in reverse the sign
-    is inverted.
+    The sign is positive if steered wheels point to the left. The curvature of a segment driven in reverse is therefore
+    negated.
     """
     ends = [
         (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in path.segments
@@ -343,5 +343,5 @@ def joint_curvatures(path: Path) -> FloatArray:
 
 
 def _owners(path: Path, s: FloatArray) -> IntArray:
-    """Return the segment of each arc length, at a cusp the next one."""
+    """Return the index of the segment at each arc length; at a cusp the index of the next segment."""
     return np.searchsorted(path.segment_starts[1:-1], s, side="right")

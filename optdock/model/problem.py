@@ -1,4 +1,4 @@
-"""The docking problem: the input of planners, smoothers and certificates as one frozen value."""
+"""The docking problem: the input of planners, smoothers and certificates as one immutable object."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ _ROUNDING = 1e-10
 
 
 class ProblemFingerprint(NamedTuple):
-    """Hexadecimal digests of the parts of a docking problem; `frame` is the name itself.
+    """Hexadecimal digests of the parts of a docking problem, and the name of its frame.
 
-    `footprint`: outline of the robot. `limits`: motion limits, drive and camera. `obstacles`: all obstacles with the
-    station. `clearance`: the rule. `dock`: pose, station, gear, straight, approach and view. `start`: pose, speed,
-    curvature and acceleration.
+    `footprint`: outline of the robot. `limits`: motion limits, drive and camera. `obstacles`: all obstacles including
+    the station. `clearance`: the clearance rule. `dock`: pose, station, gear, final straight, speed zone, tolerances
+    and view. `start`: pose, speed, curvature and acceleration.
     """
 
     footprint: str
@@ -78,23 +78,24 @@ class DockingProblem(FrozenArrays):
         obstacles: An `ObstacleSet`, or simple polygons, convex or not, Shape (n, 2) [m] each; polygon i is named
             `obstacles[i]`.
         clearance: Required clearance for every pose in the tracking tube: a `ClearanceRule`, or one number [m] that
-            holds everywhere, also at the dock.
+            applies everywhere, including at the dock.
         start_speed: Signed speed at the start, negative in reverse [m/s].
-        start_curvature: Curvature at the start along the travel [1/m], with which the path begins. None leaves it free:
-            steered wheels may then have any angle, and the motion waits for them at rest (`start_wait`).
-        start_acceleration: Derivative of the signed speed at the start [m/s^2]. It is used by the motion, not by path
-            planning. Start states within rounding of rest count as rest.
+        start_curvature: Curvature at the start of the path along the travel [1/m]. None leaves it free: steered wheels
+            may then have any angle, and the robot waits at rest until they are turned (`start_wait`).
+        start_acceleration: Derivative of the signed speed at the start [m/s^2]. Path planning does not use it. Start
+            states that differ from rest only by rounding count as rest.
         costmap: Grid of the surroundings, or None. It is read on construction; a writable grid is copied.
         frame: Name of the coordinate frame.
         unknown_is_obstacle: Whether unknown cells of the costmap are obstacles.
 
     Attributes:
-        all_obstacles: The obstacles, the cells of the costmap, and the station last.
+        all_obstacles: The obstacles, the cells of the costmap and, last, the station.
 
     Raises:
         InvalidValue: If start_speed, start_acceleration or start_curvature is not finite, a polygon is invalid (the
-            message names it), the station is farther from the docked robot than the robot length and 1 m (as in map
-            coordinates), the dock must be visible to a robot without a camera, or a part has another class.
+            message names it), the station is farther from the docked robot than both the robot length and 1 m (usually
+            because it is given in map coordinates), the dock must be visible but the robot has no camera, or an
+            argument has the wrong class.
     """
 
     start: Pose2
@@ -195,9 +196,8 @@ class DockingProblem(FrozenArrays):
 
         Args:
             occupancy: Shape (rows, columns): row 0 has the lowest y, column 0 the lowest x, as in ROS's OccupancyGrid
-                (row 0 of
-                an image is at the top: pass `image[::-1]`). The elements are booleans, True is occupied, or integers as
-                    in ROS, 0 (free) to 100 (occupied) and -1 (unknown).
+                (row 0 of an image is at the top: pass `image[::-1]`). The elements are booleans, with True for
+                occupied, or integers as in ROS: 0 (free) to 100 (occupied) and -1 (unknown).
             resolution: Side of a cell [m].
             origin: Lower left corner of the cell in row 0 and column 0, x and y [m].
             start: Start pose of the robot.
@@ -210,8 +210,8 @@ class DockingProblem(FrozenArrays):
             frame: Name of the coordinate frame.
 
         Raises:
-            InvalidValue: As for the constructor; or if the array has another type, is masked, or has no cell; or if no
-                integer exceeds 1, which indicates a mask of ones and zeros, unless `occupied_from` is 1.
+            InvalidValue: As for the constructor; also if the array has another type, is masked or has no cell, or if no
+                integer exceeds 1 although `occupied_from` does, which indicates a mask of ones and zeros.
         """
         return cls(
             start=start,
@@ -259,31 +259,31 @@ class DockingProblem(FrozenArrays):
         return abs(self.start_speed), sign * self.start_acceleration
 
     def start_wait(self, path: Path) -> float:
-        """Return the waiting time at the start of a motion along `path` until steered wheels have its angle [s].
+        """Return the waiting time at the start of a motion along `path` until steered wheels are turned [s].
 
-        0 if `start_curvature` is given; see `MotionLimits.start_wait`.
+        The time is 0 if `start_curvature` is given; see `MotionLimits.start_wait`.
         """
         return self.robot.limits.start_wait(path) if self.start_curvature is None else 0.0
 
     @functools.cached_property
     def path_clearance(self) -> ClearanceRule:
-        """Clearance rule of the path, with which every pose in the robot's tracking tube keeps `clearance`."""
+        """Clearance rule of the path, which ensures that every pose in the robot's tracking tube keeps `clearance`."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
         return dataclasses.replace(self.clearance, required=wider)
 
     def tube_widths(
         self, poses: FloatArray, start: Pose2, start_clearance: float, start_relief: float = 0.0
     ) -> FloatArray:
-        """Return the largest displacements of the footprint from poses of a path that keep `clearance`.
+        """Return the largest displacements of the footprint from poses of a path for which `clearance` is kept.
 
-        The difference between `path_clearance` and `clearance`: zero at the dock, where the robot ends in contact, and
-        near a start without additional clearance.
+        They are the differences between `path_clearance` and `clearance`, which are zero at the dock, where the robot
+        comes to rest in contact, and near a start without additional clearance.
 
         Args:
             poses: Poses of the path, Shape (n, 3).
             start: Pose at which the drive began.
             start_clearance: Clearance of that pose [m].
-            start_relief: Relief of the path certificate, see `ClearanceRule.required_at` [m].
+            start_relief: Start relief used by the path certificate [m]; see `ClearanceRule.required_at`.
 
         Returns:
             Shape (n,) [m].
@@ -298,18 +298,18 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def required_view(self) -> RequiredView | None:
-        """Marker and part of the path where it must be visible; None without such a requirement."""
+        """Marker, and the part of the path on which it must be visible; None without such a requirement."""
         dock, camera, marker = self.dock, self.robot.camera, self.dock.marker_in_world
         if dock.visible_distance == 0.0 or marker is None or camera is None:
             return None
         return RequiredView(camera, marker, dock.visible_distance, dock.blind_distance)
 
     def required_view_margin(self, from_goal: FloatArray, from_start: FloatArray, to_marker: FloatArray) -> FloatArray:
-        """Return the margin of the marker in the view with which it is visible from every pose in the tracking tube.
+        """Return the margin in the view that keeps the marker visible from every pose in the tracking tube.
 
-        A position error e and a heading error w move a point at distance r of the robot by at most e + 2 r sin(w / 2)
-        in the camera frame. The tube tapers at the dock like the clearance. From a start with less margin the
-        requirement grows with the slope of `ClearanceRule.leaving`.
+        A position error e and a heading error w move a point at distance r from the robot by at most e + 2 r sin(w / 2)
+        in the camera frame. Near the dock the tube tapers like the clearance. If the start has a smaller margin, the
+        required margin grows from that value with the slope of `ClearanceRule.leaving`.
 
         Args:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
@@ -335,11 +335,11 @@ class DockingProblem(FrozenArrays):
 
     @property
     def start_run(self) -> float:
-        """Start relief of the weaker rule [m]: twice the length of the robot.
+        """Start relief of the weaker clearance rule [m], which is twice the length of the robot.
 
-        A robot along a wall closer than required cannot gain clearance at once, because its tail swings towards the
-        wall, so over this distance little more than its start clearance is required. Over one length a robot of 0.9 m
-        cannot leave a wall at 1 cm without a cusp.
+        A robot alongside a wall that is closer than the required clearance cannot move away at once, because its tail
+        swings towards the wall. Over this distance no more than its start clearance is therefore required. With a
+        relief of one robot length, a robot of 0.9 m cannot leave a wall at 1 cm without a cusp.
         """
         footprint = self.robot.footprint
         return 2.0 * min(footprint.length, 2.0 * footprint.circumscribed_radius)
@@ -355,7 +355,7 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def fingerprint(self) -> ProblemFingerprint:
-        """Digests of the data that a certificate for this problem depends on."""
+        """Digests of the data on which a certificate for this problem depends."""
         dock, rule = self.dock, self.path_clearance
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
@@ -385,10 +385,10 @@ class DockingProblem(FrozenArrays):
 
 
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
-    """Return a signed start state without rounding errors of rest or of the end of braking.
+    """Return a signed start state without the rounding errors of rest or of the end of braking.
 
-    Such a state would reverse by an unmeasurable distance. It is replaced by rest, or by the speed that remains when
-    its acceleration is brought to zero.
+    From a state with such errors, the robot would reverse by an unmeasurable distance. The state is replaced by rest,
+    or its speed is replaced by the lowest speed from which the braking can end without reversing.
     """
     if max(abs(speed), abs(acceleration)) <= _ROUNDING:
         return 0.0, 0.0
@@ -400,7 +400,7 @@ def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[f
 
 
 def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
-    """Check that the station is within the robot's length of the docked robot; otherwise the frame is wrong."""
+    """Check that the station is close to the docked robot; otherwise its coordinates are in the wrong frame."""
     outline = robot.footprint.vertices
     length = float(_corner_distances(outline, outline).max())
     allowed = max(STATION_DISTANCE, length)

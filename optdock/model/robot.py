@@ -1,4 +1,4 @@
-"""The robot: outline, drive and limits."""
+"""The robot: footprint, drive and limits."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Drive(str, Enum):
 class TrackingTube:
     """Largest deviation of the robot from its path; a certificate holds for every pose within the tube.
 
-    A pose with a position error `cross` and a heading error `yaw` moves no point of the footprint by more than
-    cross + 2 R sin(yaw / 2) with the circumscribed radius R, and the path keeps this much more clearance. The tube
-    tapers at the dock like the clearance, because the robot comes to rest in contact. `optdock simulate` prints the
-    tube that a drive needs.
+    A position error `cross` and a heading error `yaw` move no point of the footprint by more than cross + 2 R sin(yaw /
+    2), where R is the circumscribed radius. The path keeps this distance in addition to the required clearance. Near
+    the dock the tube tapers like the clearance, because the robot comes to rest in contact. `optdock simulate` prints
+    the tube that a drive needs.
 
     Args:
         cross: Largest distance from the path [m].
@@ -56,7 +56,7 @@ class TrackingTube:
                 raise InvalidValue(f"robot.tracking.{name}: must be finite and >= 0{up_to} {unit}, got {value}")
 
     def width(self, footprint: Footprint) -> float:
-        """Return the largest displacement of a point of the footprint [m]."""
+        """Return the largest displacement of a point of the footprint within the tube [m]."""
         return float(displacement(self.cross, self.yaw, footprint.circumscribed_radius))
 
 
@@ -72,10 +72,10 @@ class Robot:
             limits.
         tracking: Largest deviation from the path.
         camera: Camera that detects the dock's marker, or None; see `Dock.visible_distance`.
-        reverse_price: Cost of a metre in reverse in addition to its time, for the comparison of plans [s/m].
+        reverse_price: Cost of a metre in reverse in addition to its duration, for the comparison of plans [s/m].
 
     Raises:
-        InvalidValue: If the drive is unknown, a part has another class, the price is negative or not finite, a
+        InvalidValue: If the drive is unknown, an argument has the wrong class, the price is negative or not finite, a
             differential drive has a steering limit, or a robot turns in place without a differential drive or without
             turn limits.
     """
@@ -121,14 +121,14 @@ class Robot:
 
 
 class RobotFingerprint(NamedTuple):
-    """Digest of the outline, and digest of limits, drive, camera and reverse price."""
+    """Digest of the footprint, and common digest of limits, drive, camera and reverse price."""
 
     footprint: str
     limits: str
 
 
 def check_price(price: float) -> float:
-    """Return the cost of a metre in reverse as a float [s/m].
+    """Return the cost of a metre in reverse as a float [s/m], after checking it.
 
     Raises:
         InvalidValue: If the price is not a finite number >= 0.
@@ -141,7 +141,7 @@ def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> 
 
     Raises:
         InvalidValue: If a differential drive has a steering limit, another drive turns in place, or the yaw rate or yaw
-            acceleration of such turns is unlimited.
+            acceleration of turns in place is unlimited.
     """
     for name, unit in STEERING_UNITS.items():
         value = getattr(limits, name)
@@ -155,10 +155,10 @@ def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> 
 
 
 def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFERENTIAL) -> Twist2:
-    """Return the command scaled down to the limits of the drive, at the same curvature.
+    """Return the command scaled down to the limits of the drive, with unchanged curvature.
 
     Speed, yaw rate, wheel speed and lateral acceleration satisfy the limits; for an Ackermann drive the curvature is
-    first limited to the largest. The lateral speed is dropped.
+    first limited to max_curvature. The lateral speed is set to zero.
     """
     v, w = command.linear, command.angular
     if drive is Drive.ACKERMANN:
@@ -175,5 +175,5 @@ def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFE
 
 
 def _share(limit: float, value: float) -> float:
-    """Return the admissible fraction of `value`, at most 1."""
+    """Return the fraction of `value` that satisfies the limit, at most 1."""
     return 1.0 if value <= limit else limit / value

@@ -1,9 +1,10 @@
-"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline), and turns in place.
+"""Gear segments: curves by arc length, exact (clothoid spline) or sampled (polyline), and turns in place.
 
 A turn in place covers no distance, so arc length cannot distinguish its poses. It therefore occupies an interval of the
-path coordinate s with the length of the arc of a point 1 m from the robot's origin, 1 m per rad. Every s then has one
-pose; a time law over s covers a turn like a curve, with yaw rate and yaw acceleration as speed and acceleration; and
-proofs, samples and files treat turns like other segments. Only driven distances must exclude turns.
+path coordinate s as long as the arc of a point 1 m from the robot's origin, which is 1 m per rad. Every s then has
+exactly one pose, and a time law over s describes a turn like a curve, with the yaw rate as speed and the yaw
+acceleration as acceleration. Proofs, samples and files treat turns like other segments. Only driven distances must
+exclude turns.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Direction(IntEnum):
 class PathSamples(NamedTuple):
     """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction.
 
-    The direction is 1 or -1, and 0 in turns in place.
+    The direction is 1 or -1, or 0 in turns in place.
     """
 
     s: FloatArray
@@ -75,7 +76,7 @@ class PathSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSegment(FrozenArrays):
-    """A gear segment that is exactly a clothoid spline, the result of the smoother."""
+    """A gear segment that is an exact clothoid spline, as returned by the smoother."""
 
     spline: ClothoidSpline
 
@@ -115,11 +116,11 @@ class ClothoidSegment(FrozenArrays):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PolylineSegment(FrozenArrays):
-    """A gear segment given by poses, the result of planners.
+    """A gear segment given by poses, as returned by planners.
 
-    Position and yaw are linear between poses. The curvature of a step is that of the circular arc with its chord and
-    its turn, so a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns
-    has no length and infinite curvature.
+    Position and yaw are linear between poses. The curvature of a step is the curvature of the circular arc with the
+    same chord and turn, of length chord * (turn / 2) / sin(turn / 2). A sampled arc therefore has its exact curvature.
+    A step that changes only the yaw has no length and infinite curvature.
 
     Args:
         poses: Shape (n, 3) [m, m, rad], n >= 2.
@@ -162,7 +163,7 @@ class PolylineSegment(FrozenArrays):
 
     @property
     def step_curvature(self) -> FloatArray:
-        """Turn over arc length of every step, Shape (n - 1,) [1/m]; infinite for steps that only turn."""
+        """Turn divided by arc length of every step, Shape (n - 1,) [1/m]; infinite for steps without length."""
         turn, arc = _step_arcs(self.poses)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
@@ -170,10 +171,11 @@ class PolylineSegment(FrozenArrays):
 
     @property
     def step_swing(self) -> FloatArray:
-        """Variation of the curvature over every step, to its mean and on to the next step, Shape (n - 1,) [1/m^2].
+        """Variation of the curvature per metre of every step, Shape (n - 1,) [1/m^2].
 
-        It is half of the changes at both ends of the step, divided by its length. For monotonic curvature this is the
-        slope of `curvature_at`; an oscillation from step to step is not visible in the means at the poses.
+        It is half the sum of the absolute changes of curvature at both ends of the step, divided by the length of the
+        step. For monotonic curvature it equals the slope of `curvature_at`. It also detects an oscillation from step to
+        step, which is not visible in the mean curvatures at the poses.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))
@@ -209,17 +211,17 @@ class PolylineSegment(FrozenArrays):
 class TurnSegment(FrozenArrays):
     """A turn in place: constant position, yaw from one heading to another.
 
-    Only for robots with `turns_in_place`. The robot rests at both ends.
+    Only robots with `turns_in_place` can drive it. The robot is at rest at both ends.
 
     Args:
         pose: Pose at the beginning.
         turn: Angle, left positive; may exceed a whole turn [rad].
 
     Attributes:
-        knots: Begin and end of the interval of s, `TURN_RADIUS` * |turn| long, Shape (2,) [m].
+        knots: Begin and end of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
 
     Raises:
-        InvalidValue: If the pose is not a pose, or the turn is 0, not finite or leads beyond 1e6 rad.
+        InvalidValue: If `pose` is not a `Pose2`, or the turn is 0, not finite, or leads beyond 1e6 rad.
     """
 
     pose: Pose2
@@ -260,7 +262,7 @@ class TurnSegment(FrozenArrays):
         return poses
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
-        """Return d yaw / ds: 1 / `TURN_RADIUS` to the left, the negative to the right. Shape (n,) [1/m]."""
+        """Return d yaw / ds: 1 / `TURN_RADIUS`, negative for turns to the right. Shape (n,) [1/m]."""
         return np.full(np.atleast_1d(np.asarray(s)).size, math.copysign(1.0 / TURN_RADIUS, self.turn))
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
@@ -273,12 +275,12 @@ Segment: TypeAlias = ClothoidSegment | PolylineSegment | TurnSegment
 
 
 def first_pose(segment: Segment) -> Pose2:
-    """Return the pose at s = 0; for a polyline with a turning first step the pose before the turn."""
+    """Return the pose at s = 0; for a polyline whose first step changes only the yaw, the pose before this step."""
     return Pose2.from_sequence(segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0])
 
 
 def piece_of(segment: Segment, begin: float, end: float) -> Segment:
-    """Return a segment from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s starts at 0."""
+    """Return the piece of a segment from `begin` to `end` [m], 0 <= begin < end <= length; its `s` starts at 0."""
     if begin <= 0.0 and end >= segment.length:
         return segment
     if isinstance(segment, ClothoidSegment):
@@ -292,7 +294,7 @@ def piece_of(segment: Segment, begin: float, end: float) -> Segment:
 
 
 def moved_segment(segment: Segment, move: Pose2) -> Segment:
-    """Return a segment after a rigid motion of the plane: every pose p becomes `move @ p`."""
+    """Return a segment transformed by a rigid motion of the plane: every pose p becomes `move @ p`."""
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return ClothoidSegment(ClothoidSpline(move @ spline.start, spline.knots, spline.curvature, spline.sign))

@@ -35,7 +35,7 @@ class TrajectoryState(NamedTuple):
 
 
 class TrajectorySamples(NamedTuple):
-    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed, negative in reverse."""
+    """Samples as columns of Shape (n,) in SI units; speed, acceleration and jerk are negative in reverse."""
 
     t: FloatArray
     s: FloatArray
@@ -69,7 +69,8 @@ class Trajectory(FrozenArrays):
         time_law: Distance over time, from 0 to the length of the path.
 
     Raises:
-        InvalidValue: If the path or the time law has another class; subclasses could override poses or distances.
+        InvalidValue: If the path or the time law has the wrong class. Subclasses are rejected because they could
+            override poses or distances.
     """
 
     path: Path
@@ -107,10 +108,10 @@ class Trajectory(FrozenArrays):
         )
 
     def sample(self, period: float) -> TrajectorySamples:
-        """Return samples at most `period` [s] apart, with start, end and the arrival at every cusp.
+        """Return samples at most `period` [s] apart, including the start, the end and the arrival at every cusp.
 
         Raises:
-            InvalidValue: If the period is not a finite number > 0 or far too small.
+            InvalidValue: If the period is not a finite number > 0 or is far too small.
         """
         period = sampling_step(period, self.duration, "period")
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
@@ -121,7 +122,7 @@ class Trajectory(FrozenArrays):
         """Return times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
 
         Raises:
-            InvalidValue: If the period is not a finite number > 0 or far too small.
+            InvalidValue: If the period is not a finite number > 0 or is far too small.
         """
         step = sampling_step(period, self.duration, "period")
         whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # rounding must not duplicate the end
@@ -131,7 +132,7 @@ class Trajectory(FrozenArrays):
 
     @property
     def cusp_times(self) -> FloatArray:
-        """Times at which the robot reaches the cusps, before any rest there; Shape (number of cusps,) [s]."""
+        """Times at which the robot arrives at the cusps, before any wait there; Shape (number of cusps,) [s]."""
         cusps, law = np.asarray(self.path.cusps), self.time_law
         borders = law.states[:, 0]
         nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)

@@ -27,8 +27,8 @@ class DockPlanner(GlobalPlanner):
     """Plan a two-segment NURBS path into a dock.
 
     The robot's footprint and the costmap come from the context, or from the problem of the context, so the planner must
-    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are not set, those
-    of the dock of the context's problem are used. A dock without an outline has length 0.
+    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are not set, outline
+    and direction of the dock in the context's problem are used. A dock without an outline has length 0.
 
     Args:
         **parameters: See `DockPlannerParameters`.
@@ -58,16 +58,16 @@ class DockPlanner(GlobalPlanner):
         """Return the raw docking path: polylines, one per gear, in the frame of `start` and `goal`.
 
         The path starts exactly at `start` and ends exactly at `goal`. With `check_free_space` both must lie on free
-        cells of the map, and the path must not cross an obstacle of the configured problem; `plan_dock` checks the
-        outline of the robot.
+        cells of the map, and the path must not cross an obstacle of the configured problem; the outline of the robot is
+        checked by `plan_dock`.
 
         Raises:
             LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
                 retry can help.
             PlannerException: If `check_free_space` is set and there is no costmap.
-            StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: if `check_free_space` is set
+            StartOutsideMapBounds: Or StartOccupied, GoalOutsideMapBounds, GoalOccupied, if `check_free_space` is set
                 and an end is not free.
-            NoValidPathCouldBeFound: If a rule of the method is broken; the message names the step and the amount.
+            NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         return self.plan(start, goal, cancel_checker).path
@@ -77,7 +77,7 @@ class DockPlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: As `create_plan`.
-            PlannerException: As `create_plan`, and all its subclasses.
+            PlannerException: As `create_plan`, including all subclasses of this error.
         """
         robot = self.context.footprint
         if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:
@@ -102,7 +102,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, like the check of the costmap."""
+    """Check that no obstacle lies on the path of the robot's origin, in analogy to the check of the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

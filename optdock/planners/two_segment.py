@@ -68,7 +68,7 @@ _CHUNK = 5_000  # samples between two calls of the cancel checker, about 2 ms
 
 
 class DockPlannerParameters(PluginParameters):
-    """Parameters of the two-segment planner; `alpha` to `resolution` are not in the source."""
+    """Parameters of the two-segment planner; `alpha` to `resolution` are not part of the original method."""
 
     cost_threshold: int = Field(200, ge=0, le=255, description="cost from which a cell blocks the curve")
     calib_safety_distance: float = Field(0.0, description="distance added to the robot's circumscribed radius [m]")
@@ -120,7 +120,7 @@ class DockGeometry(NamedTuple):
 
     @classmethod
     def from_footprints(cls, robot: Footprint, dock: Footprint | None = None) -> DockGeometry:
-        """Return the sizes of two outlines; without a dock its length is 0."""
+        """Return the sizes of two outlines; the length of the dock is 0 if `dock` is None."""
         return cls(robot.length, robot.circumscribed_radius, 0.0 if dock is None else dock.length)
 
 
@@ -165,8 +165,9 @@ class ApproachAxis(FrozenArrays):
     def point_f(self) -> FloatArray:
         """The far end of the centreline, Shape (2,) [m].
 
-        Its distance from D, which the source does not define, is the safety distance, or the distance of the start from
-        the axis if that is longer: room for a turn away from the dock up to about 0.6 safety distances off the axis.
+        Its distance from D, which the original method does not define, is the safety distance, or the distance of the
+        start from the axis if that is longer. This is enough for a turn away from the dock up to about 0.6 safety
+        distances off the axis.
         """
         return self._at(
             self.distance_min_c + (self.along - self.distance_min_c) + max(self.safety_distance, self.distance_ad)
@@ -240,7 +241,7 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
 
 
 class TwoSegmentPlan(NamedTuple):
-    """A raw docking path, its approach axis, and how segment 1 reaches the axis."""
+    """A raw docking path, its approach axis, and the joint at which segment 1 reaches the axis."""
 
     path: Path
     axis: ApproachAxis
@@ -263,8 +264,8 @@ def plan_two_segment(
 
     Raises:
         PlannerException: If `parameters.check_free_space` is set and there is no costmap.
-        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: if an end is not free.
-        NoValidPathCouldBeFound: If a rule of the method is broken; the message names the step and the amount.
+        StartOutsideMapBounds: Or StartOccupied, GoalOutsideMapBounds, GoalOccupied, if an end is not free.
+        NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
         PlannerCancelled: If `cancel_checker` returned True.
     """
     if cancel_checker():
@@ -318,8 +319,8 @@ def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, thresho
 class CurveSampler:
     """Sampling of curves through control points.
 
-    `degree`: of the NURBS. `step`: coarsest step of u. `resolution`: largest distance of neighbouring poses [m].
-    `costmap`: map on which every sample must cost less than `cost_threshold`; None: no check.
+    `degree`: degree of the NURBS. `step`: largest step of u. `resolution`: largest distance between neighbouring poses
+    [m]. `costmap`: map on which the cost of every sample must be below `cost_threshold`; None for no check.
     """
 
     degree: int
@@ -332,10 +333,10 @@ class CurveSampler:
     def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
         """Sample poses of a curve from u = 0 to 1, with yaw along the tangent, or against it in reverse. Shape (m, 3).
 
-        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source uses the mean
-        of |dC/du|, so that the spacing is up to twice too large in fast parts of the curve. As in the source the last
-        pose has the yaw of the one before it. Samples that are not finite are skipped. `control_points`: Shape (n, 2)
-        [m], n > degree, of unit weight.
+        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The original method uses
+        the mean of |dC/du| instead, so its spacing is up to twice as large in fast parts of the curve. As in the
+        original method, the last pose has the yaw of the previous pose. Samples that are not finite are skipped.
+        `control_points`: Shape (n, 2) [m], n > degree, of unit weight.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.
@@ -390,7 +391,7 @@ class CurveSampler:
 
 
 class JointKind(IntEnum):
-    """The variable `dir` of the source."""
+    """Kind of a joint, the variable `dir` of the original method."""
 
     TOWARD = 1  # turns onto the axis toward the dock, tangent at the end
     AWAY = -1  # turns onto the axis away from the dock, then changes gear
@@ -410,7 +411,7 @@ class Joint(NamedTuple):
 
 
 def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
-    """Find the joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
+    """Find the joint of segment 1; the kinds are tried in the order TOWARD, AWAY, CORNER.
 
     From a start on the axis the robot drives straight to C without a turn, even if C is too near for the sampled
     search. `start`: position A, Shape (2,). `centreline`: samples of the line from C to F, Shape (n, 2), n >= 2 [m].
@@ -445,7 +446,7 @@ def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> Fl
 def _first_wide(
     start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
 ) -> int | None:
-    """Return the first of `indices` from which the rays to start and `end` enclose at least the threshold angle."""
+    """Return the first of `indices` at which the rays to `start` and `end` enclose at least the threshold angle."""
     at = centreline[indices]
     real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
     wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
@@ -478,7 +479,7 @@ def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
 def _assembled(
     start: Pose2, goal: Pose2, parts: tuple[FloatArray, FloatArray], gears: tuple[Direction, Direction]
 ) -> Path:
-    """Join start, both segments and goal; of repeated positions only the first pose is kept, and the goal always."""
+    """Join start, both segments and goal; repeated positions are dropped, except for the goal."""
     head = _without_repeats(np.vstack((start.as_array(), parts[0])))
     tail = _without_repeats(np.vstack((head[-1], parts[1])))[1:]
     apart = np.hypot(*(tail[:, :2] - goal.as_array()[:2]).T) > _SAME_POSITION

@@ -1,7 +1,7 @@
-"""`still_holds`: whether the rest of a running plan keeps its clearance in a changed world, for use in every cycle.
+"""`still_holds` checks in every cycle whether the rest of a running plan keeps its clearance in a changed world.
 
 The proof of the plan need not be repeated. While the clearance rule is the same, only new obstacles near the rest of
-the path are examined: cells that have become blocked, and new polygons. The rule is that of the plan's certificate.
+the path are examined: cells that have become blocked, and new polygons. The rule of the plan's certificate applies.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class StillHolds:
 
     Args:
         holds: Whether the clearance is proven.
-        changed: Differences from the world of the plan's proof: of `obstacles`, `costmap`, `dock`, `clearance`,
-            `footprint`, `limits`, `frame`.
-        at_s: Place of the first conflict on the plan's path [m]; None: no conflict.
+        changed: Names of the parts that differ from the world of the plan's proof, out of `obstacles`, `costmap`,
+            `dock`, `clearance`, `footprint`, `limits`, `frame`.
+        at_s: Place of the first conflict on the plan's path [m]; None if there is no conflict.
         at_time: Time of that place on the plan's trajectory [s].
         obstacle: The obstacle that is too close; empty if the proof was not completed.
         clearance: Clearance to that obstacle [m].
         required: Required clearance there [m].
-        reason: The result in a sentence; empty if it holds.
+        reason: Explanation of the conflict in one sentence; empty if the clearance is proven.
     """
 
     holds: bool
@@ -78,17 +78,17 @@ def still_holds(
     """Check whether the rest of a running path keeps its clearance in a new world.
 
     Only clearance is proven. If `changed` contains `dock` or `limits`, the caller must check whether the plan ends at
-    the dock and whether its motion keeps the limits.
+    the dock and whether its motion satisfies the limits.
 
     Args:
         plan: The running plan.
-        world: A costmap, which replaces the plan's costmap with its border; obstacles, which replace the plan's; or a
-            whole problem, whose start is not used.
+        world: A costmap, which replaces the plan's costmap including its border; or obstacles, which replace the plan's
+            obstacles; or a whole problem, whose start is not used.
         from_time: Progress of the robot on the plan's trajectory [s].
         is_late: Polled between the rounds of the proof; parts that are still open when it returns True are not proven.
 
     Raises:
-        InvalidValue: If an argument is of another class, or of a subclass, or not finite.
+        InvalidValue: If an argument has the wrong class, which includes subclasses, or is not finite.
     """
     exactly(DockPlan, plan, "plan")
     from_time, known = finite_number(from_time, "from_time"), plan.problem
@@ -114,7 +114,7 @@ def still_holds(
 
 @dataclass(frozen=True)
 class _Change:
-    """A running plan, and the differences from the world of its proof."""
+    """A running plan, and the new world with its differences from the world of the plan's proof."""
 
     plan: DockPlan
     later: DockingProblem
@@ -196,7 +196,7 @@ def _is_another(first: Costmap | None, second: Costmap | None) -> bool:
 
 
 def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
-    """Return the pieces that are not among the known ones, by their corners."""
+    """Return the pieces that are not among the known pieces, compared by their corners."""
     if obstacles.vertices.shape[1] != known.vertices.shape[1]:
         return obstacles
     pieces = {piece.tobytes() for piece in known.vertices}

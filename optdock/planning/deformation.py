@@ -1,13 +1,14 @@
-"""Deform the rest of a path to another start and goal, with the least change of its curvature.
+"""Deformation of the rest of a path to another start and goal, with the least change of its curvature.
 
 Let a path have curvature k(s) in its gears. To first order a change dk ds at s turns the rest of the path about the
 point p(s), and moves the end by
 
     d(end) = dk ds * (-(y_end - y(s)), x_end - x(s), 1),
 
-a longer gear moves it along, and a turn in place turns it about the robot. Gauss-Newton steps are repeated until the
-gap is closed: the change of least weighted norm that closes the gap in this linear model within the bounds of curvature
-and curvature rate, then the exact path. The norm weights the curvature rate, which determines the yaw acceleration.
+where (x, y) is the point p. A longer gear moves the rest along the path, and a turn in place turns the rest about the
+robot. Gauss-Newton steps are repeated until the gap is closed. Each step computes the change of least weighted norm
+that closes the gap in this linear model within the bounds of curvature and curvature rate, and then the exact path. The
+norm weights the curvature rate, which determines the yaw acceleration.
 
 A path that comes too close to an obstacle is pushed away in the same way, by constraints on points of the robot.
 """
@@ -61,10 +62,11 @@ _NODES, _WEIGHTS = (readonly(part) for part in np.array(np.polynomial.legendre.l
 
 
 class _GearPiece(NamedTuple):
-    """One gear, or turn, to be deformed.
+    """One gear, or one turn in place, to be deformed.
 
-    `knots`: of the free part, Shape (n,) [m], first 0. `curvature`: at the knots, Shape (n,) [1/m]. `tail`: length of
-    the straight run after it [m]. `sign`: 1, -1, or 0 for a turn in place, of `turn` [rad].
+    `knots`: knots of the free part, Shape (n,) [m], first 0. `curvature`: curvature at the knots, Shape (n,) [1/m].
+    `tail`: length of the straight line after the free part [m]. `sign`: 1, -1, or 0 for a turn in place. `turn`: angle
+    of a turn in place [rad].
     """
 
     knots: FloatArray
@@ -75,17 +77,17 @@ class _GearPiece(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of variables: curvatures and the length, or the turn."""
+        """Number of variables: the curvatures and the length, or the angle of the turn."""
         return self.curvature.size + 1 if self.sign else 1
 
     def changed(self, change: FloatArray) -> _GearPiece:
-        """Return the gear with changed variables; the variable of the length is the change of its logarithm."""
+        """Return the gear with changed variables; the last variable is the change of the logarithm of the length."""
         if self.sign == 0:
             return self._replace(turn=self.turn + float(change[0]))
         return self._replace(knots=self.knots * math.exp(float(change[-1])), curvature=self.curvature + change[:-1])
 
     def segment(self, start: Pose2) -> Segment:
-        """Return the exact curve from a pose."""
+        """Return the exact curve that begins at a pose."""
         if self.sign == 0:
             return TurnSegment(start, self.turn)
         knots, curvature = self.knots, self.curvature
@@ -95,14 +97,14 @@ class _GearPiece(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A distance to be kept from an obstacle at a place of the path.
+    """A required distance from an obstacle at a place of the path.
 
     Attributes:
         gear: Index of the segment.
         share: Place along the segment, 0 to 1.
         body: The convex piece of the robot that comes too close.
         piece: The convex obstacle.
-        distance: Distance to be kept [m].
+        distance: Required distance [m].
     """
 
     gear: int
@@ -113,7 +115,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot (2,) [m], unit normal off the obstacle (2,) and missing distance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,) and missing distance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -141,10 +143,11 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
         goal: New goal.
         limits: Bounds of curvature and curvature rate.
         final_straight: Length of the straight run at the end [m].
-        steers: Whether the curvature at the start is fixed, because the robot is in motion or has a steering rate.
-        speed: Speed at the start, >= 0 [m/s]: while braking, yaw acceleration and steering rate bound the curvature
-            rate.
-        pushes: Distances to be kept.
+        steers: Whether the curvature at the start is fixed, because the robot is in motion or its steering rate is
+            limited.
+        speed: Speed at the start, >= 0 [m/s]. While the robot brakes from this speed, the limits of yaw acceleration
+            and steering rate bound the curvature rate.
+        pushes: Required distances from obstacles.
     """
     gears = _gears(path, final_straight)
     if gears is None:
@@ -168,7 +171,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
 
 
 def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
-    """Return the gears with enough knots; None for other segments, or too short ones."""
+    """Return the gears with enough knots, or None if a segment has another class or is too short."""
     gears = []
     for segment in path.segments:
         if isinstance(segment, TurnSegment):
@@ -186,7 +189,7 @@ def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
 
 
 def _refined(knots: FloatArray, length: float) -> FloatArray:
-    """Return the knots before `length`, `length` itself, and more between distant ones."""
+    """Return the knots before `length`, `length` itself, and additional knots between distant ones."""
     kept = knots[(knots > 0.0) & (knots < length)]
     apart = 0.1 * _SHORTEST_PIECE  # closer knots add a rate constraint without a degree of freedom
     kept = kept[(kept > apart) & (kept < length - apart)]
@@ -198,7 +201,7 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
 
 
 def _driven(gears: list[_GearPiece], start: Pose2) -> tuple[Segment, ...] | None:
-    """Return the exact curves from a pose; None if a turn has vanished, or a curve cannot be evaluated."""
+    """Return the exact curves that begin at a pose; None if a turn vanishes or a curve cannot be evaluated."""
     segments: list[Segment] = []
     for gear in gears:
         if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
@@ -296,7 +299,7 @@ class _Program:
         gap: FloatArray,
         pushes: list[tuple[Push, _Contact]],
     ) -> list[FloatArray] | None:
-        """Return the cheapest change of each gear that closes the gap within pushes and bounds; None if none exists."""
+        """Return the cheapest change of each gear that closes the gap subject to pushes and bounds, or None."""
         end = segments[-1].poses_at(segments[-1].length)[0]
         curvature, rates, rate_rows = self._bounded(gears)
         if self.program is None:
@@ -341,7 +344,7 @@ class _Program:
         end: FloatArray,
         until: tuple[int, float] = (_ALL, 1.0),
     ) -> FloatArray:
-        """Return derivatives of a point of the robot at a gear and share, by all variables, Shape (3, variables)."""
+        """Return the derivatives of a point of the robot at a gear and share by all variables, Shape (3, variables)."""
         columns = []
         for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
             if i > until[0]:
@@ -369,7 +372,7 @@ class _Program:
 
 
 def push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
-    """Return the push that moves the robot off an obstacle of a clearance violation."""
+    """Return the push that moves the robot away from the obstacle of a clearance violation."""
     pose = path.poses_at(violation.s)[0]
     reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
     near = problem.all_obstacles.near(pose[None, :2], reach)

@@ -1,4 +1,4 @@
-"""Errors of `plan_dock`: impossible end poses, and the failure that is reported if no guess became a plan."""
+"""Errors of `plan_dock`: impossible end poses, and the failure that is reported if no guess leads to a plan."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _STAGES: tuple[tuple[type[OptdockError], int], ...] = (
 
 
 def stage_of(error: OptdockError) -> int | None:
-    """Return the stage at which a guess failed with an error; None if the error is not about the guess."""
+    """Return the stage at which a guess failed with an error; None if the error does not concern the guess."""
     return next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
 
 
@@ -63,7 +63,7 @@ class Failure(NamedTuple):
 
 
 def furthest(failures: Sequence[Failure]) -> Failure:
-    """Return the most informative failure: the first one of the latest stage, time-outs last.
+    """Return the most informative failure: the first one of the latest stage, other errors before time-outs.
 
     If no planner returned a guess, the failure of the last planner is returned, because it comes from a search.
     """
@@ -76,7 +76,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
     """Return the error of a call that found no plan and no proof.
 
     The error is a time-out if more time might have given a plan, otherwise the most informative failure. `is_cut_off`:
-    whether the clock ended the call before all guesses were made or tried.
+    whether the time limit ended the call before all guesses were made or tried.
     """
     is_late = work.is_late()
     if not failures:
@@ -107,7 +107,7 @@ def refusal(failures: Sequence[Failure], work: Refinement, *, is_cut_off: bool) 
 
 
 def _reason_of_every_guess(failures: Sequence[Failure], problem: DockingProblem) -> Failure | None:
-    """Return a failure whose reason holds for every guess, independent of the time; or None."""
+    """Return a failure whose reason applies to every guess regardless of the time, or None."""
     gears = {Direction.FORWARD, Direction.REVERSE}
     if problem.dock.direction is not DockDirection.AUTO:
         gears = {Direction.FORWARD if problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
@@ -126,7 +126,7 @@ def check_ends(problem: DockingProblem) -> None:
     """Raise an error for a start or goal pose that no path can have.
 
     Raises:
-        StartOutsideMapBounds: Also GoalOutsideMapBounds: if the position is off the problem's costmap.
+        StartOutsideMapBounds: Or GoalOutsideMapBounds, if the position is outside the problem's costmap.
         StartOccupied: If the footprint at the start overlaps an obstacle.
         GoalOccupied: If the footprint at the goal is closer to an obstacle than required there.
         NoValidPathCouldBeFound: If the dock must be in view up to the goal and is not in view there.
@@ -168,7 +168,7 @@ def _check_view_at_goal(problem: DockingProblem) -> None:
 
 
 def _clearance_hint(rule: ClearanceRule) -> str:
-    """Return the hint for a clearance rule with which the robot may touch its station."""
+    """Return a hint for a clearance rule that lets the robot touch its station."""
     parts = {"required": rule.required, "at_dock": 0.0}
     if rule.taper != ClearanceRule().taper:
         parts["taper"] = rule.taper

@@ -1,8 +1,8 @@
 """`plan_dock`: compute a certified trajectory for a docking problem, or raise a typed error with the reason.
 
-An algorithm portfolio ([Huberman1997]): guesses of the caller, then those of every planner in turn. Each is smoothed,
-certified and timed; the plan with the lowest price is returned as soon as no later guess can be cheaper. If none
-succeeds, the remaining time is spent on a proof that no motion exists.
+The method is an algorithm portfolio ([Huberman1997]). The guesses of the caller, and then the guesses of each planner
+in turn, are smoothed, certified and timed. The plan with the lowest price is returned as soon as no later guess can be
+cheaper. If no guess leads to a plan, the remaining time is spent on a proof that no motion exists.
 """
 
 from __future__ import annotations
@@ -129,46 +129,46 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
 
-    There are three results: a certified plan; a proof that no motion exists (`NoMotionExists`); or neither, with the
-    reason why the guess that came furthest failed, or a time-out.
+    There are three possible results: a certified plan, a proof that no motion exists (`NoMotionExists`), or another
+    error, which is a time-out or gives the reason for the failure of the guess that came furthest.
 
     Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. A
-    plugin object must not be configured; it is used during the call, and serves one call at a time.
+    plugin object must not be configured, and it can be used by only one call at a time.
 
     Args:
         problem: Start, dock, robot and obstacles.
         time_budget: Wall-clock seconds for the whole call. In the first call of a process with these plugins the clock
             starts after `warm_up`. The call usually returns much earlier, as soon as no later guess can be cheaper.
-        planner: Source of guesses; several are used in this order.
-        smoother: Makes guesses drivable.
-        timing: Computes the time law.
-        guesses: Raw paths of the caller, from any source, which are tried first: of another planner, or a recorded
-            drive.
+        planner: Source of guesses, or several sources, which are used in the given order.
+        smoother: Plugin that makes guesses drivable.
+        timing: Plugin that computes the time law.
+        guesses: Raw paths from any source, such as another planner or a recorded drive, which are tried first.
         warm_start: An earlier plan, or its path, for a similar problem, as warm start of the smoother.
         cancel_checker: Polled at least every 5 ms by the long stages; its exceptions are passed on.
 
     Returns:
-        The certified plan of the lowest price found (see `DockPlan.price`); `tried` holds every guess and its result.
+        The certified plan with the lowest price found (see `DockPlan.price`); `tried` lists every guess with its
+        result.
 
     Raises:
-        InvalidValue: If the budget is not a finite number > 0, an argument is of another class, or a parameter of a
+        InvalidValue: If the budget is not a finite number > 0, an argument has the wrong class, or a parameter of a
             plugin is wrong.
         InvalidPath: If a guess is in another frame than the problem.
-        StartOccupied: Also GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds: if an end pose is impossible.
+        StartOccupied: Or GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds, if an end pose is impossible.
         NoMotionExists: If it is proven that no motion joins start and goal.
         NoValidPathCouldBeFound: If no planner finds a raw path.
-        FailedToSmoothPath: If no path near a raw one keeps every bound.
-        FailedToTimePath: If no time law keeps the motion limits.
-        TimedOut: If nothing was found and a stage ran out of time: a planner (PlannerTimedOut), the smoothing of a
-            guess or its proof (SmootherTimedOut), or the time law or its proof (TimingTimedOut). A larger
-            `time_budget` may give a plan, independent of why the other guesses failed.
-        Cancelled: If `cancel_checker` returned True; PlannerCancelled, SmootherCancelled or TimingCancelled.
+        FailedToSmoothPath: If no path near a raw path satisfies every bound.
+        FailedToTimePath: If no time law satisfies the motion limits.
+        TimedOut: If no plan was found and a stage ran out of time: a planner (PlannerTimedOut), the smoothing of a
+            guess or its proof (SmootherTimedOut), or the time law or its proof (TimingTimedOut). A larger `time_budget`
+            may give a plan, regardless of why other guesses failed.
+        Cancelled: If `cancel_checker` returned True, as PlannerCancelled, SmootherCancelled or TimingCancelled.
         CertificationFailed: If a result of a plugin cannot be proven.
-        PluginError: If a plugin is unknown, returned another type, or raised an exception that its interface does not
-            name, which is the cause.
+        PluginError: If a plugin is unknown, returned a value of a wrong type, or raised an exception that is not in its
+            interface and is then the cause of this error.
         LifecycleError: If a plugin is configured already.
 
-    Errors raised after the plugins were created carry `partial`, a `PartialPlan`.
+    Errors raised after the plugins were created have the attribute `partial`, a `PartialPlan`.
     """
     time_budget = number(time_budget, "time_budget")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
@@ -204,7 +204,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
 
 
 def _paths(guesses: Iterable[Path], frame: str) -> tuple[Path, ...]:
-    """Return the caller's guesses in the frame of the problem."""
+    """Return the caller's guesses with the frame name of the problem."""
     if isinstance(guesses, Path | str) or not isinstance(guesses, Iterable):
         raise InvalidValue(f"guesses: must be a list of paths, got {type(guesses).__name__}")
     paths = tuple(guesses)
@@ -222,14 +222,15 @@ def warm_up(
 ) -> None:
     """Load libraries and build the one-time data of plugins, so that later calls need not wait for them.
 
-    The first call in a process takes about a second, later calls no time. A small problem is planned; errors of a
-    plugin are raised in the first real call.
+    The first call in a process plans a small problem, which takes about a second; later calls return immediately.
+    Errors of plugins during this plan are suppressed here; they are raised in the first real call.
 
     Args:
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        robot: Robot of later problems; the data of its footprint for proofs are computed now, in up to 0.1 s.
+        robot: Robot of later problems. If it is given, the footprint data needed for proofs are computed, which takes
+            up to 0.1 s.
 
     Raises:
         PluginError: If a plugin is unknown or cannot be built.
@@ -321,7 +322,7 @@ class _Portfolio:
         return ImpossibilitySearch(self.problem)
 
     def plan(self) -> DockPlan:
-        """Return the best plan; without one, `so_far` holds the partial plan of the guess that came furthest."""
+        """Return the best plan; on failure, `so_far` receives the partial plan of the guess that came furthest."""
         with self.work.timed("plan"):
             check_ends(self.problem)
             blocked = prove_straight_blocked(self.problem)
@@ -505,13 +506,13 @@ class _Portfolio:
         self.failures.append(failure)
 
     def _leave(self, left: PartialPlan | None = None) -> None:
-        """Report the partial plan of a guess, by default of the one that came furthest."""
+        """Copy the partial plan of a guess to `so_far`, by default the plan of the guess that came furthest."""
         left = left or (furthest(self.failures).left if self.failures else PartialPlan())
         self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
         self.so_far.tried = tuple(self.tried)
 
     def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
-        """Search for a proof that no motion exists in a share of the remaining time, and raise it."""
+        """Search for a proof that no motion exists in a share of the remaining time, and raise it as an error."""
         if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
         with self.work.timed("prove"):

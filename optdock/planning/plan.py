@@ -40,12 +40,12 @@ class Attempt(NamedTuple):
     """A guess and its result.
 
     Attributes:
-        stage: Source of the guess: the stage of a planner, `given` for a guess of the caller, or a planner without a
-            guess.
+        stage: Source of the guess: the stage of a planner, `given` for a guess of the caller, or the name of a planner
+            that had no guess.
         guess: The guess; None if a planner had none.
-        seconds: Time for smoothing, proof and timing.
-        price: Price of the plan [s], see `DockPlan.price`; inf without a plan.
-        reason: Reason of the failure; empty with a plan.
+        seconds: Time for smoothing, proof and timing [s].
+        price: Price of the plan [s], see `DockPlan.price`; inf if there is no plan.
+        reason: Reason for the failure; empty if there is a plan.
     """
 
     stage: str
@@ -72,10 +72,10 @@ class DockPlan:
 
     Args:
         motion: The proven path and time law, with problem and start pose; made by `prove_motion`.
-        raw_path: The guess; not certified, for comparison.
+        raw_path: The guess from which the plan was made, for comparison; it is not certified.
         completed: False if the deadline ended the smoothing early; the result is always certified.
-        timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; `first` until
-            the first certified plan, and `total` of the call.
+        timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; also `first`,
+            the time until the first certified plan, and `total`, the time of the call.
         smoothing_report: Report of the smoother.
         timing_report: Report of the time parameterizer.
         tried: Every guess in order, with its result; this plan has the lowest price.
@@ -153,7 +153,7 @@ class DockPlan:
         """Return the content of the plan file, with the trajectory sampled at most every `period` [s].
 
         Raises:
-            InvalidValue: If the period is not > 0, or far too small.
+            InvalidValue: If the period is not > 0, or is far too small.
         """
         return PlanFile(
             status=CERTIFIED,
@@ -178,7 +178,7 @@ class DockPlan:
 
         Raises:
             InvalidFile: If the file cannot be written.
-            InvalidValue: If spacing or period is not > 0, or far too small.
+            InvalidValue: If spacing or period is not > 0, or is far too small.
         """
         save_plan(target, self.as_file(period), spacing=spacing)
 
@@ -191,22 +191,22 @@ class DockPlan:
 
         Raises:
             InvalidFile: If the file cannot be written.
-            InvalidValue: If the period is not > 0, or far too small.
+            InvalidValue: If the period is not > 0, or is far too small.
         """
         save_columns_csv(target, TrajectoryColumns.from_trajectory(self.trajectory, period))
 
     @classmethod
     def load(cls, source: str | FilePath, problem: DockingProblem) -> DockPlan:
-        """Read a plan file and prove its path and motion for `problem`; claims in the file are not used.
+        """Read a plan file and prove its path and motion for `problem`; the certificate in the file is not used.
 
-        `load_plan` reads a file without a check.
+        `load_plan` reads a file without proving its content.
 
         Args:
             source: File with the exact time law that `save` writes.
             problem: Problem that the plan must solve.
 
         Raises:
-            InvalidFile: If the file cannot be read, breaks its format, or holds no path, raw path or time law.
+            InvalidFile: If the file cannot be read, violates the format, or contains no path, raw path or time law.
             InvalidPath: If the path is in another frame than the problem.
             CertificationFailed: If the plan does not solve `problem`.
             InvalidValue: If `problem` is not a DockingProblem.
@@ -229,7 +229,7 @@ class DockPlan:
 
         Args:
             target: File name; the suffix selects the format.
-            title: Title; empty: the plan in one line.
+            title: Title; if empty, the plan described in one line.
 
         Raises:
             MissingExtra: If Matplotlib is not installed.
@@ -241,7 +241,7 @@ class DockPlan:
         save_plan_picture(target, **self._drawing(title))
 
     def show(self) -> None:
-        """Open a window with the picture of `plot`; a notebook displays it for a cell that ends with the plan.
+        """Open a window with the picture of `plot`; notebooks display this picture for a cell that ends with the plan.
 
         Raises:
             MissingExtra: If Matplotlib is not installed.
@@ -270,12 +270,13 @@ class DockPlan:
 
 @dataclass(eq=False, repr=False)
 class PartialPlan:
-    """The results of a failed call so far; attribute `partial` of its error.
+    """Results of a call until it failed, available as attribute `partial` of the error.
 
     Args:
         raw_path: The planner's path, or None.
-        path: The smoothed path; or, after an error of the smoother, its best path, which breaks the bound that the
-            error names and may miss the goal. It is certified only if `certificate` is true. None: no path.
+        path: The smoothed path. After an error of the smoother it is the smoother's best path, which violates the bound
+            named in the error and may miss the goal. The path is certified only if `certificate` is true. None if there
+            is no path.
         certificate: The certificate of `path`, or None.
         timing_ms: Wall-clock milliseconds per stage.
         tried: Every guess and its result.
@@ -289,7 +290,7 @@ class PartialPlan:
 
     @classmethod
     def left_by(cls, error: OptdockError) -> PartialPlan:
-        """Return the partial plan of an error; an empty one if it has none."""
+        """Return the partial plan of an error, or an empty partial plan if the error has none."""
         return error.partial if isinstance(error.partial, cls) else cls()
 
     def __repr__(self) -> str:

@@ -1,6 +1,6 @@
-"""From one guess to a plan: smooth, certify, time, and prove the motion; and edits of guesses.
+"""Refinement of a guess to a plan by smoothing, certification, timing and a proof of the motion; edits of guesses.
 
-The edits keep a straight line out of a contact, drive a guess with a stop at every bend, and leave out short gears.
+The edits preserve a straight line out of a contact, insert a stop at every bend, and leave out short gears.
 """
 
 from __future__ import annotations
@@ -117,11 +117,11 @@ class Cancellation:
 
 
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """Return the length of the straight line by which a robot in contact at the start leaves the obstacle [m].
+    """Return the length of the straight line on which a robot in contact at the start leaves the obstacle [m].
 
-    Along a wall in contact a robot can only go straight. Smoothers do not find exactly that line, so it is kept. The
-    length is 0 if the robot touches no obstacle, moves or has its wheels turned, or if the path begins elsewhere or
-    does not lead straight out of the contact.
+    A robot alongside a wall in contact can only drive straight. Smoothers do not find exactly this line, so the line of
+    the guess is kept. The length is 0 if the robot touches no obstacle, moves or has its wheels turned, or if the path
+    begins elsewhere or does not lead straight out of the contact.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -140,9 +140,9 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
 
 
 def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
-    """Return a path with a straight line of some length [m] before it, from `start` to the beginning of the path.
+    """Return a path preceded by a straight line of a given length [m], from `start` to the beginning of the path.
 
-    A clothoid spline in the same gear, 1 or -1, is joined to the line.
+    If the path begins with a clothoid spline in the same gear, 1 or -1, the line becomes part of the spline.
     """
     first, segments = path.segments[0], path.segments
     knots, curvature = np.array([0.0, length]), np.zeros(2)
@@ -157,8 +157,8 @@ def stopping_at_bends(path: Path) -> Path | None:
     """Return a path as clothoid segments of constant curvature, with a stop at every jump of the curvature.
 
     A standing robot may turn its wheels, so sampled arcs, lines and turns in place can be driven without smoothing.
-    This can be the only path if the room is too short for a transition between two curvatures. None if the path is not
-    a sequence of arcs, lines and turns in place, or has too many bends.
+    This can be the only path if the room is too short for a transition between two curvatures. The result is None if
+    the path is not a sequence of arcs, lines and turns in place, or has too many bends.
     """
     found: list[Segment] = []
     room = _MOST_BENDS
@@ -186,8 +186,8 @@ class Refinement:
 
     Args:
         problem: The planning problem.
-        smoother: Makes a guess drivable.
-        timing: Computes the time law.
+        smoother: Plugin that makes a guess drivable.
+        timing: Plugin that computes the time law.
         warm_start: Earlier path of a similar problem, or None.
         cancelled: The caller's cancel checker.
         budget: Time budget of the call, for messages and shares [s].
@@ -236,9 +236,9 @@ class Refinement:
         Args:
             raw: The guess.
             so_far: Filled during the work, in case a stage raises.
-            most: Most seconds for smoothing.
-            is_given: Whether the guess is the caller's, so that an error in it is not a plugin's fault.
-            begun: The smoother's path of an interrupted attempt.
+            most: Longest time for smoothing [s].
+            is_given: Whether the guess was given by the caller, so that an error in it is not attributed to a plugin.
+            begun: Path of the smoother in an interrupted attempt.
 
         Raises:
             OptdockError: As `plan_dock`. If the smoother was interrupted, `partial` holds its path so far, if known.
@@ -254,7 +254,7 @@ class Refinement:
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 
     def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
-        """Return the certified plan along a path that needs no smoothing, made of a guess; arguments as in `refined`.
+        """Return the certified plan along a path that needs no smoothing; other arguments are as in `refined`.
 
         `is_late` is polled during the certificate of the path; `asked_to_stop` by default.
 
@@ -306,7 +306,7 @@ class Refinement:
         return result
 
     def _certified_motion(self, path: Path) -> tuple[ProvenMotion, TimingReport]:
-        """Return the motion of the chosen method, or of the fallback on any of its errors except `FailedToTimePath`."""
+        """Return the motion by the chosen method, or by the fallback after any error except `FailedToTimePath`."""
         chosen = self.timing
         try:
             return self._proven_motion(chosen, path)
@@ -417,7 +417,7 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
 
 
 def ran_out_of_time(what: str, budget: float) -> str:
-    """Return the message of a time-out: the stage that needed more time, and the option that gives it.
+    """Return the message of a time-out, with the stage that ran out of time and the option for more time.
 
     >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
     'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'
@@ -450,12 +450,12 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
 
 
 def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Yield guesses with one stop fewer: first two segments of one gear joined, then a gear left out, shortest first.
+    """Yield guesses with one stop fewer: first two segments of one gear are joined, then a gear is left out.
 
-    Searches over arcs often return short gears that can be left out. Every stop takes time; a jump of the curvature is
-    left to the smoother. A gear between two in the other direction is left out together with the stretch that is then
-    driven twice, and the smoother closes the gap. The first gear can be left out if the next one may begin at the
-    start. Turns in place stay.
+    Searches over arcs often return short gears that can be left out. Every stop takes time, while the smoother can
+    remove a jump of the curvature. Shorter gears are left out first. A gear between two gears in the other direction is
+    left out together with the stretch that would then be driven twice, and the smoother closes the gap. The first gear
+    can be left out if the next one may begin at the start. Turns in place are never left out.
     """
     segments = path.segments
     for k, (one, following) in enumerate(itertools.pairwise(segments)):
@@ -496,6 +496,6 @@ def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
 def _joined(
     path: Path, before: tuple[Segment, ...], poses: FloatArray, gear: Segment, after: tuple[Segment, ...]
 ) -> Path:
-    """Return segments, a polyline in the direction of another segment, and segments, with continuous headings."""
+    """Return the path of `before`, a polyline through `poses` in the direction of `gear`, and `after`."""
     poses = np.column_stack((poses[:, :2], np.unwrap(poses[:, 2])))
     return Path((*before, PolylineSegment(poses, gear.direction), *after), path.frame)

@@ -2,15 +2,15 @@
 
 A new plan begins at the *joint*: the state on the running trajectory that the robot will have when planning is finished
 and the drive responds. The joint is the start of an ordinary docking problem, whose rules for a moving start guarantee
-continuity. These are tried in order until a plan is certified:
+continuity. The following methods are tried in order until a plan is certified:
 
 1. The rest of the running path, deformed onto the new goal (`deformation`), in about a millisecond.
 2. The smoother from the joint, with the rest of the running path as warm start.
 3. `plan_dock` from the joint.
 
 If nothing is certified in time, the old plan continues if its rest is certified in the new world and ends at the new
-dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint cannot be
-changed any more, so it is proven first; if that fails, the robot brakes at once.
+dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint can no longer
+be changed, so it is proven first. If this proof fails, the robot brakes at once.
 """
 
 from __future__ import annotations
@@ -103,23 +103,24 @@ class ReplanOutcome(str, Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replanned:
-    """Result of `replan`; true if it is proven.
+    """Result of `replan`; its truth value is `proven`.
 
     Args:
         outcome: The decision.
-        trajectory: Trajectory to drive from its time 0, once the running trajectory's own clock shows `starts_at`.
-        starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; 0 for KEPT.
+        trajectory: Trajectory to be driven from its time 0 when the clock of the running trajectory shows `starts_at`.
+        starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
         reason: Reason why there is no new plan; empty for NEW.
         way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over
-            or ends; None: not proven. For KEPT the station is assumed at the end of the plan, within the dock's
-            tolerances.
-        motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan has it.
+            or ends; None if it is not proven. For KEPT the station is assumed to be at the end of the plan, which is
+            within the dock's tolerances.
+        motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan contains this certificate.
         tried: Every attempt and its result.
         timing_ms: Wall-clock milliseconds per stage.
 
     Raises:
-        InvalidValue: If a part is of another class, the trajectory is not that of the plan, or a stop has a plan.
+        InvalidValue: If an argument has the wrong class, the trajectory does not belong to the plan, or a stop has a
+            plan.
     """
 
     outcome: ReplanOutcome
@@ -149,8 +150,8 @@ class Replanned:
     def proven(self) -> bool:
         """Whether clearance and limits are proven from the current pose until the motion ends.
 
-        False only for a stop, which is then the fastest one. Any caller can construct a certificate, so a stop is
-        certified again here.
+        It is False only for a stop, which is then the fastest possible stop. Any caller can construct a certificate, so
+        a stop is certified again here.
         """
         if self.way is None or self.plan is not None:
             return self.way is not None
@@ -182,19 +183,19 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
 
     Args:
         plan: The running plan.
-        target: New pose of the docked robot, and the station with it; or a whole problem, whose start is not used.
+        target: New pose of the docked robot, with which the station moves; or a whole problem, whose start is not used.
         state: Progress of the robot.
         time_budget: Wall-clock seconds for the whole call.
         drive_delay: Response time of the drive [s].
-        lead: Time from `state` to the joint [s]; None: `time_budget + drive_delay`, when the result is available at the
-            latest. Smaller values are for simulations, whose clock stops during the call.
+        lead: Time from `state` to the joint [s]. None means `time_budget + drive_delay`, the latest time at which the
+            result is available. Smaller values are for simulations, whose clock stops during the call.
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
         cancel_checker: As in `plan_dock`; after cancelling, the robot continues or stops, as after a time-out.
 
     Raises:
-        InvalidValue: If a value is of another class or not finite, or the target is in another frame than the plan.
+        InvalidValue: If a value has the wrong class or is not finite, or the target is in another frame than the plan.
         PluginError: As `plan_dock`.
         LifecycleError: As `plan_dock`.
     """
@@ -373,7 +374,7 @@ class _Replanning:
         return plan
 
     def _kept(self, why: str) -> Replanned | None:
-        """Return the old plan if it is still valid, with the station at its end, within the dock's tolerances."""
+        """Return the old plan if it is still valid with the station at its end, within the dock's tolerances."""
         path, world = self.drive.path, self.drive.world
         if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
@@ -389,7 +390,7 @@ class _Replanning:
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Prove the clearance of the rest of the path for a robot off it, by the rule of the plan's certificate."""
+        """Prove the clearance of the rest of the path for a robot off the path, by the plan's clearance rule."""
         pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
         now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))

@@ -36,13 +36,13 @@ class DriveState(NamedTuple):
     """Progress of a robot on its trajectory.
 
     Attributes:
-        time: Time of the reference on the trajectory's own clock [s].
+        time: Time of the reference on the clock of the trajectory [s].
         rate: Rate of that clock, 1 at the planned speed [1].
-        pose: Measured pose at that time; None: on the trajectory. Within the tube around the running path the
-            controller corrects the error, and a new plan begins on that path; outside it begins at the pose of the
-            robot.
-        moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, for a robot that
-            steers by a dock detected at another place. None: identity.
+        pose: Measured pose at that time; None means a robot on the trajectory. If the pose is within the tube around
+            the running path, the controller corrects the error and a new plan begins on that path. Otherwise a new plan
+            begins at the pose of the robot.
+        moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, because the dock
+            was detected at another place. None means identity.
         is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
 
@@ -56,9 +56,9 @@ class DriveState(NamedTuple):
 class BranchPoint(NamedTuple):
     """A place on the running trajectory, and the state of the robot there.
 
-    `time`: on the trajectory's own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot,
-    the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the robot; None: no path
-    remains.
+    `time`: time on the clock of the trajectory [s]. `s`: arc length on its path [m]. `pose`, `speed`, `acceleration`:
+    state of the robot, the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the
+    robot, or None if no path remains.
     """
 
     time: float
@@ -79,8 +79,8 @@ class RunningDrive:
     """The rest of a running plan in the current problem `world`, for a robot on the plan or off it.
 
     Attributes:
-        ahead: The path ahead: the running path, or that path moved as a whole to the robot.
-        now: The robot on it.
+        ahead: The path ahead, which is the running path, or the running path moved as a whole to the robot.
+        now: State of the robot on the path ahead.
     """
 
     def __init__(self, plan: DockPlan, world: DockingProblem, state: DriveState) -> None:
@@ -92,7 +92,7 @@ class RunningDrive:
 
     @functools.cached_property
     def path(self) -> Path:
-        """The running path, at its current place."""
+        """The running path, transformed by `moved`."""
         path, moved = self.plan.path, self.state.moved
         return path if moved is None else path.moved(moved)
 
@@ -104,12 +104,12 @@ class RunningDrive:
 
     @functools.cached_property
     def reference(self) -> Pose2:
-        """The pose of the running trajectory."""
+        """Pose on the running trajectory at the present time of its clock."""
         return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
     @functools.cached_property
     def is_on_the_path(self) -> bool:
-        """Whether the robot is at that pose."""
+        """Whether the robot is at the reference pose."""
         return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
 
     def is_in_tube(self, place: Pose2) -> bool:
@@ -123,7 +123,10 @@ class RunningDrive:
         return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
-        """Return the state after `lead` seconds, or at the next rest if it is near or the robot turns in place."""
+        """Return the state after `lead` seconds.
+
+        With `at_a_rest` it is the state at the next rest, if that is near or the robot turns in place.
+        """
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
@@ -143,7 +146,7 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """Return the time, or that of the next rest if it is near or the robot turns in place."""
+        """Return `time`, or the time of the next rest if it is near or the robot turns in place."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
@@ -156,7 +159,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time, or the end of the rest during which the wheels are turned."""
+        """Return the time `rest`, or the end of the rest that begins there if steered wheels turn during it."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest
@@ -177,7 +180,7 @@ class RunningDrive:
         return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def problem_at(self, joint: BranchPoint) -> DockingProblem:
-        """Return the problem of a robot at the joint."""
+        """Return the current problem with the joint as its start."""
         limits = self.world.robot.limits
         turning = self._steered(joint.time) > joint.time  # with a standing clock the wheels stay turned
         free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
@@ -193,9 +196,9 @@ _STILL = 0.1  # [s]: duration of the motion of a standing robot
 
 
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
-    """Return the fastest certified braking from a place of a trajectory, or the fastest one of all.
+    """Return the fastest certified braking from a place of a trajectory; if none is certified, the fastest one.
 
-    Returns the trajectory, and the certificate of its motion, which may list violations.
+    The result is the trajectory and the certificate of its motion, which may list violations.
     """
     state = MotionState(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
     # A tenth of the certificate's tolerance: the path of a robot at rest.

@@ -1,21 +1,22 @@
 """Timed motions that are given by samples only: the samples can refute a motion, but never prove one.
 
 Samples do not determine the motion between them, so `certify_trajectory` needs the time law. But every motion within
-the limits satisfies inequalities between any two instants. With signed speed v and acceleration a, jerk limit J and
-steps of h:
+the limits satisfies inequalities between any two instants. With signed speed v and acceleration a, acceleration limit
+A, deceleration limit D, jerk limit J and steps of h:
 
     slopes               |a1 - a0| <= J h,  -D h <= |v1| - |v0| <= A h;  also yaw, yaw rate, lateral acceleration
     speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= min(J h^2 / 4, (A + D) h)
     place, speed         |s1 - s0 - h (|v0| + |v1|) / 2| <= J h^3 / 12, at rests max(A, D) h^2 / 4
 
-They are checked for neighbours and for samples 2, 4, 8, ... apart, where rounding has less effect; in a turn in place
-also for yaw, yaw rate and yaw acceleration. At each sample the columns must keep the limits, and yaw rate and yaw
-acceleration must be those of the path's curvature k and its rate r: w = |v| k, w' = a k + v^2 r. Between two parts of
-the path the robot rests, and this takes at least max(sqrt(2 v / J), a / J) after the sample before the rest and before
-the sample after it.
+The inequalities are checked between neighbouring samples and between samples 2, 4, 8, ... apart, where rounding has
+less effect. In a turn in place they are also checked for yaw, yaw rate and yaw acceleration. At each sample the columns
+must satisfy the limits, and yaw rate w and yaw acceleration w' must match the path's curvature k and its rate r: w =
+|v| k, w' = a k + v^2 r. Between two parts of the path the robot must rest. It takes at least max(sqrt(2 v / J), a / J)
+to stop after the sample before the rest, and as long to start before the sample after the rest, with v and a of the
+respective sample.
 
-Columns whose numbers all have three to five decimals are rounded, others are accurate to 1e-6; the rounding of a value
-is subtracted before the comparison with its limit.
+Columns in which all numbers have three to five decimals count as rounded, other columns as accurate to 1e-6. The
+rounding of a value is subtracted before the value is compared with its limit.
 """
 
 from __future__ import annotations
@@ -69,12 +70,12 @@ _ROUNDED = 1e-5  # [s], [m/s^3], ...: accuracy of rounded phases; ten units, bec
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """Result of a check of samples; true if they do not refute the motion, which is not a proof.
+    """Result of a check of samples; true if the samples do not refute the motion, which is not a proof.
 
     Args:
-        violations: Every broken rule; empty if the samples do not refute the motion.
+        violations: Every violated rule; empty if the samples do not refute the motion.
         samples: Number of samples.
-        step: Longest time between two of them [s].
+        step: Longest time between two consecutive samples [s].
         offset: Largest deviation of the poses from the path: distance [m], turn [rad].
     """
 
@@ -85,7 +86,7 @@ class SampledMotionVerdict:
 
     @property
     def off_path(self) -> bool:
-        """Whether poses deviate from the path, so that clearance must cover the deviation."""
+        """Whether poses deviate from the path so far that the clearance must cover the deviation."""
         return max(self.offset) > ON_PATH
 
     def __bool__(self) -> bool:
@@ -98,14 +99,14 @@ class SampledMotionVerdict:
 
 
 def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
-    """Check whether samples refute the motion they describe; see the module for the rules.
+    """Check whether samples refute the motion that they describe, by the rules in the docstring of the module.
 
-    Poses may be off the path by up to 2e-3 m and rad if the clearance of the path exceeds the required one by the
-    resulting displacement; otherwise they must lie on it to 1e-6.
+    Poses may be off the path by up to 2e-3 m and 2e-3 rad if the clearance of the path exceeds the required clearance
+    by the resulting displacement. Otherwise they must lie on the path within 1e-6.
 
     Args:
         motion: The samples.
-        path: The path of the motion; see `certify_path` for its own verdict.
+        path: The path of the motion; `certify_path` gives the verdict on the path itself.
         problem: The problem with limits, dock and start.
 
     Returns:
@@ -130,9 +131,9 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
 
 
 def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
-    """Bound of the error of the trapezoid of the speeds between neighbours, Shape (n - 1,) [m].
+    """Return bounds of the error of distances integrated from speeds by trapezoids, Shape (n - 1,) [m].
 
-    At speeds up to `rest` the gear may change within the step, and only the accelerations bound the changes.
+    At speeds up to `rest` the gear may change within the step, and only the acceleration limits bound the error.
     """
     h, speed, gear = np.diff(motion.t), np.abs(motion.speed), gears_of(motion, rest)
     error = 0.25 * max(limits.max_acceleration, limits.max_deceleration) * h**2
@@ -143,7 +144,7 @@ def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> F
 
 
 def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
-    """Faults of samples too far apart, or of a polyline that turns in place, where distance gives no place."""
+    """Return a violation if samples are too far apart, or if distance cannot give the place on a polyline."""
     if not error <= REACH:
         message = (
             f"samples up to {step:.3g} s apart leave the motion between them uncertain by {error:.3g} m; "
@@ -162,8 +163,8 @@ def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
 def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) -> bool:
     """Whether footprints at this distance [m] and turn [rad] from the path keep the required clearance.
 
-    Such a pose moves no point of the footprint by more than distance + radius * turn, with the circumscribed radius.
-    The start may be closer to an obstacle than required; deviations are not allowed then.
+    Such a pose moves no point of the footprint by more than distance + radius * turn, with the circumscribed radius. If
+    the start is closer to an obstacle than required, no deviation is allowed.
     """
     more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
     raised = replace(problem, clearance=problem.clearance.raised(more))
@@ -172,9 +173,10 @@ def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) ->
 
 
 class _Bends(NamedTuple):
-    """The path near the samples, within the rounding of their places.
+    """Curvature of the path near the samples, within the rounding of their places.
 
-    `low`, `high`: curvature, Shape (n,) [1/m]; `curvature`, `rate`: before, at and after, Shape (3, n) [1/m], [1/m^2];
+    `low`, `high`: range of the curvature, Shape (n,) [1/m]; `curvature`, `rate`: curvature and its rate just before, at
+    and just after each sample, Shape (3, n) [1/m], [1/m^2];
     `exact`: whether the sample is on a clothoid, Shape (n,).
     """
 
@@ -203,10 +205,10 @@ class _Bends(NamedTuple):
 
 
 def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
-    """Least and largest curvature that the sampled curve may have on each step, Shape (steps,) each [1/m].
+    """Return the least and largest possible curvature of the sampled curve on each step, Shape (steps,) each [1/m].
 
-    The turn of a step gives the mean only, so the range includes the neighbouring steps, widened by their difference
-    and by the rounding of the poses.
+    The turn of a step gives only the mean curvature, so the range includes the neighbouring steps, widened by their
+    difference and by the rounding of the poses.
     """
     k = segment.step_curvature
     around = np.lib.stride_tricks.sliding_window_view(np.pad(k, 1, mode="edge"), 3)
@@ -237,7 +239,7 @@ class _Rules:
     def _at_most(
         self, kind: str, values: FloatArray, limit: FloatArray | float, rough: float = 0.0, first: int = 0
     ) -> None:
-        """Compare values from sample `first` on, accurate to `rough`, with their limit; report the worst."""
+        """Compare values from sample `first` on, accurate to `rough`, with their limit; report the worst violation."""
         limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
         beyond = values - rough - limits * (1.0 + TOLERANCE) - _ARITHMETIC
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -248,7 +250,7 @@ class _Rules:
             self._add(kind.partition(" [")[0].replace(" ", "_"), message, s, float(beyond[i]))
 
     def _limited(self, values: Mapping[str, tuple[FloatArray, float]]) -> None:
-        """Compare values and their rounding, by the name of the limit, with their limits."""
+        """Compare values with their limits; `values` contains value and rounding by the name of the limit."""
         for name, (value, rough) in values.items():
             if math.isfinite(most := getattr(self._limits, name)):
                 self._at_most(LIMITS[name].label, value, most, rough)
@@ -256,7 +258,7 @@ class _Rules:
     def _slopes(self, kind: str, column: FloatArray, limit: float, rough: float, rows: slice = slice(None)) -> None:
         """Compare mean increases per second between samples 1, 2, 4, ... apart with their limit.
 
-        `rough`: of a difference of two values; the first distance with a violation is reported.
+        `rough`: accuracy of a difference of two values. Only violations at the smallest distance are reported.
         """
         column, t, lag = column[rows], self._motion.t[rows], 1
         known, rough = len(self.found), rough + self._early * limit
@@ -276,7 +278,10 @@ class _Rules:
             lag *= 2
 
     def check_poses(self) -> tuple[float, float]:
-        """Check that poses are on the path, up to its clearance; return the largest distance [m] and turn [rad]."""
+        """Check that poses are on the path, or that the clearance covers their deviations.
+
+        Return the largest distance [m] and the largest angle [rad] from the path.
+        """
         motion, apart, turned = self._motion, self._places.apart, self._places.turned
         offset = (float(np.max(apart)), float(np.max(turned)))
         i = int(np.argmax(np.maximum(apart, turned)))
@@ -362,7 +367,7 @@ class _Rules:
         self._at_most("yaw acceleration off the path's [rad/s^2]", np.where(bends.exact & drives, off, 0.0), 0.0)
 
     def check_between(self, error: FloatArray) -> None:
-        """Check changes between samples against limits and sums of the next derivative; `error`: of the places."""
+        """Check changes between samples against limits and integrals of derivatives; `error`: see `_place_errors`."""
         motion, limits, rounding, early, h = self._motion, self._limits, self._rounding, self._early, self._h
         v, up, down, jerk = np.abs(motion.speed), limits.max_acceleration, limits.max_deceleration, limits.max_jerk
         self._slopes("mean acceleration [m/s^2]", v, up, 2.0 * rounding.speed)
@@ -394,7 +399,7 @@ class _Rules:
                 self._check_turn(run)
 
     def _check_turn(self, run: Run) -> None:
-        """Check a turn in place: driving columns are 0, and yaw columns are checked as those of a drive."""
+        """Check that driving columns are 0 in a turn in place, and check its yaw columns like those of a drive."""
         motion, rounding, early, h = self._motion, self._rounding, self._early, self._h
         fastest, steepest, jerk = self._limits.turning
         rows, w, gain = slice(run.first, run.last + 1), motion.yaw_rate, motion.yaw_acceleration
@@ -436,7 +441,7 @@ class _Rules:
             self._add("rest", message, s, missing)
 
     def _stop(self, run: Run, i: int) -> float:
-        """The least time between sample `i` and a rest [s]."""
+        """Return the least time between sample `i` and a rest [s]."""
         limits, names = self._limits, ("speed", "acceleration")
         steepest, jerk = max(limits.max_acceleration, limits.max_deceleration), limits.max_jerk
         if run.is_turn:
@@ -448,7 +453,7 @@ class _Rules:
     def check_steering(self) -> None:
         """Check that steered wheels have time to turn at the start and at cusps.
 
-        The ends of a polyline have the curvature of a difference quotient, so only clothoids are checked.
+        At the ends of a polyline the curvature is only a difference quotient, so only clothoids are checked.
         """
         path, t, s, slack = self._path, self._motion.t, self._places.s, 2.0 * self._slack
         if not np.isfinite(self._limits.max_steering_rate) or path.turns:
@@ -467,24 +472,25 @@ class _Rules:
 
 
 def _sums(steps: FloatArray) -> FloatArray:
-    """Cumulative sums from 0, Shape (n,) of steps of Shape (n - 1,)."""
+    """Return the cumulative sums of steps, Shape (n - 1,), beginning with 0. Shape (n,)."""
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def _integral(h: FloatArray, column: FloatArray) -> FloatArray:
-    """The integral of a column by trapezoids of widths `h`, Shape (n,)."""
+    """Return the integral of a column by the trapezoidal rule with widths `h`. Shape (n,)."""
     return _sums(0.5 * h * (column[:-1] + column[1:]))
 
 
 def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
     """Whether differences between phases and samples, or an exceeded limit, can be due to rounding.
 
-    The numbers of the phases have at most six decimals, each off by at most r = 1e-5. With n phases of durations d and
-    jerks j, the borders are off by n r, the acceleration by e = r (1 + sum |j| + sum d) and by its change while the
-    borders are off; speed and distance are off by the integrals of that error.
+    The numbers of the phases have at most six decimals and an error of at most r = 1e-5 each. With n phases of
+    durations d and jerks j, the borders have an error of n r. The acceleration has the error e = r (1 + sum |j| + sum
+    d) in addition to its change within the error of the borders. The errors of speed and distance are the integrals of
+    this error.
 
     Args:
-        trajectory: The path and the motion by the phases.
+        trajectory: The path and the motion according to the phases.
         motion: The samples.
     """
     law = trajectory.time_law
@@ -509,13 +515,13 @@ def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
 
 
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
-    """Check whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
+    """Check whether samples belong to `trajectory`, within 1e-6 or the rounding of their columns.
 
     The clearance must cover deviations of more than 1e-6. At jumps of jerk and yaw acceleration, the values on both
     sides and all between them are accepted.
 
     Args:
-        trajectory: The motion; see `certify_trajectory` for its own verdict.
+        trajectory: The motion; `certify_trajectory` gives the verdict on the motion itself.
         motion: The samples.
         problem: The problem with limits, dock and start.
     """

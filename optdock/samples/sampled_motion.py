@@ -1,8 +1,9 @@
 """Motions given by samples, their rounding, and the place of each sample on the path.
 
 A pose alone does not determine the place: paths cross themselves and fold back at cusps. The signs of speed and yaw
-rate divide the samples into runs (forward, reverse, turn left, turn right), which must be the parts of the path in
-order. Within a part the integrated speed gives the approximate place, and the projection of the pose the exact one.
+rate divide the samples into runs (forward, reverse, turn left, turn right), which must match the parts of the path in
+order. Within a part the integrated speed gives the approximate place, and the projection of the pose gives the exact
+place.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ _NAMES = {1: "drives forward", -1: "drives in reverse", 2: "turns left", -2: "tu
 
 
 class SampledMotion(NamedTuple):
-    """A timed motion in columns of Shape (n,), n >= 2, SI units, finite; t increases.
+    """A timed motion as columns of finite numbers in SI units, Shape (n,) each, n >= 2; t increases.
 
     Speed, acceleration and jerk are negative in reverse.
     """
@@ -65,7 +66,7 @@ class SampledMotion(NamedTuple):
 
 
 class Rounding(NamedTuple):
-    """Largest difference between a written number of each kind and the exact one, in SI units."""
+    """Largest rounding error of the written numbers of each kind, in SI units."""
 
     place: float
     yaw: float
@@ -78,7 +79,7 @@ class Rounding(NamedTuple):
 
     @classmethod
     def of(cls, motion: SampledMotion) -> Rounding:
-        """Half a unit of the last decimal of each kind of column; times on an even grid are exact, others to 5e-7."""
+        """Return half a unit of the last decimal of each kind; times on an even grid are exact, others to 5e-7."""
         steps = np.diff(motion.t)
         even = bool(np.ptp(steps) <= 1e-9 * steps[0])
         resolution = float(np.spacing(np.max(np.abs(motion.t))))
@@ -87,7 +88,7 @@ class Rounding(NamedTuple):
 
 
 def half_unit(*columns: FloatArray, most: float = EXACT) -> float:
-    """Half a unit of the last decimal of columns with three to five decimals; `most` for other columns."""
+    """Return half a unit of the last decimal of columns with three to five decimals, `most` for other columns."""
     for decimals in (3, 4, 5):
         if all(np.array_equal(np.round(column, decimals), column) for column in columns):
             return 0.5 * 10.0**-decimals
@@ -95,16 +96,16 @@ def half_unit(*columns: FloatArray, most: float = EXACT) -> float:
 
 
 def gears_of(motion: SampledMotion, rest: float) -> FloatArray:
-    """The sign of each speed; 0 up to `rest` [m/s]. Shape (n,)."""
+    """Return the sign of each speed, or 0 for speeds up to `rest` [m/s]. Shape (n,)."""
     signs: FloatArray = np.where(np.abs(motion.speed) > rest, np.sign(motion.speed), 0.0)
     return signs
 
 
 class Run(NamedTuple):
-    """A part of a path in one direction, or a turn in place, and the samples in it.
+    """A part of a path in one gear, or a turn in place, with the samples in it.
 
-    `kind`: 1: forward, -1: in reverse, 2: turn left, -2: turn right; `begin`, `end`: of the part [m]; `first`, `last`:
-    samples that move in it.
+    `kind`: 1: forward, -1: in reverse, 2: turn left, -2: turn right; `begin`, `end`: arc lengths of the part [m];
+    `first`, `last`: first and last sample that moves in the part.
     """
 
     kind: int
@@ -120,9 +121,9 @@ class Run(NamedTuple):
 
 
 def runs_of(motion: SampledMotion, path: Path, limits: MotionLimits, rounding: Rounding) -> list[Run] | Violation:
-    """The parts of the path with their samples, in order, or a violation if the samples do not follow the parts.
+    """Return the parts of the path with their samples, in order, or a violation if the samples do not match.
 
-    Parts that fit between two samples have no run.
+    Parts that may be driven between two samples have no run.
     """
     kinds = gears_of(motion, rounding.speed)
     if path.turns:
@@ -149,7 +150,7 @@ def runs_of(motion: SampledMotion, path: Path, limits: MotionLimits, rounding: R
 
 
 def _parts(path: Path) -> list[Run]:
-    """The segments as runs without samples."""
+    """Return the segments of a path as runs without samples."""
     kinds = [
         int(np.copysign(_LEFT, segment.turn)) if isinstance(segment, TurnSegment) else int(segment.direction)
         for segment in path.segments
@@ -165,7 +166,7 @@ def _merged(parts: Sequence[Run]) -> list[Run]:
 
 
 class Places(NamedTuple):
-    """The samples on their path, Shape (n,) each.
+    """Places of samples on their path, Shape (n,) each.
 
     `s`: arc length [m]; `driven`: distance driven up to that place, without turns in place [m]; `apart`, `turned`:
     distance [m] and heading difference [rad] from the path.
@@ -178,7 +179,7 @@ class Places(NamedTuple):
 
 
 def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled: FloatArray, yaw: FloatArray) -> Places:
-    """The place of every sample; samples at rest between two runs belong to the nearer part.
+    """Return the place of every sample; samples at rest between two runs belong to the nearer part.
 
     `travelled`: integrated speed, Shape (n,) [m]; `yaw`: continuous heading, Shape (n,) [rad].
     """
@@ -200,7 +201,7 @@ def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled:
 def _on_turn(
     path: Path, run: Run, motion: SampledMotion, yaw: FloatArray, rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Arc lengths of samples in a turn in place, with their distances and angles from it."""
+    """Return the arc lengths of samples in a turn in place, with their distances [m] and angles [rad] from it."""
     at = path.poses_at(0.5 * (run.begin + run.end))[0]
     extent, sign = run.end - run.begin, np.sign(run.kind)
     turned = sign * (yaw[rows] - at[2]) + 0.5 * extent
@@ -213,7 +214,7 @@ def _on_turn(
 def _on_drive(
     path: Path, run: Run, motion: SampledMotion, travelled: FloatArray, rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Project positions on the part, from the integrated distance scaled to its length; otherwise as `_on_turn`."""
+    """Project positions onto a driven part, from the integrated distance scaled to its length; see `_on_turn`."""
     x, y, way = motion.x[rows], motion.y[rows], travelled[rows] - travelled[rows][0]
     s = run.begin + way * ((run.end - run.begin) / way[-1] if way[-1] > 0.0 else 1.0)
     s = np.clip(np.where(np.isfinite(s), s, run.begin), run.begin, run.end)

@@ -1,8 +1,8 @@
 """The tracking tube: deviations of poses from a certified path, and the largest allowed deviations.
 
-A pose at distance e and turn w from the path displaces no point of the footprint by more than e + 2 R sin(|w| / 2),
-with the circumscribed radius R. The certificate proves the clearance for displacements up to the width of the tube,
-`DockingProblem.tube_widths`.
+A pose at a distance e and an angle w from the path displaces no point of the footprint by more than e + 2 R sin(|w| /
+2), where R is the circumscribed radius. The certificate proves the clearance for displacements up to the width of the
+tube, `DockingProblem.tube_widths`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Deviations(NamedTuple):
     """Deviations of poses from a path, Shape (n,) each.
 
     Attributes:
-        s: Arc length with the least excess over the tube [m].
+        s: Arc length at which the excess over the tube is smallest [m].
         along: Error along the heading of the path at `s` [m]; small except beyond an end or a cusp.
         cross: Error to the left of the path at `s` [m].
         yaw: Heading error [rad].
@@ -82,7 +82,7 @@ class Tube:
 
         Args:
             poses: Poses, Shape (n, 3).
-            near: Approximate arc length of the poses [m]; None: unknown.
+            near: Approximate arc length of the poses [m]; None if unknown.
             within: Search range around `near` [m].
         """
         rows = slice(None)

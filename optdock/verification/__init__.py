@@ -1,9 +1,9 @@
 """Certificates of paths and trajectories, proven independently of the solvers (docs/theory/certificate.md).
 
-`certify_path` proves for every point of the continuous path the clearance of the footprint, the limits of curvature,
-the ends, gears and the final straight, and the camera's view of the dock. `certify_trajectory` proves for every instant
-the motion limits, the coverage of the path, and the rests. Both accept `TOLERANCE`. A sampled motion is never
-certified: see `optdock.samples`. That no motion exists is proven in `optdock.impossibility`.
+For every point of the continuous path, `certify_path` proves the clearance of the footprint, the limits of curvature,
+the ends, the gears, the final straight, and the camera's view of the dock. For every instant, `certify_trajectory`
+proves the motion limits, the coverage of the path, and the required rests. Both allow deviations up to `TOLERANCE`. A
+sampled motion is never certified: see `optdock.samples`. Proofs that no motion exists are in `optdock.impossibility`.
 """
 
 from optdock.verification.certificate import (

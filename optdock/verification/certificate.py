@@ -1,4 +1,4 @@
-"""Certificates: certified, or every violation with its place and amount; and the tolerance of all proofs."""
+"""Certificates, which list every violation with its place and amount, and the tolerance of all proofs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Value = TypeVar("Value")
 
 
 class Memo(Generic[Subject, Value]):
-    """Cache with one value for every existing subject, by identity and not by equality of the subject.
+    """Cache of one value for every living subject, keyed by the identity and not by the equality of subjects.
 
-    Frozen inputs have the same verdict, so a proof is made once. Verdicts are stored here, so that a caller cannot
-    supply one.
+    The verdict on frozen inputs never changes, so a proof is made only once. Verdicts are stored in the cache and not
+    in the subject, so a caller cannot supply a verdict.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class _Verdict:
 
 @dataclass(frozen=True, repr=False)
 class Certificate(_Verdict):
-    """Verdict on a path; true if certified.
+    """Verdict on a path; its truth value is `certified`.
 
     Args:
         violations: Every violated rule; empty if certified.
@@ -116,8 +116,9 @@ class Certificate(_Verdict):
         start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
             distance from the start; otherwise the distance from the start within which the weaker rule allows the start
             clearance [m]. The weaker rule is used only if the strict one is violated.
-        tube: Largest displacement of a footprint point from its place on the path that keeps the robot's clearance [m];
-            it tapers at the dock like the clearance and is included in `required_clearance` (`TrackingTube`).
+        tube: Largest displacement of a footprint point from its place on the path for which the robot keeps its
+            clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
+            `TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be
             visible [m]; not sharp, like `margin`. If poses violate the rule, it is the smallest margin found. None if
             the problem requires no view; inf if no part of the path requires it.
@@ -164,11 +165,11 @@ class Certificate(_Verdict):
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryCertificate(_Verdict):
-    """Verdict on the motion limits of a trajectory; true if certified.
+    """Verdict on the motion limits of a trajectory; its truth value is `certified`.
 
     Args:
         violations: Every violated rule; empty if certified.
-        ratios: Proven upper bound of each quantity over its limit; at most 1 + `TOLERANCE` if certified.
+        ratios: Proven upper bound of the ratio of each quantity to its limit; at most 1 + `TOLERANCE` if certified.
         duration: Total time [s].
         path: Digest of the path of the trajectory.
     """
@@ -190,7 +191,7 @@ class TrajectoryCertificate(_Verdict):
 
 
 def where_broken(verdict: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
-    """Return the data of the first violation of a verdict for an error."""
+    """Return the data of the first violation of a verdict, as details of an error."""
     first = verdict.violations[0]
     return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
 

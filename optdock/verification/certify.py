@@ -1,4 +1,4 @@
-"""`certify_path` and `certify_trajectory`; each verdict is computed once."""
+"""Certification of paths and trajectories; each verdict is computed only once."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
     """Prove that `path` solves `problem`, or return the violated rules with their places.
 
-    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`), and,
-    if the dock requires it, visibility of the marker (`visibility`). Checked exactly: start and goal pose
-    (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature, final straight. A polyline is linear
-    motion between its poses, turning the short way, with the curvature of the arcs through them; a step whose arc is
-    more than 5 mm from that motion is rejected. Slips and jumps that are small individually but add up are also
-    rejected.
+    The footprint clearance (second-order `conservative_advancement`) and, if the dock requires it, the visibility of
+    the marker (`visibility`) are proven for every point of the continuous path. Start and goal pose (`TOLERANCE`),
+    joints, gears, curvature, curvature rate, start curvature and final straight are checked exactly. A polyline
+    represents linear motion between its poses, turning in the shorter direction, with the curvature of the arcs through
+    the poses. A step whose arc is more than 5 mm away from the linear motion is rejected. Slips and jumps that are
+    individually small but add up are also rejected.
 
-    If no clearance is required, contact may overlap by a micrometre, and no point of one shape is deeper than two
-    micrometres inside another one, regardless of the decomposition into pieces (see `contact_tolerance`).
+    If no clearance is required, shapes in contact may overlap by a micrometre. No point of one shape is deeper than two
+    micrometres inside another, regardless of the decomposition into pieces (see `contact_tolerance`).
 
-    At the joint of two segments, even of one gear, the curvature may jump and the robot must rest. Turns in place, for
-    robots with `turns_in_place`, are such segments.
+    At the joint of two segments, even in the same gear, the curvature may jump and the robot must be at rest. A turn in
+    place, allowed for robots with `turns_in_place`, is also a segment.
 
     For a robot that starts closer to an obstacle than required, the clearance must grow with a minimum slope. If only
-    this rule is violated, the weaker rule for a robot along a wall applies, see `Certificate.start_relief`.
+    this rule is violated, the weaker rule for a robot alongside a wall applies (see `Certificate.start_relief`).
 
     A complete proof is cached for the lifetime of the path. An interrupted proof is reused only if it is certified and
     the caller has a deadline. The time law is not considered: see `certify_trajectory`.
@@ -61,7 +61,7 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         path: The path to certify; it may come from any source.
         problem: The problem.
         is_late: Polled after every round of the proof and between the blocks of long rounds; a round takes less than a
-            millisecond for a path of some metres among a hundred obstacles. Once it is True, everything not yet proven
+            millisecond for a path of a few metres among a hundred obstacles. Once it is True, everything not yet proven
             is `unproven`, and the reported clearance is a lower bound that may be far below the minimum.
 
     Returns:
@@ -100,7 +100,7 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
 def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool:
     """Whether the start is too close and the weaker rule allows every pose that violates the strict rule.
 
-    This avoids a second proof whose result is known.
+    Otherwise a second proof with the weaker rule is certain to fail and is omitted.
     """
     clearance, rule = end_clearances(problem).start, problem.path_clearance
     if clearance >= rule.required:
@@ -112,7 +112,7 @@ def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool
 
 
 def _clearance_violations(proof: ClearanceProof, problem: DockingProblem) -> tuple[Violation, ...]:
-    """Return the worst violating pose, or the worst unproven cell."""
+    """Return the violation at the worst pose or, if no pose violates the rule, at the worst unproven cell."""
     if len(proof.violations):
         row = proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()]
         return (_too_close(row, problem),)
@@ -147,24 +147,23 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
 ) -> TrajectoryCertificate:
     """Prove that a trajectory satisfies every motion limit, or return the violations.
 
-    Within a step of a polyline, whose curvature is a difference quotient, limits on turning may be exceeded by 5 %.
-    If steered wheels must turn, between two segments or at the start, the motion must rest for the time that this
-    takes.
+    Within a step of a polyline, whose curvature is a difference quotient, limits on turning may be exceeded by 5 %. If
+    wheels must be steered between two segments or at the start, the motion must rest while they turn.
 
-    A complete proof is cached for the lifetime of the time law, as by `certify_path`. Clearance and the curvature
+    A complete proof is cached for the lifetime of the time law, as in `certify_path`. Clearance and the curvature
     limits of the path are not considered: see `certify_path`.
 
     Args:
         trajectory: The motion to certify.
         limits: Motion limits of the drive.
-        zone: Slow zone at the end of the path.
-        start_speed: Required initial speed along the travel [m/s]; None: not checked.
-        start_acceleration: Required initial acceleration along the travel [m/s^2]; None: not checked.
-        start_wait: Required rest at the start until the wheels are steered [s].
+        zone: Speed zone at the end of the path.
+        start_speed: Required initial speed along the travel [m/s]; not checked if None.
+        start_acceleration: Required initial acceleration along the travel [m/s^2]; not checked if None.
+        start_wait: Required duration of the rest at the start, in which the wheels are steered [s].
         is_late: Polled every few milliseconds. Once it is True, everything not yet proven is `unproven`.
 
     Returns:
-        The certificate; `certified` is True only if everything was proven, every finite limit included.
+        The certificate; `certified` is True only if everything was proven, including every finite limit.
 
     Raises:
         InvalidValue: If `limits` is not exactly a `MotionLimits`; bounds added by a subclass would not be proven.
@@ -186,11 +185,11 @@ def certify_motion(
     """Prove that a trajectory satisfies the motion limits of `problem` and begins in the state of the robot.
 
     Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until they are
-    steered from the farthest angle (`DockingProblem.start_wait`), or it violates `rest`.
+    steered from the farthest angle (`DockingProblem.start_wait`), otherwise it violates the rule `rest`.
 
     Args:
         trajectory: The motion to certify.
-        problem: Supplies limits, slow zone and start state.
+        problem: Problem that defines limits, speed zone and start state.
         is_late: As for `certify_trajectory`.
 
     Returns:
@@ -221,7 +220,7 @@ class _Itself(weakref.ref[Subject]):
 
 @dataclass(frozen=True)
 class _Kept(Generic[Verdict]):
-    """A verdict, the inputs it depends on, and whether the proof was completed."""
+    """A verdict, the inputs on which it depends, and whether the proof was completed."""
 
     against: Hashable
     verdict: Verdict
@@ -239,10 +238,10 @@ def _made_once(
     is_late: Callable[[], bool],
     prove: Callable[[Callable[[], bool]], Verdict],
 ) -> Verdict:
-    """Return the cached verdict of `subject` against equal inputs, or compute it.
+    """Return the cached verdict on `subject` for equal inputs, or compute it.
 
-    An interrupted proof that certified the subject is valid, but not sharp; it is reused for callers with a deadline.
-    An interrupted proof without a certificate is not cached.
+    An interrupted proof that certified the subject is valid but not sharp, so it is reused only for callers with a
+    deadline. An interrupted proof without a certificate is not cached.
     """
     known = memo.recall(subject)
     if known is not None and known.against == against and (known.is_whole or is_late is not never_late):

@@ -1,12 +1,12 @@
 """Conservative advancement [Mirtich1996] of second order: the proof of clearance for every point of a path.
 
-The axis that attains the exact distance at a pose bounds the distance along the motion around it (equation C5 of
-docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if its first half is cleared by the
-advance from its first pose and its last half by the advance back from its last pose. Other cells are bisected until
-they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation. The reported
-minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of a pose so far are
-bisected further. Cells that are cleared only within the tolerance are proven a second time against deep overlaps
-(`contact_tolerance`).
+The axis that attains the exact distance at a pose gives a lower bound of the distance along the motion near this pose
+(equation C5 of docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if its first half is
+cleared by the advance from its first pose and its last half by the advance back from its last pose. Other cells are
+bisected until they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation.
+The reported minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of the
+poses so far are bisected further. Cells that are cleared only within the tolerance are checked a second time for deep
+overlaps (`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -52,12 +52,13 @@ _MAX_CORNERS = 50_000  # of body and obstacle times advances evaluated at once; 
 
 
 class ClearanceProof(NamedTuple):
-    """Result of the proof; true if it holds.
+    """Result of the proof; its truth value is `holds`.
 
     `proven`: lower bound of the clearance on the whole path; with violations the smallest clearance among them. `at_s`,
-    `required`, `row`: place of `proven`, requirement there, obstacle (-1: none). `margin`: lower bound of clearance -
-    required, not sharp: cells are bisected only until they are proven. `violations`: (s, clearance, required, row, x,
-    y, yaw) of violating poses, Shape (n, 7). `unproven`: (s, bound - required) of cells given up, Shape (m, 2).
+    `required`, `row`: place of `proven`, with the required clearance and the obstacle there (-1: none). `margin`: lower
+    bound of clearance - required, which is not sharp because cells are bisected only until they are proven.
+    `violations`: (s, clearance, required, row, x, y, yaw) of violating poses, Shape (n, 7). `unproven`: (s, bound -
+    required) of cells given up, Shape (m, 2).
     `poses`: number of evaluated poses.
     """
 
@@ -82,7 +83,8 @@ class ClearanceProof(NamedTuple):
 class _Round(NamedTuple):
     """Result of one round over a set of cells.
 
-    Per cell: lower bound, requirement, obstacle row, place. In total: violating poses, smallest clearance of a pose.
+    `bound`, `required`, `row`, `s`: lower bound, required clearance, obstacle row and place of each cell. `violations`:
+    violating poses. `attained`: smallest clearance of a pose.
     """
 
     bound: FloatArray
@@ -93,7 +95,7 @@ class _Round(NamedTuple):
     attained: float
 
     def settled(self, keep: BoolArray | IntArray) -> FloatArray:
-        """Return bound, place, requirement and row of the cells at `keep`, Shape (n, 4)."""
+        """Return bound, place, required clearance and obstacle row of the cells at `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
 
@@ -115,10 +117,10 @@ def prove_clearance(  # noqa: PLR0913 - path, problem and options of the proof
         problem: The problem.
         is_late: Polled after every round of cells. Once it is True, the minimum is not sharpened further, and open
             cells are given up.
-        start_relief: Relief of the rule, see `ClearanceRule.required_at` [m].
+        start_relief: Start relief of the clearance rule [m]; see `ClearanceRule.required_at`.
         obstacles: The obstacles; None for all obstacles of the problem.
-        begun: Beginning of the drive if `path` is its remainder, so that the rule of the whole path applies; None for
-            the start.
+        begun: Beginning of the drive if `path` is the rest of a longer path, whose clearance rule then applies; None
+            for the start of the problem.
         sharp: Whether `proven` is the smallest clearance up to `SHARPNESS`, or any bound that satisfies the rule.
     """
     footprint = problem.robot.footprint
@@ -164,8 +166,8 @@ class Begun(NamedTuple):
 class _World(NamedTuple):
     """Outline of the robot, obstacles, and clearance rule.
 
-    `rule`: required clearance by the distances from the goal and from the start, Shape (n,) [m] each; `most`: its
-    maximum.
+    `rule`: required clearance as a function of the distances from goal and start, Shape (n,) [m] each. `most`: largest
+    required clearance.
     """
 
     footprint: Footprint
@@ -183,7 +185,7 @@ class _Subdivision:
         motion: The path as cells.
         world: Robot, obstacles and rule.
         attained: Smallest known clearance of a pose on the path [m].
-        crop: Obstacles farther from the swept area are left out [m].
+        crop: Distance from the swept area beyond which obstacles are left out [m].
         is_late: See `prove_clearance`.
     """
 
@@ -296,7 +298,7 @@ class _Subdivision:
         return everything.subset(rows), rows
 
     def _touches_violation(self, ends: CellEnds, nodes: Nodes, result: _Round) -> BoolArray:
-        """Return which cells contain a violating pose and cannot be proven by refinement."""
+        """Return a mask of the cells that contain a violating pose, so that refinement cannot prove them."""
         if len(result.violations) == 0:
             return np.zeros(ends.first.size, dtype=bool)
         low, high = nodes.s[ends.first], nodes.s[ends.last]
@@ -354,7 +356,7 @@ def _unknown(s: FloatArray) -> FloatArray:
 
 
 def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advances:
-    """Return advances over first halves of cells from their first poses, then last halves from last poses."""
+    """Return advances over the first halves of cells from the first poses, then over last halves from last poses."""
     velocity = np.concatenate((bounds.velocity_first, -bounds.velocity_last))
     columns = (0.5 * bounds.width, bounds.speed, bounds.turn, bounds.bend, bounds.twist)
     pose = np.concatenate((ends.first, ends.last))
@@ -364,9 +366,9 @@ def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advance
 class Advances(NamedTuple):
     """Stretches of motion from known poses: n stretches from k poses, because neighbouring stretches share poses.
 
-    `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du there, into the
-    stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell: `speed` of |p'|, `turn`
-    of |yaw'|, `bend` of |p''|, `twist` of |yaw''| + yaw'^2.
+    `poses`: Shape (k, 3). `pose`: initial pose of each stretch, Shape (n,). `velocity`: d pose / du at this pose, in
+    the direction of the stretch, Shape (n, 3). The others have Shape (n,): `width` in u, and bounds within the cell:
+    `speed` of |p'|, `turn` of |yaw'|, `bend` of |p''|, `twist` of |yaw''| + yaw'^2.
     """
 
     poses: FloatArray
@@ -415,15 +417,15 @@ def advance_bounds(
     exact_within: FloatArray,
     is_late: Callable[[], bool] = never_late,
 ) -> AdvanceBounds:
-    """Compute lower bounds of the clearance over stretches of motion, by (C5).
+    """Compute lower bounds of the clearance over stretches of motion by equation (C5).
 
     Args:
-        bodies: Convex bodies that move as one, at least one.
+        bodies: At least one convex body; all bodies move together.
         advances: The stretches.
         obstacles: At least one.
         exact_within: Shape (n,) [m]: pairs that may come closer than this are left to the narrow phase; the broad phase
             bounds the others.
-        is_late: Polled between blocks of some milliseconds; once it is True, the remaining bounds are -inf.
+        is_late: Polled between blocks of a few milliseconds. Once it is True, the remaining bounds are -inf.
     """
     n = advances.width.size
     corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
@@ -474,7 +476,7 @@ def _body_bounds(
 
 
 def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Combine every stretch with every pair of its initial pose: indices of stretches and of pairs, Shape (q,) each.
+    """Combine each stretch with all pairs of its initial pose; return the indices of stretches and pairs, Shape (q,).
 
     Args:
         pose: Initial pose of each stretch.

@@ -2,16 +2,17 @@
 
 If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, because their
 intersection then lies within t of the outline of either piece. But a footprint that is not convex, and obstacles that
-touch each other, are unions of adjacent pieces: a needle between two touching boxes may enter either by t and both to
-any depth.
+touch each other, are unions of adjacent pieces: a needle between two touching boxes may enter each box by only t, but
+their union to any depth.
 
-Therefore the *cores* of the unions, their points at least d inside, must not overlap the other shape at all (equation
-C9 of docs/theory/certificate.md), with d = 2 micrometres; gaps between obstacles below 0.2 micrometres are regarded as
-closed. A core is covered by convex pieces: sets with a separating axis share no interior, nor does a union of sets that
-share no interior with X. An overlap of t along some axis leaves d - t between the core and the other shape, so contact
-is accepted. A convex footprint, and an obstacle that touches no other one, need no check: t itself is the bound.
-Rounded corners of a core are polygons inside the removed rim, so a core is never too small, up to the precision of the
-offset curves, one hundredth of d.
+Therefore the *core* of a union must not overlap the other shape at all (equation C9 of docs/theory/certificate.md). The
+core consists of the points that are at least d = 2 micrometres inside the union, where gaps between obstacles below 0.2
+micrometres are regarded as closed. A core is covered by convex pieces. Convex sets with a separating axis share no
+interior, and if no piece shares interior with the other shape, neither does their union. An overlap of t along some
+axis leaves d - t between the core and the other shape, so contact is accepted. A convex footprint, and an obstacle that
+touches no other one, need no check, because t itself is the bound. Rounded corners of a core are approximated by
+polygons inside the removed rim, so a computed core is never too small, except for the precision of the offset curves,
+which is one hundredth of d.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ _ARC = 4  # segments of a quarter circle
 def deep_pairs(
     footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray
 ) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
-    """Return bodies and the obstacles that they must not overlap at all within a box, Shape (2,) [m] each.
+    """Return bodies, and the obstacles that they must not overlap at all, in a box with corners of Shape (2,) [m].
 
-    These are the core of the footprint and the obstacles if the footprint is not convex, and the footprint and the core
-    of the obstacles if obstacles touch each other.
+    If the footprint is not convex, one pair is the core of the footprint and the obstacles. If obstacles touch each
+    other, one pair is the footprint and the core of the obstacles.
     """
     pairs = (footprint.core, obstacles), (footprint.bodies, _obstacle_core(obstacles, lower, upper))
     return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
@@ -68,7 +69,7 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
-    """Return convex pieces of the core of the obstacles that touch another one, in a box with a margin."""
+    """Return convex pieces of the core of all obstacles that touch each other, in a box with a margin."""
     low, high = lower - _MARGIN, upper + _MARGIN
     rows = obstacles.rows_in_box(low, high)
     rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]
@@ -85,7 +86,7 @@ def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray)
 
 
 def _touching(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return which boxes touch another box, up to a crack. Shape (m,)."""
+    """Return a mask of the boxes that touch another box, where narrow cracks count as closed. Shape (m,)."""
     order = np.argsort(lower[:, 0], kind="stable")
     touches = np.zeros(len(order), dtype=np.bool_)
     low, high = lower[order] - _CRACK, upper[order] + _CRACK

@@ -3,7 +3,7 @@
 Within a cell the motion of the body is `pose(u)`, u from u0 to u1, and equation C4 of docs/theory/certificate.md bounds
 the velocity and acceleration of its points; [Zhang2006] bounds velocities along an axis in the same way. For a clothoid
 u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u is the pose
-number: p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
+number, and p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class CellMotion(NamedTuple):
     twist: FloatArray
 
     def farthest(self, ends: CellEnds, distances: FloatArray) -> FloatArray:
-        """Return the largest distance within each cell from a fixed point, of its distances at the places of `ends`.
+        """Return an upper bound of the distance from a fixed point within each cell, from the distances at the `ends`.
 
         The distance is convex along the chord, and a cell deviates from its chord by at most bend * width^2 / 8.
         """

@@ -39,7 +39,7 @@ def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...
 
 
 def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - common signature
-    """Finite limits without a rule; limits of the time law are left to the trajectory certificate."""
+    """Yield the finite limits without a rule; the trajectory certificate covers limits of the time law."""
     for name, value in finite_limits(problem.robot.limits).items():
         of_motion = name in LIMITS and LIMITS[name].kind is not LimitKind.PATH
         if not (of_motion or name in _LIMITED):
@@ -93,7 +93,7 @@ def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _first_moving(segments: Sequence[Segment]) -> Segment:
-    """Return the first segment that moves by more than the tolerance; shorter motions have no direction."""
+    """Return the segment in which the driven distance exceeds the tolerance; shorter motions have no direction."""
     driven = 0.0
     gears = [segment for segment in segments if not isinstance(segment, TurnSegment)]
     for segment in gears:
@@ -104,7 +104,7 @@ def _first_moving(segments: Sequence[Segment]) -> Segment:
 
 
 def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Check that turns in place of any size occur only for a robot with `turns_in_place`, at rest."""
+    """Check that turns in place of any size occur only at rest and only for a robot with `turns_in_place`."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, TurnSegment) and not problem.robot.turns_in_place:
             message = f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, but the robot cannot"
@@ -131,7 +131,7 @@ class _Steps(NamedTuple):
     slip: FloatArray
 
     def moving(self) -> _Steps:
-        """Return the steps with a length."""
+        """Return the steps with an arc length > 0."""
         return _Steps(*(column[self.arc > 0.0] for column in self))
 
 

@@ -1,8 +1,8 @@
 """Proven motions: path, time law, problem and pose of the robot, tied together by their proofs.
 
-Certificates are plain values that any program can create. The library acts on `ProvenMotion` and `ProvenWay`, which
-only the functions of this module create. Such an object has no attributes: its content is looked up in the table of
-proofs made here, so a forged or modified object has no content.
+Certificates are plain values that any program can create. The library acts only on `ProvenMotion` and `ProvenWay`
+objects, which only the functions of this module can create. Such an object has no attributes. Its content is looked up
+in the table of proofs made by this module, so a forged or modified object has no content.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ class ProvenMotion(_Proven[_Motion]):
     """A motion that is proven for a problem: its path, its time law, and its initial state.
 
     It is valid for a robot at `pose` at the beginning of the time law and within the tracking tube of the problem's
-    robot afterwards. Created by `prove_motion` only. Pickles are trusted, because unpickling can execute any code in
-    any case.
+    robot afterwards. Only `prove_motion` creates such objects. Pickles are trusted, because unpickling can execute
+    arbitrary code anyway.
 
     Raises:
-        InvalidValue: If it is constructed, or accessed without a proof.
+        InvalidValue: If it is constructed directly, or accessed without a proof.
     """
 
     __slots__ = ()
@@ -119,7 +119,7 @@ class ProvenMotion(_Proven[_Motion]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that the motion is proven for."""
+        """The problem for which the motion is proven."""
         return self._content.problem
 
     @property
@@ -142,10 +142,10 @@ class ProvenMotion(_Proven[_Motion]):
 class ProvenWay(_Proven[_Way]):
     """The remaining path of a moving robot with proven clearance, without a time law.
 
-    Created by `prove_way`, `proven_way` and `unchanged_way` only.
+    Only `prove_way`, `proven_way` and `unchanged_way` create such objects.
 
     Raises:
-        InvalidValue: If it is constructed, or accessed without a proof.
+        InvalidValue: If it is constructed directly, or accessed without a proof.
     """
 
     __slots__ = ()
@@ -166,7 +166,7 @@ class ProvenWay(_Proven[_Way]):
 
     @property
     def problem(self) -> DockingProblem:
-        """The problem that the path is proven in; its start is not used."""
+        """The problem for which the path is proven; its start is not used."""
         return self._content.problem
 
 
@@ -186,9 +186,8 @@ def prove_motion(
         is_late: As for `certify_path` and `certify_trajectory`.
 
     Raises:
-        CertificationFailed: If a rule is violated or a proof was interrupted; the message is that of the first
-            violation.
-        InvalidValue: If trajectory or problem has another class or a subclass.
+        CertificationFailed: If a rule is violated or a proof was interrupted, with the message of the first violation.
+        InvalidValue: If the class of `trajectory` or `problem` is not exactly the expected one.
     """
     exactly(Trajectory, trajectory, "trajectory")
     exactly(DockingProblem, problem, "problem")
@@ -202,16 +201,16 @@ def prove_motion(
 
 
 def proven_for(trajectory: Trajectory) -> ProblemFingerprint | None:
-    """Return the digests of the problem that this trajectory object was last proven for, or None."""
+    """Return the digests of the problem for which this trajectory object was last proven, or None."""
     return _PROVEN_FOR.recall(trajectory)
 
 
 class WayVerdict(NamedTuple):
-    """Result of `prove_way`; true if the way is proven.
+    """Result of `prove_way`; its truth value tells whether the way is proven.
 
     Attributes:
         way: The way; None if it is not proven.
-        reason: Reason of the failure; empty if the way is proven.
+        reason: Reason for the failure; empty if the way is proven.
     """
 
     way: ProvenWay | None
@@ -234,22 +233,22 @@ def prove_way(
 
     The rule is `problem.path_clearance`, which tapers at the goal and at the beginning of the drive.
 
-    A robot next to the path, with its outline displaced by e, returns to the path. Within the tube around the path this
-    is covered by the tube. Beyond it, every pose displaced by at most e must keep `problem.clearance`, so the path is
-    proven to keep e more. The station is exempt if the robot counts as docked at this displacement, because it ends in
-    contact with the station.
+    A robot next to the path, with its outline displaced by e, is controlled back to the path. If e is within the tube
+    around the path, the clearance of the tube covers the displacement. Otherwise every pose displaced by at most e must
+    keep `problem.clearance`, so the path is proven with e of additional clearance. The station is exempt if the robot
+    counts as docked at this displacement, because the robot ends in contact with the station.
 
     Args:
         path: The path, driven from its start.
-        problem: Robot, obstacles and rule of clearance; its start is not used.
+        problem: Problem with robot, obstacles and clearance rule; its start is not used.
         pose: Pose of the robot; None for the start of the path.
         at: Arc length on the path that corresponds to `pose`, in the first gear [m].
-        begun: Beginning of the drive if `path` is its remainder; None for the start of the path, so that a robot that
-            is too close to an obstacle only has to move away from it.
-        start_relief: Relief of the rule if `begun` is given, see `ClearanceRule.required_at` [m].
+        begun: Beginning of the drive if `path` is the rest of a longer path. None means the start of `path`; a robot
+            that is too close to an obstacle then only has to move away from the obstacle.
+        start_relief: Start relief of the clearance rule if `begun` is given [m]; see `ClearanceRule.required_at`.
 
     Raises:
-        InvalidValue: If path or problem has another class or a subclass.
+        InvalidValue: If the class of `path` or `problem` is not exactly the expected one.
     """
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")
@@ -272,7 +271,7 @@ def prove_way(
 
 
 def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float) -> str:
-    """Return the unproven part of the clearance of a path as a message; empty if everything is proven."""
+    """Return a message about the place where the clearance of a path is not proven; empty if it is proven."""
     rule = problem.path_clearance
     count = max(2, int(np.ceil(path.length / _SPACING)) + 1)
     places = path.poses_at(np.linspace(0.0, path.length, count))[:, :2]
@@ -323,14 +322,14 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """Return a stretch of a proven path if its proof trivially holds in another problem, else None.
+    """Return a stretch of a proven path if its proof trivially holds for another problem, otherwise None.
 
     The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
     clearance nor the station reaches it.
 
     Args:
         motion: The current motion.
-        begin: Beginning of the stretch on its path [m].
+        begin: Beginning of the stretch on the path of `motion` [m].
         end: End of the stretch [m].
         problem: The current problem.
     """

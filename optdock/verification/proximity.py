@@ -1,9 +1,9 @@
-"""Proximity queries: the clearance of a pose, by a broad phase and an exact narrow phase.
+"""Proximity queries: the clearance of a pose, computed by a broad phase and an exact narrow phase.
 
-Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
-of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
-(`geometry.separation`), for the pairs that the broad phase cannot decide. If a shallow overlap of pieces may hide a
-deep one of their unions, the unions are also checked (`contact_tolerance`).
+The broad phase ([Ericson2005] ch. 2) computes a lower bound of every distance, from circles that cover a body to the
+bounding boxes of the obstacles. For the pairs that the broad phase cannot decide, the narrow phase computes the signed
+distance of convex polygons and the axis that attains it (`geometry.separation`). If a shallow overlap of pieces may
+hide a deep overlap of their unions, the unions are also checked (`contact_tolerance`).
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def pose_clearances(
 def _nearest(
     poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
 ) -> tuple[FloatArray, IntArray]:
-    """Evaluate the nearest few by the broad phase first, then the others that may be nearer."""
+    """Evaluate the obstacles that are nearest in the broad phase first, then all others that may be nearer."""
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
@@ -144,7 +144,7 @@ def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
     """Return lower bounds of the distances of a body at every pose, Shape (n, 3), to every obstacle. Shape (n, m) [m].
 
-    If a bound is not positive, the body may overlap the obstacle by more.
+    If a bound is not positive, the overlap of body and obstacle may be deeper than the bound.
     """
     at = transform_points(poses, body.centres)  # (n, circles, 2)
     gaps = box_distance(obstacles, at[:, 0])
@@ -155,7 +155,7 @@ def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) ->
 
 
 def _bounding_circles(body: ConvexBody) -> tuple[FloatArray, float]:
-    """Return centres (k, 2) [m] and radius [m] of covering circles, one per square of the bounding box."""
+    """Return centres (k, 2) [m] and radius [m] of circles that each cover one part of the bounding box."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     size = high - low
     longer = int(np.argmax(size))

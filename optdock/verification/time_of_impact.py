@@ -1,8 +1,9 @@
-"""Time of impact: duration for which a footprint can move at a constant body velocity before it is too close.
+"""Time of impact: how long a footprint can move at a constant body velocity before it is too close to an obstacle.
 
 Between two evaluations of the scene the bound of `conservative_advancement` holds: along the axis n that attains the
-distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
-M = |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs one step.
+distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and M
+= |yaw rate| * |v'| is constant in time, so the longest safe step has a closed form. A straight motion needs only one
+step.
 
 If pieces may touch, their unions are checked as in `contact_tolerance`: a needle between two adjacent obstacles, or a
 post in a fan of thin pieces, must not enter deeper than 3 micrometres.
@@ -39,7 +40,7 @@ _MOST_STEPS = 2000
 
 
 class Sweep(NamedTuple):
-    """`free`: proven collision-free duration [s]; `row`: the obstacle in the way, -1 without one."""
+    """`free`: proven collision-free duration [s]; `row`: row of the obstacle in the way, -1 if there is none."""
 
     free: float
     row: int
@@ -56,8 +57,8 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
 ) -> Sweep:
     """Return the duration for which the footprint keeps its clearance from every obstacle along the continuous motion.
 
-    An obstacle that is closer than `clearance` at the start, or overlaps by up to `overlap`, must not come closer
-    instead, so that a robot can leave its dock. With a deeper overlap the duration is 0.
+    If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, the motion is only required
+    not to come closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.
 
     Args:
         footprint: Outline of the robot.
@@ -65,7 +66,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
         pose: Initial pose.
         twist: Constant body velocity.
         duration: Horizon [s].
-        clearance: Distance to keep [m].
+        clearance: Required distance from the obstacles [m].
         overlap: Accepted overlap at the start [m].
     """
     reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE

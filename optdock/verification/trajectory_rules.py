@@ -1,14 +1,14 @@
 """The rules of a trajectory: coverage of the path, rests, and motion limits.
 
-Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
+Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law, so their extremes are
 exact. The limits that depend on curvature are proven by `turning_rules`.
 
 At jumps of the curvature between two segments the wheels turn at rest, and the rest must be long enough; the same
 applies to a start with unknown steering angle.
 
-A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are those of the time law:
-exact extremes, with their own limits (`MotionLimits.turning`). The phases of a turn are those between the rests at its
-ends.
+A turn in place is driven over the path coordinate, so its yaw rate, yaw acceleration and yaw jerk are the speed,
+acceleration and jerk of the time law. Their extremes are therefore exact, and they have their own limits
+(`MotionLimits.turning`). The phases of a turn lie between the rests at its ends.
 
 A finite limit without a rule here or in the path certificate is a violation, so that a new field of `MotionLimits`
 cannot be ignored.
@@ -113,7 +113,7 @@ def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation
 
 
 def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
-    """Check that the parts that a motion omits at its ends within the tolerance contain no turn."""
+    """Check that the parts of the path that a motion omits at its ends, within the tolerance, contain no turn."""
     law, path = trajectory.time_law, trajectory.path
     ends = ("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)
     yaws = path.poses_at([s for _, found, wanted in ends for s in (found, wanted)])[:, 2]
@@ -125,7 +125,7 @@ def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
 
 
 def _turns_in_place(path: Path) -> Iterator[Violation]:
-    """Check for turning steps of a polyline without distance, for which a time law over distance has no time."""
+    """Check for steps of a polyline that change only the yaw, to which a time law over distance gives no duration."""
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         if isinstance(segment, PolylineSegment):
             still = np.flatnonzero(~np.isfinite(segment.step_curvature))
@@ -145,7 +145,7 @@ class _Extremes(NamedTuple):
 
 
 def _speed_extremes(law: TimeLaw) -> _Extremes:
-    """Return first the borders of the phases, then their stationary points, clipped to the phase."""
+    """Return the borders of the phases, followed by their stationary points of speed, clipped to the phase."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dt = np.where(law.jerks != 0.0, -law.states[:-1, 2] / law.jerks, 0.0)
     inside = Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
@@ -186,7 +186,7 @@ def _border_at(law: TimeLaw, s: float) -> int:
 
 
 def _rest_at(law: TimeLaw, s: float) -> int:
-    """Return the phase border at rest nearest to `s`; a turn smaller than the tolerance has its own ends."""
+    """Return the phase border at rest nearest to `s`, so that turns below the tolerance have distinct ends."""
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
     off = np.where(still, np.abs(law.states[:, 0] - s), np.inf)
     k = int(np.argmin(off))
@@ -217,15 +217,15 @@ class _Wait(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Steering rate over its limit for uniform steering."""
+        """Ratio of the steering rate to its limit, if the wheels turn uniformly during the rest."""
         return self.needed / self.given if self.given > 0.0 else np.inf
 
 
 def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> list[_Wait]:
-    """Return the rests for steering by more than the tolerance, at the start and at cusps.
+    """Return the rests at the start and at cusps for which steering takes longer than the tolerance.
 
-    A phase between two borders at rest is at rest: its acceleration is linear and zero, and so is its speed. Cusps that
-    share a border share the phases there, so their required durations are added.
+    A phase between two borders at rest is entirely at rest, because its linear acceleration is zero at both ends. Cusps
+    that share a border share the phases at rest there, so their required durations are added.
     """
     law, path = trajectory.time_law, trajectory.path
     cusps = path.cusps if limits.max_steering_rate < np.inf else ()
@@ -264,7 +264,7 @@ def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Ite
 
 
 def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
-    """Return stretches with a constant speed limit, without turns: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
+    """Return begin, end and limit of the driven stretches with a constant speed limit. Shape (n, 3) [m, m, m/s]."""
     top = {Direction.FORWARD: limits.max_speed, Direction.REVERSE: limits.max_reverse_speed}
     rows = [
         (a, b, top[segment.direction])
@@ -278,7 +278,7 @@ def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatA
 
 
 def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: Instants, found: _Extremes) -> Iterator[_Peak]:
-    """Return the largest speed within every stretch; the motion reaches its begin and end at `entries`, alternating."""
+    """Yield the largest speed of every stretch; `entries` alternates between arrivals at its begin and its end."""
     entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
     for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
@@ -316,7 +316,7 @@ def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
 
 
 def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLimits) -> Iterator[_Peak]:
-    """Return the exact extremes of one turn."""
+    """Yield the exact extremes of yaw rate, yaw acceleration and yaw jerk in one turn."""
     if turn.inside.size == 0:
         return
     rows = np.concatenate((turn.borders, law.times.size + turn.inside))  # borders of phases, then speeds inside them
@@ -355,7 +355,7 @@ _EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_decelera
 
 
 def _without_rule(finite: Mapping[str, float], rules: Mapping[str, TurningRule]) -> Iterator[Violation]:
-    """Finite limits without a rule; those of `LimitKind.PATH` are left to the path certificate."""
+    """Yield the finite limits without a rule; the path certificate covers limits of `LimitKind.PATH`."""
     for name, value in finite.items():
         if not (name in _EXTREMES or name in rules or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
             yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)

@@ -5,13 +5,15 @@ quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the tabl
 Cells that the bound does not clear are bisected.
 
 Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
-or a long path does not reduce the precision. The cells of a phase run from event to event (its start, knots of the
-path, a grid), each with the phase and the piece of the path at its event; among simultaneous events the last one is
-used. Every piece of the path has a cell, even of width zero, whose first instant is still checked; a jump of curvature
-within less than the resolution of time is included with its rate.
+or a long path does not reduce the precision. The cells of a phase extend from event to event: the start of the phase,
+the knots of the path, and the points of a grid. Each cell has the phase and the piece of the path at its first event;
+the last one of simultaneous events is used. Every piece of the path has a cell, and even a cell of width zero is
+checked at its first instant. A jump of curvature within less than the resolution of time is therefore included with its
+rate.
 
-A polyline is evaluated three times: with the interpolated curvature between its poses, with that of its steps, and with
-the rate of its oscillation from step to step, which is not visible in the means at the poses.
+A polyline is evaluated three times: with the interpolated curvature between its poses, with the curvature of its steps,
+and with the rate at which the curvature oscillates from step to step, which is not visible in the mean curvatures at
+the poses.
 """
 
 from __future__ import annotations
@@ -136,9 +138,9 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
 
 
 class Cells(NamedTuple):
-    """Motion at the first instant of each cell, Shape (n,) each; r, j, and the bounds of k are constant.
+    """Motion at the first instant of each cell, Shape (n,) each; r, j, and the bounds of k are constant within a cell.
 
-    `t`: since the start of the motion, for messages [s]; `low`, `high`: range of the curvature of the piece of the
+    `t`: time since the start of the motion, for messages [s]; `low`, `high`: range of the curvature of the piece of the
     path.
     """
 
@@ -154,7 +156,7 @@ class Cells(NamedTuple):
     high: FloatArray
 
     def advanced(self, dt: FloatArray) -> Cells:
-        """Return the motion `dt` later, by the polynomials of the cell."""
+        """Return the motion after a time `dt`, from the polynomials of each cell."""
         gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
         k = np.clip(self.k + self.r * gain, self.low, self.high)
         return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
@@ -272,8 +274,8 @@ def turning_rules(finite: Mapping[str, float]) -> dict[str, TurningRule]:
 def subdivide(first: Cells, judge: Judge, is_late: Callable[[], bool]) -> None:
     """Evaluate cells, and bisect those that are neither cleared nor violated.
 
-    Cells that are not cleared once `is_late()` is True, or after too many bisections, are `unproven` with infinite
-    ratios.
+    Cells that are not cleared once `is_late()` is True, or after too many bisections, are recorded as `unproven` with
+    infinite ratios.
     """
     waiting = deque((0, block) for block in first.blocks())
     added = 0

@@ -1,11 +1,11 @@
 """Visibility: the proof that the marker of the dock is in the camera's view on every point of a stretch of a path.
 
-The position q of the marker in the robot frame and the bound M of |q''| are those of equation C20 in
-docs/theory/certificate.md; the mount of the camera is a rigid transform and preserves the norms. Over a stretch from a
-known pose the margins to the edges of the cone and to the range limits are bounded by (C21); the bounds are concave and
+Equation C20 of docs/theory/certificate.md defines the position q of the marker in the robot frame and the bound M of
+|q''|. The mount of the camera is a rigid transform and preserves these norms. Over a stretch from a known pose the
+margins to the edges of the cone and to the range limits are bounded by (C21). The bounds are concave, so they are
 smallest at one of the two ends. A cone of at most half a turn is the intersection of two half-planes, and both bounds
-apply. A wider cone is a union of half-planes whose normals lie between those of its two edges: the half-plane that
-attains the signed distance at the known pose is a valid lower bound everywhere.
+apply. A wider cone is a union of half-planes whose normals lie between the normals of its two edges. The half-plane
+that attains the signed distance at the known pose therefore gives a valid lower bound everywhere.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MAX_POSES = 60_000  # added by bisection
 
 
 class ViewProof(NamedTuple):
-    """Result of the proof; true if it holds.
+    """Result of the proof; its truth value tells whether it holds.
 
     Attributes:
         margin: Proven lower bound of the margin of the marker in the view on the stretch [m]; not sharp, because cells
@@ -60,8 +60,8 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
     Args:
         path: The path to check.
         problem: The problem, see `DockingProblem.required_view`.
-        is_late: Polled after every round of cells, each well below a millisecond; once it is True, open cells are given
-            up.
+        is_late: Polled after every round of cells, which takes well below a millisecond. Once it is True, open cells
+            are given up.
     """
     view = problem.required_view
     stretch = view.stretch(path) if view is not None else None
@@ -109,7 +109,7 @@ def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
 
 
 def _pose_number(segment: PolylineSegment, s: float, side: Literal["left", "right"]) -> float:
-    """Return the first (`left`) or the last (`right`) parameter of a polyline at an arc length [m], clipped to it."""
+    """Return the first (`left`) or the last (`right`) parameter of a polyline at an arc length [m], clipped."""
     knots = segment.knots
     i = int(np.searchsorted(knots, s, side=side))
     if i in (0, knots.size):
@@ -119,7 +119,7 @@ def _pose_number(segment: PolylineSegment, s: float, side: Literal["left", "righ
 
 
 def _broken(view: RequiredView, problem: DockingProblem, nodes: Nodes) -> ViewProof | None:
-    """Return the pose that violates the rule most, if any."""
+    """Return the result for the pose that violates the rule most, or None if no pose violates it."""
     found = view.margins(nodes.poses)
     required = problem.required_view_margin(*_distances(problem, view, nodes.poses))
     short = required - found.smallest
@@ -148,7 +148,7 @@ def _unproven(s: float, short: float, margin: float) -> ViewProof:
 
 
 def _distances(problem: DockingProblem, view: RequiredView, poses: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the distances from the goal, the start and the marker, Shape (n,) [m] each."""
+    """Return the distances of poses from the goal, the start and the marker, Shape (n,) [m] each."""
     points = (problem.goal.as_array()[:2], problem.start.as_array()[:2], view.marker)
     return tuple(np.hypot(*(poses[:, :2] - point).T) for point in points)
 
@@ -180,7 +180,7 @@ class _Advance(NamedTuple):
 
 
 def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> FloatArray:
-    """Return lower bounds of the margin over cells: first halves from first poses, last halves from last poses."""
+    """Return lower bounds of the margin over cells; each half is bounded from the pose at its end of the cell."""
     halves = (
         _advance(view, nodes.poses[ends.first], bounds.velocity_first, bounds),
         _advance(view, nodes.poses[ends.last], -bounds.velocity_last, bounds),
@@ -190,7 +190,7 @@ def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: Ce
 
 
 def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds: CellMotion) -> _Advance:
-    """Return the marker over half of each cell, starting at its poses with d pose / du = `velocity`."""
+    """Return the motion of the marker over half of each cell, from poses with d pose / du = `velocity`."""
     width = 0.5 * bounds.width
     yaw, turning = poses[:, 2], velocity[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)

@@ -50,7 +50,7 @@ _MARGIN = 0.5  # [m]: largest distance of a smoothed path from the input at whic
 
 
 def poses_of(path: Path) -> FloatArray:
-    """Return the poses of a path without repetition, for curves samples 5 cm apart. Shape (n, 3)."""
+    """Return the poses of a path without repetition; curves are sampled every 5 cm. Shape (n, 3)."""
     blocks = [
         np.array(segment.poses)
         if isinstance(segment, PolylineSegment)
@@ -63,7 +63,7 @@ def poses_of(path: Path) -> FloatArray:
 def path_of(poses: FloatArray, like: Path) -> Path:
     """Return smoothed poses as a path with the frame and the first pose of `like`.
 
-    Gears follow from the headings along the travel; the heading of the start is restored afterwards.
+    The gears are determined from the headings along the travel; afterwards the heading of the start is restored.
 
     Args:
         poses: Shape (n, 3), with headings from `with_travel_yaw`.
@@ -81,7 +81,7 @@ def path_of(poses: FloatArray, like: Path) -> Path:
 
 
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last index of every piece between cusps and turns in place; neighbours share an index.
+    """Return first and last index of every piece between cusps and turns in place; adjacent pieces share an index.
 
     At a cusp consecutive steps of `poses`, Shape (n, 3), have opposite directions; a turn in place is a step without
     motion but with a change of yaw.
@@ -95,7 +95,7 @@ def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
 
 
 def with_travel_yaw(poses: FloatArray) -> FloatArray:
-    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step, or against it in reverse, except the last.
+    """Return poses, Shape (n, 3), n >= 3, with yaws along the next step (opposite in reverse), except the last.
 
     A piece is in reverse if the heading of the second pose is more than 90 degrees from its step. A pose without a step
     of at least 0.1 mm keeps its yaw.
@@ -111,7 +111,7 @@ def with_travel_yaw(poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Surroundings of a path: costmap, footprint and obstacles near it, each None if unknown."""
+    """Surroundings of a path: costmap, footprint and nearby obstacles, each None if unknown."""
 
     costmap: Costmap | None
     footprint: Footprint | None
@@ -132,10 +132,10 @@ class Surroundings:
 
 
 def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) -> tuple[Path, Surroundings]:
-    """Return the path in the frame of the problem at hand, and its surroundings.
+    """Return the path in the frame of the given or configured problem, and the surroundings of the path.
 
     Raises:
-        InvalidPath: If the path has another frame.
+        InvalidPath: If the path is in another frame than the problem.
     """
     wanted = context.problem_at_hand(problem)
     footprint = context.footprint if wanted is None else wanted.robot.footprint
@@ -151,7 +151,7 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
 
 
 class PieceParameters(PluginParameters):
-    """The parameters that both smoothers have, with Nav2's names and defaults."""
+    """Parameters common to both smoothers, with Nav2's names and defaults."""
 
     do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
     refinement_num: int = Field(2, ge=0, description="number of refinements")
@@ -160,7 +160,7 @@ class PieceParameters(PluginParameters):
 
 
 class PieceEnd(str, Enum):
-    """Reason for the end of the work on a piece."""
+    """Reason for which the smoothing of a piece ended."""
 
     STILL = "tolerance"
     OBSTACLE = "obstacle"
@@ -171,7 +171,7 @@ class PieceEnd(str, Enum):
 
 @dataclass
 class PieceRun:
-    """One call of `smooth`: its limits, the number of finished steps, and the end of every piece."""
+    """One call of `smooth`: its limits, the number of finished steps, and the reason for which each piece ended."""
 
     deadline: Deadline
     costmap: Costmap | None
@@ -193,8 +193,8 @@ class PieceRun:
 class PieceSmoother(Smoother):
     """Base of smoothers that move the inner points of each piece between cusps.
 
-    Yaws become the directions of travel; start and goal keep their yaw (Nav2 turns the start), so a path may begin and
-    end with a kink. A piece whose smoothed poses would bring the footprint into an obstacle that it did not touch
+    Yaws are set to the directions of travel. Start and goal keep their yaw (Nav2 turns the start), so a path may begin
+    and end with a kink. A piece whose smoothed poses would bring the footprint into an obstacle that it did not touch
     before is left unchanged, unless `check_for_collisions` is off; the motion between poses is not checked. `completed`
     is False if the time limit stopped the work.
     """
@@ -203,7 +203,7 @@ class PieceSmoother(Smoother):
 
     @abstractmethod
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return the smoothed poses of a piece, Shape (n, 3), and the reason of the end; None: left unchanged."""
+        """Return the smoothed poses of a piece, Shape (n, 3), and the reason for the end; None if left unchanged."""
 
     @abstractmethod
     def report(self, run: PieceRun) -> SmoothingReport:
@@ -223,15 +223,15 @@ class PieceSmoother(Smoother):
         Args:
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s], checked before every step.
-            problem: Source of costmap, footprint and obstacles; None: the context. Without a footprint collisions are
-                not checked.
+            problem: Source of costmap, footprint and obstacles; if None, the context. Without a footprint, collisions
+                are not checked.
             warm_start: Not used.
             cancel_checker: Polled before every step.
 
         Raises:
-            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
+            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` has the wrong class.
             InvalidPath: If `path` is not a Path, has another frame than the problem, or too few distinct poses remain.
-            SmootherTimedOut: If the time ran out before the first step. Nav2 also raises after later ones.
+            SmootherTimedOut: If the time ran out before the first step. Nav2 also raises this error after later steps.
             SmootherCancelled: If `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)

@@ -38,13 +38,13 @@ class SavitzkyGolayParameters(PieceParameters):
 
 
 def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
-    """Return the weights of the value, at the middle point, of a polynomial fitted to all points.
+    """Return the weights of the points that give the value, at the middle point, of a polynomial fitted to all points.
 
     With V_ij = i^j for i = -m..m, the weights are the first row of the pseudo-inverse of V ([Savitzky1964]).
 
     Args:
         window_size: Number of points, odd.
-        degree: Of the polynomial.
+        degree: Degree of the polynomial.
 
     Returns:
         Shape (window_size,), sum 1.
@@ -61,9 +61,9 @@ def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
 class SavitzkyGolaySmoother(PieceSmoother):
     """Polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
 
-    Each piece between cusps is filtered separately: beyond its ends the end pose is repeated, and its end points are
-    fixed. The time limit is checked before every piece, which takes microseconds. See `PieceSmoother` for yaws and
-    collisions.
+    Each piece between cusps is filtered separately, with its end poses repeated beyond the ends and its end points
+    fixed. The time limit is checked before every piece, which takes microseconds to filter. See `PieceSmoother` for
+    yaws and collisions.
     """
 
     Parameters = SavitzkyGolayParameters
@@ -83,7 +83,7 @@ class SavitzkyGolaySmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), PieceEnd.STILL
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the numbers of filtered `pieces` and of `kept` pieces, which would have collided."""
+        """Return the numbers of filtered `pieces`, and of pieces `kept` unchanged because they would have collided."""
         extra = {"pieces": run.steps, "kept": run.ends.count(PieceEnd.COLLISION)}
         return SmoothingReport(total_s=run.deadline.elapsed, extra=extra)
 

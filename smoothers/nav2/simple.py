@@ -1,4 +1,4 @@
-"""Nav2's SimpleSmoother: every point moves towards the middle of its neighbours and back to its original position.
+"""Nav2's SimpleSmoother: every point is moved towards the middle of its neighbours and towards its original place.
 
 It serves as a baseline and supports old parameter files. The curvature is not bounded, and obstacles only stop the
 sweeps.
@@ -48,8 +48,8 @@ class _Sweep:
     """One Gauss-Seidel sweep over all points at once.
 
     The new point i satisfies `new_i - w_smooth new_(i-1) = w_data original_i + (1 - w_data - 2 w_smooth) old_i +
-    w_smooth old_(i+1)`: a bidiagonal system, solved by forward substitution, which differs from a loop over the
-    points by rounding only.
+    w_smooth old_(i+1)`: a bidiagonal system. Its solution by forward substitution differs from a loop over the points
+    only by rounding.
     """
 
     def __init__(self, original: FloatArray, w_data: float, w_smooth: float) -> None:
@@ -72,9 +72,10 @@ class SimpleSmoother(PieceSmoother):
     """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
 
     A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
-    until the sum of the changes of a sweep is less than `tolerance`. A sweep that puts a point into an occupied cell is
-    undone and ends the work; without a costmap there is no such check. Each piece between cusps is smoothed separately,
-    with fixed end points. The time limit is checked before every sweep. See `PieceSmoother` for yaws and collisions.
+    until the sum of the changes of a sweep is less than `tolerance`. A sweep that moves a point into an occupied cell
+    is undone and is the last one; without a costmap there is no such check. Each piece between cusps is smoothed
+    separately, with fixed end points. The time limit is checked before every sweep. See `PieceSmoother` for yaws and
+    collisions.
     """
 
     Parameters = SimpleParameters
@@ -92,12 +93,12 @@ class SimpleSmoother(PieceSmoother):
         return with_travel_yaw(np.column_stack((points, poses[:, 2]))), end
 
     def report(self, run: PieceRun) -> SmoothingReport:
-        """Return the number of sweeps, and in `extra` the reason of the end of every piece (`ended_by`)."""
+        """Return the number of sweeps, and in `extra` the reason for which every piece ended (`ended_by`)."""
         extra = {"ended_by": tuple(end.value for end in run.ends)}
         return SmoothingReport(iterations=run.steps, total_s=run.deadline.elapsed, extra=extra)
 
     def _sweep_until_still(self, original: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd]:
-        """Points after whole sweeps, Shape (n, 2) [m], and the reason of the end."""
+        """Return the points after complete sweeps, Shape (n, 2) [m], and the reason for which the sweeps ended."""
         sweep = _Sweep(original, self.parameters.w_data, self.parameters.w_smooth)
         points = original
         for _ in range(1, self.parameters.max_its):

@@ -9,5 +9,5 @@
 
 Modules in reading order: settings, basis, rollout, nlp, cost, goal_projection, initial_guess, collision,
 visibility_constraint, qp_step, loop, search, pieces_between_turns, refusals. Results are certified by
-`optdock.verification`, which shares no code with this package.
+`optdock.verification`, whose code is independent of this package.
 """

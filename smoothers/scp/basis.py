@@ -1,8 +1,8 @@
-"""Splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
+"""Splines of piecewise linear curvature, as matrices that depend only on the numbers of spans and intervals.
 
 Curvature is linear between knots, so the heading is linear in the knot curvatures: with `u` in [0, 1] along a gear of
-length L, `yaw(u) = yaw_start + L * integral_0^u hats(t) dt . K`. The integrals do not depend on the problem: a basis is
-built once per shape.
+length L, `yaw(u) = yaw_start + L * integral_0^u hats(t) dt . K`. The integrals do not depend on the problem, so a basis
+is built only once per shape.
 """
 
 from __future__ import annotations
@@ -104,12 +104,12 @@ def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.f
 
 
 def _hats(spans: int, u: FloatArray) -> FloatArray:
-    """Hat functions on a uniform grid of [0, 1]. Shape (len(u), spans + 1)."""
+    """Return the hat functions on a uniform grid of [0, 1]. Shape (len(u), spans + 1)."""
     return np.maximum(0.0, 1.0 - np.abs(spans * u[:, None] - np.arange(spans + 1)))
 
 
 def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
-    """Integrals of the hat functions from 0 to u. Shape (len(u), spans + 1)."""
+    """Return the integrals of the hat functions from 0 to u. Shape (len(u), spans + 1)."""
     t = np.clip(spans * u[:, None] - np.arange(spans + 1), -1.0, 1.0)
     area = np.where(t < 0.0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2)
     area[:, 0] -= 0.5
@@ -118,7 +118,7 @@ def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
 
 
 def _heading_rows(spans: IntArray, points: list[FloatArray]) -> FloatArray:
-    """Heading change per unit of (gear length * knot curvature); later gears include that of all earlier ones."""
+    """Return heading changes per unit of (gear length * knot curvature); later gears include all earlier gears."""
     rows = []
     for m, u in enumerate(points):
         done = [np.tile(_hat_integrals(q, np.ones(1)), (u.size, 1)) for q in spans[:m]]

@@ -4,10 +4,11 @@ J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'
     + w_t * (total length / intervals) * sum over nodes of (n_ref . (p - p_ref))^2
     + w_s * sum over cusps of ((k_after + k_before) / k_ref)^2
 
-with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, squared
-lateral distance from the input path, and, for steered wheels, the squared change of steering at cusps, where constant
-wheel angles reverse the sign of the curvature. Near the ends of gears, where a steered robot is slow and its wheels can
-follow sharper changes, the curvature rate has a lower weight (`easing`).
+where M and S are the mass and stiffness of the basis. The terms are the length, the integral of curvature^2, the
+integral of curvature rate^2, the squared lateral distance from the input path and, for steered wheels, the squared
+change of steering at cusps, where constant wheel angles reverse the sign of the curvature. Near the ends of gears,
+where a steered robot is slow and its wheels can follow sharper changes, the curvature rate has a lower weight
+(`easing`).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Weights(NamedTuple):
 
 
 class InputNodes(NamedTuple):
-    """The input path at the nodes: positions (n, 2) [m] and unit normals (n, 2)."""
+    """Input path at the nodes: positions (n, 2) [m] and unit normals (n, 2)."""
 
     positions: FloatArray
     normals: FloatArray
@@ -66,7 +67,7 @@ class CostModel:
 
     @cached_property
     def _stiffness(self) -> FloatArray:
-        """Integrals of products of the slopes of hats over u, weighted by `easing`."""
+        """Integrals over u of products of the slopes of hat functions, weighted by `easing`."""
         basis = self.basis
         if self.easing is None:
             return basis.stiffness
@@ -77,7 +78,7 @@ class CostModel:
 
     @cached_property
     def _turned(self) -> FloatArray:
-        """Weighted change of steering at every cusp, by the knot curvatures. Shape (cusps, knots)."""
+        """Weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
         basis = self.basis
         rows = np.zeros((basis.num_gears - 1, basis.num_knots))
         cusps = np.arange(basis.num_gears - 1)
@@ -108,7 +109,7 @@ class CostModel:
         return float(self.weights.length * total + smooth + tracking)
 
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
-        """Return the exact gradient, and the Hessian: exact in the curvatures, Gauss-Newton for tracking."""
+        """Return the exact gradient, and a Hessian that is exact in the curvatures and Gauss-Newton for tracking."""
         basis, (curvature, lengths) = self.basis, variables
         bend, jerk = self.factors
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
@@ -132,7 +133,7 @@ class CostModel:
         return Quadratic(gradient, hessian)
 
     def of_clothoids(self, path: Path, final_straight: float) -> float:
-        """Return J of a clothoid path that is its own reference, without its final straight [m]."""
+        """Return J of a clothoid path, with the path itself as reference and without the final straight [m]."""
         bend, jerk = self.factors
         value = self.weights.length * (path.length - final_straight)
         for segment in path.segments:

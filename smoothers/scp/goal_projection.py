@@ -38,7 +38,7 @@ __all__ = [
 
 
 def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[Variables, Rollout]:
-    """Return the variables on the goal if the curvature rate allows it, else within the rate, with their roll-out."""
+    """Return variables projected onto the goal, or limited in rate if that is impossible, and their roll-out."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     variables = clipped(variables, nlp.bounds)
     projected = onto_goal(basis, variables, ends, nlp.bounds, settings)
@@ -54,7 +54,7 @@ def project_and_roll_out(nlp: NonlinearProgram, variables: Variables) -> tuple[V
 def onto_goal(
     basis: Basis, variables: Variables, ends: Ends, bounds: VariableBounds, settings: GoalProjectionSettings
 ) -> Variables:
-    """Return the variables after Newton steps of least norm within `bounds`, while a step contracts the error (S6)."""
+    """Return the variables after Newton steps of least norm within `bounds`, as long as the error contracts (S6)."""
     pose, moves = end_pose(basis, variables, ends.start, ends.signs)
     error = pose - ends.target
     size, flat, knots = _largest(error), np.concatenate(variables), basis.num_knots
@@ -79,7 +79,7 @@ def _largest(error: FloatArray) -> float:
 
 
 def _bounded_inverse(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: VariableBounds) -> FloatArray:
-    """Pseudo-inverse of the goal derivatives, Shape (size, 3), without the variables that would leave their bounds."""
+    """Return the pseudo-inverse of the goal derivatives, Shape (size, 3), for variables that stay in their bounds."""
     free = bounds.upper > bounds.lower
     inverse = _pseudo_inverse(jacobian * free)
     moved = flat - inverse @ error
@@ -94,7 +94,7 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
 
 
 def end_pose(basis: Basis, variables: Variables, start: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return only the last pose, Shape (3,), and the displacements that lead there, Shape (2 num_intervals, 2) [m].
+    """Return the last pose, Shape (3,), and the displacements that lead to it, Shape (2 num_intervals, 2) [m].
 
     There are two displacements per interval, one for each node of the quadrature of its headings.
     """
@@ -137,9 +137,9 @@ def clipped(variables: Variables, bounds: VariableBounds) -> Variables:
 
 
 def limit_rate(basis: Basis, variables: Variables, bounds: VariableBounds) -> Variables:
-    """Return variables within the curvature rate (S7); fixed curvatures are not changed.
+    """Return variables limited to the largest curvature rate (S7); fixed curvatures are not changed.
 
-    The result is the mean of the largest rate-bounded function below and the smallest one above.
+    The result is the mean of the largest rate-bounded function below the curvature and the smallest one above it.
     """
     if not np.isfinite(bounds.rate):
         return variables
@@ -192,7 +192,7 @@ def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: flo
 
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
-    """One spline per gear, each from the end of the previous one; the last one includes the straight."""
+    """Return one spline per gear, each from the end of the previous one; the last one includes the straight."""
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):

@@ -1,9 +1,9 @@
-"""Initial guesses: a fit of headings or positions, pure pursuit of the input, or an earlier result.
+"""Initial guesses: a fit to headings or positions, pure pursuit of the input, or an earlier result.
 
-The fit of headings is the cheapest, and the best start for smooth inputs. This fit drifts away from inputs whose
-curvature changes within centimetres, such as Reeds-Shepp paths, unlike least squares of positions (`track`, S22).
-Inputs that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded curvature
-and curvature rate [Coulter1992].
+The fit to headings is the cheapest guess and the best start for smooth inputs. It drifts away from inputs whose
+curvature changes within centimetres, such as Reeds-Shepp paths; a least-squares fit to positions (`track`, S22) does
+not. Inputs that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded
+curvature and curvature rate [Coulter1992].
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ class InitialGuesses:
 
     @property
     def first(self) -> SearchGuess:
-        """First guess: fit, pursuit, or tracked."""
+        """First guess: the fit, the pursuit or the tracked path."""
         return self._cold(self._first, self.nlp.settings.guess.patience)
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """Tracked guess if the input can be tracked; None if it is the first guess or close to it."""
+        """Tracked guess if the input can be tracked; None if this guess is the first guess or close to it."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -66,7 +66,7 @@ class InitialGuesses:
 
     @property
     def other(self) -> SearchGuess | None:
-        """The other guess of fit and pursuit, for obstacles passed on the wrong side; None if close to the first."""
+        """Second guess, fit or pursuit, for obstacles passed on the wrong side; None if close to the first guess."""
         settings, second = self.nlp.settings.guess, self._untracked
         if self._first is second:
             second = self.pursued if second is self.fitted else self.fitted
@@ -86,7 +86,7 @@ class InitialGuesses:
 
     @cached_property
     def fitted(self) -> Variables:
-        """Smoothed least-squares fit of the input's headings (S9), within the bounds."""
+        """Smoothed least-squares fit to the input's headings (S9), within the bounds."""
         nlp, lengths = self.nlp, self.nlp.lengths
         turned = nlp.basis.fit @ (nlp.traced.headings - nlp.ends.start[2])
         return clipped(Variables(turned / lengths[nlp.basis.knot_gear], lengths.copy()), nlp.inner_bounds)
@@ -100,12 +100,12 @@ class InitialGuesses:
 
     @cached_property
     def tracked(self) -> Variables:
-        """Drivable path whose positions are nearest to the input's (S22)."""
+        """Drivable path whose positions are nearest to the input in the least-squares sense (S22)."""
         return track(self.nlp, self.pool, self._untracked, self.trust_region, self.is_late)
 
     @cached_property
     def trust_region(self) -> float:
-        """First bound of the heading changes [rad]: position errors are its square times half the length."""
+        """First bound of the heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
@@ -120,14 +120,14 @@ class InitialGuesses:
 
     @cached_property
     def _is_trackable(self) -> bool:
-        """Whether the tracked path is near the input, or much nearer than the others."""
+        """Whether the tracked path is near the input, or much nearer than the fit or the pursuit."""
         settings = self.nlp.settings.guess
         tracked, other = (largest_deviation(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _first(self) -> Variables:
-        """The fit or the pursuit; the tracked guess if both lead into obstacles or past the goal."""
+        """The fit or the pursuit; the tracked path if it is better where they hit obstacles or miss the goal."""
         nlp, first = self.nlp, self._untracked
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
@@ -153,7 +153,7 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """A guess of this call, with more iterations of patience for longer paths."""
+        """Return a guess without an earlier result, with more iterations of patience for longer paths."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
@@ -168,7 +168,7 @@ class EarlierResult(NamedTuple):
     lengths: FloatArray  # remaining lengths of the gears without the final straight, Shape (num_gears,) [m]
 
     def variables(self, basis: Basis) -> Variables:
-        """Return its curvatures at the knots of `basis`."""
+        """Return the curvatures of the rest at the knots of `basis`, and its lengths."""
         knots = []
         for m, segment in enumerate(self.path.segments[self.first :]):
             share = np.linspace(0.0, 1.0, int(basis.last_knots[m] - basis.first_knots[m]) + 1)
@@ -179,7 +179,7 @@ class EarlierResult(NamedTuple):
 def rest_of_earlier_result(
     earlier: Path | None, path: Path, problem: DockingProblem, settings: GuessSettings
 ) -> EarlierResult | None:
-    """Return the rest of the clothoid path `earlier`; None if it is far from the start or has other gears."""
+    """Return the rest of the clothoid path `earlier`, or None if it is far from the start or has other gears."""
     if earlier is None or not all(isinstance(segment, ClothoidSegment) for segment in earlier.segments):
         return None
     count = len(path.segments)
@@ -221,7 +221,7 @@ class _Drive(NamedTuple):
 def pure_pursuit(
     basis: Basis, positions: FloatArray, ends: Ends, bounds: VariableBounds, settings: GuessSettings
 ) -> Variables:
-    """Return the variables of a pure pursuit of `positions`, Shape (num_nodes, 2) [m], within the bounds."""
+    """Return the variables from pure pursuit of `positions`, Shape (num_nodes, 2) [m], within the bounds."""
     limit = float(bounds.upper[: basis.num_knots].max())
     headings, lengths = np.empty(basis.num_intervals), np.empty(basis.num_gears)
     pose = (float(ends.start[0]), float(ends.start[1]), float(ends.start[2]))
@@ -243,7 +243,7 @@ def pure_pursuit(
 
 
 def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
-    """The points at the spacing of a step, continued straight at the end so that the pursuit aligns with it."""
+    """Return the points at the spacing of a step, with a straight tail, so that the pursuit ends aligned with it."""
     away = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     s = np.arange(0.0, away[-1], limits.step)
     dense = [np.interp(s, away, points[:, i]) for i in (0, 1)]
@@ -258,7 +258,7 @@ def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limit
 def _pursue(
     pose: tuple[float, float, float], sign: float, line: list[tuple[float, float]], limits: _Limits, longest: float
 ) -> _Drive:
-    """Pure pursuit of `line`, whose tail of two lookaheads lies beyond the end."""
+    """Drive by pure pursuit of `line`, whose tail of two lookahead distances lies beyond the end."""
     x, y, yaw = pose
     tail = math.ceil(2.0 * limits.lookahead / limits.step)
     end, ahead = max(1, len(line) - tail), math.ceil(limits.lookahead / limits.step)
@@ -278,7 +278,7 @@ def _pursue(
 
 
 def _advanced(line: list[tuple[float, float]], nearest: int, x: float, y: float) -> int:
-    """Index of the next local minimum of the distance, starting at `nearest`."""
+    """Return the index of the next local minimum of the distance, starting at `nearest`."""
     best = math.hypot(line[nearest][0] - x, line[nearest][1] - y)
     while nearest + 1 < len(line):
         following = math.hypot(line[nearest + 1][0] - x, line[nearest + 1][1] - y)
@@ -291,7 +291,7 @@ def _advanced(line: list[tuple[float, float]], nearest: int, x: float, y: float)
 def _steered(
     kappa: float, pose: tuple[float, float, float], sign: float, target: tuple[float, float], limits: _Limits
 ) -> float:
-    """Curvature of the arc through the target, within the limits."""
+    """Return the curvature of the arc through the target, within the limits."""
     dx, dy = target[0] - pose[0], target[1] - pose[1]
     heading = pose[2] + (0.0 if sign > 0.0 else math.pi)
     along, across = dx * math.cos(heading) + dy * math.sin(heading), dy * math.cos(heading) - dx * math.sin(heading)
@@ -316,14 +316,15 @@ def track(
         minimize  w integral of (across^2 + a along^2) ds + w a' sum over cusps of |p - p_ref|^2
                   + smoothness + goal error
 
-    within a trust region ([Nocedal2006] ch. 10), with the convex program of the search, in about a millisecond.
+    within a trust region ([Nocedal2006] ch. 10). The steps use the convex program of the search and take about a
+    millisecond in total.
 
     Args:
         nlp: Input, ends and bounds.
         pool: Convex programs.
         variables: First variables.
         trust_region: First bound of the heading changes of a step [rad].
-        is_late: Called before every step; True ends the iteration.
+        is_late: Called before every step; a result of True ends the iteration.
     """
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
     nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
@@ -351,7 +352,7 @@ def track(
 
 
 class _TrackedPath(NamedTuple):
-    """Variables, their roll-out, and the merit."""
+    """Variables with their roll-out and merit."""
 
     variables: Variables
     rollout: Rollout
@@ -360,7 +361,7 @@ class _TrackedPath(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _LeastSquares:
-    """The residuals of one program at every node, across and along the input."""
+    """Residuals of one program at every node, across and along the input."""
 
     nlp: NonlinearProgram
     axes: tuple[FloatArray, FloatArray]  # unit vectors across and along the input, Shape (num_nodes, 2) each
@@ -388,7 +389,7 @@ class _LeastSquares:
         return _TrackedPath(variables, rollout, merit)
 
     def linearized(self, current: _TrackedPath) -> Subproblem:
-        """The convex model at an iterate, without clearance."""
+        """Return the convex model at an iterate, without clearance."""
         nlp, basis, (variables, rollout, _) = self.nlp, self.nlp.basis, current
         by, knots = sensitivity(basis, variables, rollout), basis.num_knots
         stiffness = self.smoothness / variables.lengths[basis.knot_gear] * basis.stiffness

@@ -39,7 +39,7 @@ __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"
 
 
 class SearchGuess(NamedTuple):
-    """First variables of a search, and its first step bounds."""
+    """First variables of a search, and first bounds of its steps."""
 
     variables: Variables  # curvatures and lengths
     trust_region: float  # first bound of the heading changes of a step [rad]
@@ -91,14 +91,14 @@ def search(
     max_iterations: int = 60,
     is_late: Callable[[], bool] = never_late,
 ) -> Iterator[Progress]:
-    """Yield the progress after every iteration, the initial iterate first; the last one is `finished`.
+    """Yield the progress for the initial iterate and after every iteration; the last one is `finished`.
 
     Args:
         nlp: Program.
         guess: First variables.
         pool: Convex programs.
         max_iterations: Largest number of steps.
-        is_late: Called within every iteration; True ends the search without a further result.
+        is_late: Called within every iteration; a result of True ends the search without a further iterate.
     """
     settings = nlp.settings.loop
     penalties = Penalties(settings.clearance_penalty, settings.goal_penalty)
@@ -129,9 +129,9 @@ def search(
 
 
 def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | None = None) -> tuple[Iterate, float]:
-    """Return the projected iterate of `variables`, and its largest change of heading [rad] or length [m].
+    """Return the projected iterate of `variables`, and the largest change of a heading [rad] or length [m].
 
-    The change is 0 without an iterate `before`.
+    The change is measured from the iterate `before` and is 0 if that is None.
     """
     settings = nlp.settings.loop
     variables, rollout = project_and_roll_out(nlp, variables)
@@ -144,7 +144,7 @@ def evaluated(nlp: NonlinearProgram, variables: Variables, before: Iterate | Non
 
 
 def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
-    """Return the iterate of a roll-out; pairs more than `reach` [m] above the requirement are left out."""
+    """Return the iterate of a roll-out; pairs with more than `reach` [m] above the required clearance are left out."""
     settings, scene, basis = nlp.settings.loop, nlp.scene, nlp.basis
     body = body_at_nodes(scene, rollout.poses)
     pairs = broad_phase(scene, basis, rollout, body, reach + scene.rule.required)
@@ -169,7 +169,7 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
 
 
 def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
-    """The linearization at an iterate, with a buffer of clearance."""
+    """Return the linearization at an iterate, with a buffer added to the required clearance."""
     basis, settings, rollout, found = nlp.basis, nlp.settings.step, current.rollout, current.clearance
     buffer = settings.buffer + state.overshoot(current)
     by = sensitivity(basis, current.variables, rollout)
@@ -192,7 +192,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: QpStep | None, state: _State) -> Iterate | None:
-    """The iterate after a step if its merit is lower, else None; adapts trust region and proximal weight."""
+    """Return the iterate after a step if its merit is lower, else None; adapt trust region and proximal weight."""
     if step is None:
         state.reject(state.trust_region)
         return None
@@ -222,7 +222,7 @@ class _State:
     def overshoot(self, current: Iterate) -> float:
         """Clearance added to the buffer before the first feasible iterate [m].
 
-        When sides roll around a corner, the shortfall of a step is about that of the step before it.
+        When a side rolls around a corner, the shortfall after a step is about the same as after the previous step.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
@@ -239,7 +239,7 @@ class _State:
         self.rejections += 1
 
     def has_settled(self, before: Iterate, after: Iterate) -> bool:
-        """Whether the gain of a feasible iterate, or the extrapolated next one, is small."""
+        """Whether the gain of a feasible iterate, or the extrapolated next gain, is small."""
         gain = before.merit(self.penalties) - after.merit(self.penalties)
         previous, self.gain = self.gain, gain if before.feasible else math.inf
         expected = gain * min(1.0, gain / previous) if math.isfinite(previous) else gain
@@ -247,9 +247,9 @@ class _State:
         return after.feasible and before.feasible and min(gain, 2.0 * expected) < small
 
     def is_hopeless(self, current: Iterate) -> bool:
-        """Whether no step improves a feasible iterate, or the shortfall no longer shrinks.
+        """Whether no step improves a feasible iterate, or the shortfall of an infeasible iterate no longer shrinks.
 
-        The penalties are raised first if the shortfall costs less than the path itself.
+        If the shortfall costs less than the path itself, the penalties are raised first.
         """
         settings, penalties = self.settings, self.penalties
         if current.feasible:

@@ -95,7 +95,7 @@ class NonlinearProgram:
 
 
 class Formulation(NamedTuple):
-    """Weights, least number of spans, and length of a collision interval [m], from the parameters."""
+    """Weights, smallest number of spans, and length of a collision interval [m], from the parameters."""
 
     weights: Weights
     spans: int
@@ -117,7 +117,7 @@ def formulate(
         problem: Constraints.
         scene: Obstacles around the input.
         chosen: Weights and resolution.
-        lengths: First gear lengths, Shape (num_gears,) [m]; None: those of the input.
+        lengths: First gear lengths, Shape (num_gears,) [m]; None means the lengths of the input.
         settings: Constants of the method.
     """
     limits, straight = problem.robot.limits, problem.dock.final_straight
@@ -177,13 +177,13 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Return the spans of each gear, proportional to its length and at least four, and the intervals per span.
+    """Return the number of spans of each gear, proportional to its length and at least four, and of intervals per span.
 
     Args:
         lengths: Lengths of the gears, Shape (num_gears,) [m].
         chosen: Least number of spans of all gears together, and length of a collision interval.
         longest: Longest span [m].
-        settings: Limits of both.
+        settings: Limits of the numbers of spans and intervals.
     """
     total = float(lengths.sum())
     wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
@@ -194,7 +194,7 @@ def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings
 
 
 def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
-    """Return the input at the nodes of `basis`; headings are those of its chords, not its yaws."""
+    """Return the input at the nodes of `basis`; its headings are directions of chords, not yaws."""
     poses = []
     for m, segment in enumerate(path.segments):
         share = basis.fraction[basis.node_gear == m]
@@ -212,7 +212,7 @@ def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> Tr
 
 
 def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
-    """Positions and normals at the nodes; the headings at nodes are the means of the neighbouring ones."""
+    """Return positions and normals at the nodes; the heading of a node is the mean of the neighbouring headings."""
     heading = np.empty(basis.num_nodes)
     heading[basis.left] = traced.headings
     heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
@@ -222,7 +222,7 @@ def _reference_of(traced: TracedInput, basis: Basis) -> InputNodes:
 
 
 def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
-    """The goal moved back by the final straight, with a yaw continuous with the input's."""
+    """Return the goal moved back by the final straight, with a yaw that is continuous with the input."""
     goal = problem.goal.as_array()
     back = sign * problem.dock.final_straight
     goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
@@ -235,7 +235,7 @@ def _curvature_bound(limits: MotionLimits, settings: BoundSettings) -> float:
 
 
 def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[float, float]:
-    """Reference curvature [1/m] and curvature rate [1/m^2] of the cost."""
+    """Return the reference curvature [1/m] and the reference curvature rate [1/m^2] of the cost."""
     curvature = limits.max_curvature if math.isfinite(limits.max_curvature) else settings.unlimited_curvature
     rate = limits.max_curvature_rate
     if limits.wheelbase > 0.0:  # the rate that the wheels can follow at full speed
@@ -244,16 +244,16 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """Cost of steering from 0 to `curvature` at rest: distance at full speed in the same time [m]."""
+    """Return the cost of steering from 0 to `curvature` at rest: the distance at full speed in the same time [m]."""
     if limits.wheelbase <= 0.0:
         return 0.0
     return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed
 
 
 def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArray | None:
-    """Weight of the curvature rate of steered robots in each span: the squared speed relative to the full speed.
+    """Return the weight of a steered robot's curvature rate in each span: squared speed over squared full speed.
 
-    The speed is that of the fastest motion along gears of these lengths under the acceleration limits.
+    The speed is taken from the fastest motion along gears of these lengths under the acceleration limits.
     """
     if limits.wheelbase <= 0.0:
         return None
@@ -266,12 +266,12 @@ def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArr
 
 
 def _scaled(weights: Weights, curvature: float) -> Weights:
-    """The weights for a largest curvature [1/m]; robots with wide turns may deviate farther from their input."""
+    """Return the weights for a largest curvature [1/m]; robots with wide turns may deviate farther from the input."""
     return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
 def _braking_distance(problem: DockingProblem) -> float:
-    """Distance of full braking from the start state [m]."""
+    """Return the distance of full braking from the start state [m]."""
     (speed, acceleration), limits = problem.start_state(1), problem.robot.limits
     if speed == 0.0:
         return 0.0
@@ -283,7 +283,7 @@ def _braking_distance(problem: DockingProblem) -> float:
 def _variable_bounds(
     basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
 ) -> tuple[VariableBounds, VariableBounds]:
-    """Exact bounds, and the inner ones of the steps."""
+    """Return the exact bounds, and the tighter bounds of the steps."""
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]

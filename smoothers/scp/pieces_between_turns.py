@@ -1,7 +1,8 @@
-"""Paths that turn in place: divided at the turns into pieces that are smoothed separately.
+"""Smoothing of paths that turn in place: the pieces between the turns are smoothed separately.
 
-Positions and headings of turns are kept, so a piece has fixed poses at both ends and free curvature at turns. The rules
-near the start and the goal of the whole problem apply to every piece; the whole path is certified.
+Positions and headings of turns are kept, so a piece has fixed poses at both ends and free curvature at turns. The
+clearance rules near start and goal of the whole problem apply to every piece, and the certificate covers the whole
+path.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class _Joined(NamedTuple):
 
 @dataclass
 class TurningSolver:
-    """Smoother of the pieces between the turns of a path; arguments as for `Solver`."""
+    """Solver for paths with turns, which smooths the pieces between them; arguments as for `Solver`."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -63,7 +64,7 @@ class TurningSolver:
         """Return a certified path; straight pieces are kept if the whole path can be certified with them.
 
         Raises:
-            FailedToSmoothPath: If a bound cannot be kept.
+            FailedToSmoothPath: If a bound cannot be satisfied.
             SmootherTimedOut: If no path is certified in time.
             SmootherCancelled: If `cancelled` returned True.
         """
@@ -78,7 +79,7 @@ class TurningSolver:
         return best
 
     def _joined(self, call: Call, *, keeps_straight: bool) -> _Joined:
-        """All turns and pieces, each piece from the end of the turn before it."""
+        """Return all turns and pieces, where each piece begins at the end of the turn before it."""
         problem, parts = call.problem, parts_between_turns(call.path)
         earlier = _parts_like(call.earlier, parts)
         anytime = self.settings.anytime
@@ -112,7 +113,7 @@ class TurningSolver:
         return found
 
     def _smoothed(self, call: Call, before: Sequence[Segment], to_search: int) -> Incumbent:
-        """Smooth one piece in its share of the time."""
+        """Smooth one piece within its share of the remaining time."""
         left = (1.0 - _CERTIFICATE_SHARE) * self.deadline.left / to_search
         solver = Solver(
             self.pool, self.deadline.shortened(at_most=self.deadline.elapsed + left), self.cancelled, self.settings
@@ -137,7 +138,7 @@ class TurningSolver:
         return best
 
     def _certified(self, found: _Joined, call: Call, *, is_final: bool) -> Incumbent | None:
-        """The whole path if certified; else raise the violation if `is_final`, or return None."""
+        """Return the whole path if it is certified; otherwise raise the violation if `is_final`, or return None."""
         began, problem = self.deadline.elapsed, call.problem
         if not found.segments:
             raise FailedToSmoothPath("goal_unreachable: the raw path has no piece left between its turns", where={})
@@ -158,10 +159,10 @@ class TurningSolver:
 
 
 def with_turns(path: Path) -> Path:
-    """Return the path with large turns without motion in its polylines as turn segments.
+    """Return the path in which large turns without motion in polylines are turn segments.
 
     Grid and lattice planners make such steps. A turn at the end of a path is kept unchanged, because planners overwrite
-    the heading of the last pose with that of the goal.
+    the heading of the last pose with the heading of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:
@@ -171,7 +172,7 @@ def with_turns(path: Path) -> Path:
 
 
 def _split(segment: PolylineSegment) -> list[Segment]:
-    """The drives and turns of a polyline."""
+    """Return the drives and turns of a polyline, in order."""
     poses, is_still = segment.poses, np.diff(segment.knots) <= 0.0
     parts: list[Segment] = []
     begin = at = 0
@@ -190,7 +191,7 @@ def _split(segment: PolylineSegment) -> list[Segment]:
 
 
 def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment], i: int, pose: Pose2) -> DockingProblem:
-    """The problem of the piece at `i` from `pose`, with the rules of the ends of the path that it contains."""
+    """Return the problem of the piece at `i` from `pose`, with the rules of those ends of the path that it contains."""
     part, later = parts[i], parts[i + 1 :]
     dock = problem.dock
     direction = DockDirection.AUTO if any(isinstance(other, Path) for other in later) else dock.direction
@@ -213,7 +214,7 @@ def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment],
 
 
 def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """The straight line between two poses if the piece is straight and they share an axis, else None."""
+    """Return the straight line between two poses if the piece is straight and both are on one axis, else None."""
     line = straight_line(part, start, end, settings)
     if line is None:
         return None
@@ -224,7 +225,7 @@ def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -
 
 
 def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Sequence[Path | None]:
-    """The pieces of an earlier result if it has the same sequence of drives and turns, else None for each part."""
+    """Return the pieces of an earlier result with the same sequence of drives and turns, or None for each part."""
     nothing: tuple[Path | None, ...] = (None,) * len(parts)
     if earlier is None:
         return nothing

@@ -7,7 +7,8 @@
                 +-(K_(j+1) - K_j) - (s_max / q) L <= 0        curvature rate, exact
                 G d + t_zone >= buffer - gap                  clearance
 
-Columns and rows are in named blocks. Programs are built once per size; CasADi's buffers share NumPy's memory.
+Columns and rows are in named blocks. Each program is built once per size; NumPy arrays share the memory of CasADi's
+buffers.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Blocks(NamedTuple):
 
 
 def blocks_for(basis: Basis, rate_spans: int, clearance_rows: int, settings: StepSettings) -> Blocks:
-    """Return the blocks of a program for numbers of rate-bounded spans and of clearance rows."""
+    """Return the blocks of a program with the given numbers of rate-bounded spans and clearance rows."""
     path, above, below, slack = _consecutive(basis.size, 3, 3, settings.zones)
     rows = _consecutive(3, _trust_rows(basis, settings), rate_spans, rate_spans, clearance_rows)
     return Blocks(path, above, below, slack, *rows)
@@ -91,14 +92,14 @@ def _consecutive(*counts: int) -> list[slice]:
 
 
 def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
-    """Return the penalty zones of nodes."""
+    """Return the index of the penalty zone of each node."""
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
 
 
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
-    """Return the nodes whose headings the trust region bounds, evenly over the path.
+    """Return nodes spaced evenly over the path, whose headings are bounded by the trust region.
 
-    Twelve nodes are enough for 24 spans; with more spans one node per span is needed, or curvatures oscillate.
+    Twelve nodes are enough for 24 spans. With more spans, curvatures oscillate unless there is one node per span.
     """
     return np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64)
 
@@ -109,7 +110,7 @@ def _trust_rows(basis: Basis, settings: StepSettings) -> int:
 
 
 class Subproblem(NamedTuple):
-    """One linearization, which stays the same when a step is rejected."""
+    """One linearization, which is reused after a rejected step."""
 
     variables: Variables  # point of the linearization
     quadratic: Quadratic
@@ -133,8 +134,8 @@ def solve_step(
         nlp: Bounds and constants.
         around: Linearization.
         pool: Programs.
-        trust_region: Bound of the heading changes [rad]; multiplied by the smallest radius, bound of the length changes
-            [m].
+        trust_region: Bound of the heading changes [rad]. Multiplied by the smallest radius, it also bounds the length
+            changes [m].
         proximal: Weight of the squared motion.
         penalties: Weights of the shortfalls.
     """
@@ -183,7 +184,7 @@ def _fill_cost(
 def _fill_box(
     program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables, stretch: float
 ) -> None:
-    """Bounds of the variables; lengths change by at most `stretch` [m]."""
+    """Set the bounds of the variables; lengths change by at most `stretch` [m]."""
     knots, flat = nlp.basis.num_knots, np.concatenate(variables)
     lower, upper = nlp.inner_bounds.lower - flat, nlp.inner_bounds.upper - flat
     lower[knots:] = np.maximum(lower[knots:], -stretch)
@@ -220,11 +221,11 @@ def _fill_clearance(program: DenseProgram, blocks: Blocks, rows: ClearanceRows, 
 
 
 class ProgramPool:
-    """Programs by size, built on first use. Not for concurrent use; see `pool_of_this_thread`.
+    """Programs by size, built on first use. A pool must not be used concurrently; see `pool_of_this_thread`.
 
     Attributes:
         build_time: Total time for building programs [s].
-        pace: Time of an iteration relative to the machine of the benchmarks, measured by `warm_up`.
+        pace: Time of an iteration relative to the benchmark machine, measured by `warm_up`.
     """
 
     def __init__(self) -> None:
@@ -242,7 +243,7 @@ class ProgramPool:
         return self._programs[key]
 
     def load_fallback(self) -> None:
-        """Load the library of the second solver, which takes some milliseconds."""
+        """Load the library of the fallback solver, which takes a few milliseconds."""
         program = DenseProgram(2, 1)
         program.h[:] = np.eye(2)
         program.lba[0], program.uba[0], program.a[0, 0] = 0.0, 1.0, 1.0

@@ -1,4 +1,4 @@
-"""Refusals: constraints that no path can keep, and the constraint that a failed search violates."""
+"""Refusals: constraints that no path can satisfy, and the constraint that a failed search violates."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Refusal(NamedTuple):
 
 
 def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, nearest: int) -> Refusal | None:
-    """Return the refusal of a start or of gears with which no path exists; or None."""
+    """Return the refusal of a start, or of gears, for which no path exists, or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
         message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m at the start"
@@ -92,7 +92,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
 
 
 def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
-    """Return the refusal of a final straight or goal with too little clearance, a part of every path; or None."""
+    """Return the refusal of a final straight or goal, part of every path, with too little clearance, or None."""
     goal, straight = problem.goal, problem.dock.final_straight
     back = float(path.segments[-1].direction) * np.linspace(straight, 0.0, _STRAIGHT_SAMPLES if straight > 0.0 else 1)
     poses = np.column_stack(
@@ -115,7 +115,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
 
 
 def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Return the refusal of a final straight or goal without the required view, a part of every path; or None."""
+    """Return the refusal of a final straight or goal, part of every path, without the required view, or None."""
     if problem.required_view is None or not isinstance(path.segments[-1], ClothoidSegment | PolylineSegment):
         return None
     # Without a final straight, a negligible stretch represents the goal alone.
@@ -134,14 +134,14 @@ def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | Non
 
 
 def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:
-    """The refusal of a pose without the required view, at arc length `s` [m]."""
+    """Return the refusal of a pose without the required view, at arc length `s` [m]."""
     more = dict(broken.where)
     pose = np.array(more.pop("pose"))
     return Refusal("view", s, broken.amount, "", broken.message, pose, more, path)
 
 
 def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Return the refusal of turns in place, whose positions are fixed; or None.
+    """Return the refusal of turns in place, whose positions are fixed, or None.
 
     Reasons are a robot that does not turn in place, a start in motion or a final straight at a turn, and obstacles.
     """
@@ -163,7 +163,7 @@ def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The first turn that touches an obstacle, except at ends of the path that differ from the problem's."""
+    """Return the refusal of the first turn too close to an obstacle, except at ends that differ from the problem."""
     begins = path.start.gap_to(problem.start) <= _TOLERANCE
     ends = path.end.gap_to(problem.goal) <= _TOLERANCE
     last = len(path.segments) - 1
@@ -178,13 +178,15 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Return the constraint that a failed search violates: goal, clearance or view; other inputs may succeed.
+    """Return the refusal for the constraint that a failed search violates: goal, clearance or view.
+
+    The search may still succeed from other inputs.
 
     Args:
         nlp: Program of the search.
-        closest: Iterate with the smallest violation; its path is that of the refusal.
+        closest: Iterate with the smallest violation, whose path is reported.
         problem: Problem of the path, or of a piece of it.
-        whole: Problem of the whole path, whose clearance rule applies; None: `problem`.
+        whole: Problem of the whole path, whose clearance rule applies; None means `problem`.
     """
     is_clear = closest.clearance.margin.size == 0
     if not closest.on_goal or (is_clear and nlp.view is None):
@@ -199,7 +201,7 @@ def refuse_search(
 
 
 def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
-    """The refusal at the place where the best path found loses the view of the dock, or None."""
+    """Return the refusal at the place where the best path found loses the view of the dock, or None."""
     broken = next((one for one in prove_view(path, problem).violations if one.kind == "view"), None)
     if broken is None:
         return None
@@ -208,7 +210,7 @@ def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
-    """Return the refusal by the first violation in the certificate of `path`."""
+    """Return the refusal for the first violation in the certificate of `path`."""
     broken = certificate.violations[0]
     more = dict(broken.where)
     obstacle, pose = str(more.pop("obstacle", "")), more.pop("pose", None)
@@ -217,9 +219,9 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
 
 
 def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: float = 0.0) -> Refusal:
-    """The refusal at the pose with the least clearance above the requirement, by the distances of the certificate.
+    """Return the refusal at the pose with the smallest margin of clearance, by the distances of the certificate.
 
-    The lower bounds of the search may be violated although every pose is valid.
+    Every pose may be valid although the lower bounds of the search are violated.
     """
     s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
     poses = path.poses_at(s)

@@ -1,7 +1,7 @@
 """Poses of a curvature spline at fixed nodes (the roll-out), and their derivatives.
 
 Headings are exact, `yaw = yaw_start + W (L K)`; positions are 2-point Gauss sums of `d L / (2 n) (cos yaw, sin yaw)`
-over every interval, within about 1e-9 m of the clothoid.
+over every interval and deviate from the clothoid by about 1e-9 m at most.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def sensitivity(basis: Basis, variables: Variables, rollout: Rollout) -> Sensiti
 
 
 def _heading_derivatives(rows: FloatArray, basis: Basis, variables: Variables) -> FloatArray:
-    """Derivatives of headings by the variables, from heading rows. Shape (len(rows), size)."""
+    """Return the derivatives of headings by the variables, from rows of heading integrals. Shape (len(rows), size)."""
     out = np.empty((rows.shape[0], basis.size))
     np.multiply(rows, variables.lengths[basis.knot_gear], out=out[:, : basis.num_knots])
     out[:, basis.num_knots :] = rows @ (basis.knot_members * variables.curvature[:, None])

@@ -1,6 +1,6 @@
 """The strategy: searches from several guesses, in the order of `STRATEGY`, within a time limit.
 
-The best feasible iterate of a search is certified when the search converges or the time becomes short; only certified
+The best feasible iterate of a search is certified when the search converges or little time remains. Only certified
 paths are returned.
 """
 
@@ -85,7 +85,7 @@ class Call(NamedTuple):
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
-        """Return the certificate of a path; for a piece, without the violations at the ends of the whole path."""
+        """Return the certificate of a path; for a piece, violations that concern ends of the whole path are removed."""
         certificate = certify_path(path, self.whole, is_late=is_late)
         if self.within is None:
             return certificate
@@ -95,7 +95,7 @@ class Call(NamedTuple):
 
 
 class Given(NamedTuple):
-    """A path that is returned without a search if it is certified."""
+    """A given path, which is returned without a search if it is certified."""
 
     status: SmoothingStatus
     path: Callable[[Call, AnytimeSettings], Path | None]  # the path, or None
@@ -105,9 +105,9 @@ class Given(NamedTuple):
 class Search(NamedTuple):
     """A search from a guess, with up to two repairs if its result is not certified.
 
-    A repair begins at the rejected variables. If they were feasible, it uses three times the buffer and considers four
-    times as many obstacles per interval, small ones included; if only the bound between nodes was violated, it uses
-    intervals of half the length.
+    A repair begins at the rejected variables. If these were feasible, the repair uses three times the buffer and
+    considers four times as many obstacles per interval, including small ones. If only the bound between nodes was
+    violated, the repair uses intervals of half the length.
     """
 
     guess: Callable[[InitialGuesses], SearchGuess | None]  # the first variables, or None
@@ -133,7 +133,7 @@ def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSet
 
 
 def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
-    """Return the straight line to the goal from a start on its axis, little longer than the final straight; or None."""
+    """Return the line from a start on the goal's axis, if it is little longer than the final straight, or None."""
     problem = call.problem
     line = straight_line(call.path, problem.start, problem.goal, settings)
     if line is None or line.length >= problem.dock.final_straight + settings.staging:
@@ -142,7 +142,7 @@ def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
 
 
 def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """Return the straight line between two poses on one axis, in the gear of a path with one gear; else None."""
+    """Return the straight line between two poses on one axis, in the gear of a one-gear path, or None."""
     if len(path.segments) > 1:
         return None
     sign = int(path.segments[0].direction)
@@ -179,7 +179,7 @@ STRATEGY: tuple[Given | Search, ...] = (
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate and cost, and its status if it is not the result of a search."""
+    """A certified path with certificate and cost, and its status if it was not found by a search."""
 
     path: Path
     certificate: Certificate
@@ -189,7 +189,7 @@ class Incumbent(NamedTuple):
 
 @dataclass
 class SearchOutcome:
-    """The state of a call."""
+    """State and statistics of a call."""
 
     incumbent: Incumbent | None = None  # best certified path, or None
     last: Iterate | None = None
@@ -203,12 +203,12 @@ class SearchOutcome:
 
 
 class IterationTimes:
-    """Predicted times of the next iteration and the next certificate (S21), corrected by measured ones.
+    """Predicted times of the next iteration and the next certificate (S21), corrected by measured times.
 
     Attributes:
         iteration: Predicted time of the next iteration [s].
         certificate: Predicted time of the next certificate [s]; 0 until known.
-        pace: Shortest measured iteration, relative to the predicted one.
+        pace: Smallest ratio of a measured iteration time to its prediction.
     """
 
     def __init__(self, deadline: Deadline, settings: AnytimeSettings) -> None:
@@ -218,29 +218,29 @@ class IterationTimes:
         self.pace = math.inf
 
     def expect(self, nlp: NonlinearProgram, pace: float) -> None:
-        """Predict the times of a program, on a machine that takes `pace` times as long as that of the benchmarks."""
+        """Predict the times of a program on a machine slower than the benchmark machine by the factor `pace`."""
         self.iteration = pace * self.expected_iteration(nlp)
         self.certificate = self.certificate or pace * _expected(nlp, self._settings.certificate_seconds)
 
     def expected_iteration(self, nlp: NonlinearProgram) -> float:
-        """Return the time of an iteration on the machine of the benchmarks [s]."""
+        """Return the predicted time of an iteration on the benchmark machine [s]."""
         corners = math.prod(nlp.scene.body.vertices.shape[:2])
         return _expected(nlp, self._settings.iteration_seconds) + corners * self._settings.iteration_per_corner
 
     def measured(self, seconds: float, expected: float) -> None:
-        """Update the predictions by a measured iteration [s] and its prediction [s]."""
+        """Update the predictions with the measured time of an iteration [s] and its predicted time [s]."""
         self.pace = min(self.pace, seconds / expected)
         self.iteration = max(self._settings.longest_fades * self.iteration, seconds)
         if not self._certificate_was_measured:
             self.certificate = max(self.certificate, self._settings.certificate_per_iteration * self.iteration)
 
     def certified(self, since: float) -> float:
-        """Update the prediction by a certificate that began at `since` [s]; return its time [s]."""
+        """Update the prediction with the time of a certificate that began at `since` [s]; return this time [s]."""
         self.certificate, self._certificate_was_measured = self.deadline.elapsed - since, True
         return self.certificate
 
     def no_more_iterations(self) -> bool:
-        """Whether less time is left than an iteration takes."""
+        """Whether the remaining time is too short for an iteration."""
         return not self.deadline.fits(self.iteration)
 
     def reserve(self, *, has_candidate: bool) -> float:
@@ -248,19 +248,19 @@ class IterationTimes:
         return self._settings.certificate_reserve * self.certificate if has_candidate else 0.0
 
     def is_late(self) -> bool:
-        """Whether a running certificate is too late."""
+        """Whether a running certificate must be abandoned because it is too late."""
         return self.deadline.left < -self._settings.latest
 
 
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
-    """Time on the machine of the benchmarks [s], from its three coefficients."""
+    """Return the time on the benchmark machine [s] from its three coefficients."""
     obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
     return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
 
 
 @dataclass
 class Solver:
-    """Run of the strategy for one call; `cancelled` is polled every iteration."""
+    """Run of the strategy for one call; `cancelled` is polled in every iteration."""
 
     pool: ProgramPool
     deadline: Deadline
@@ -282,7 +282,7 @@ class Solver:
         """Return a certified path.
 
         Raises:
-            FailedToSmoothPath: If a bound cannot be kept.
+            FailedToSmoothPath: If a bound cannot be satisfied.
             SmootherTimedOut: If no path is certified in time.
             SmootherCancelled: If `cancelled` returned True.
         """
@@ -309,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search if the row applies, and return whether the strategy ends by a certified path or the time limit."""
+        """Search if the row applies; return whether the strategy ends, with a certified path or at the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -349,7 +349,7 @@ class Solver:
         """Return the program of a call, with fewer nodes among many obstacles, and its guesses.
 
         Raises:
-            FailedToSmoothPath: If no path can keep a bound.
+            FailedToSmoothPath: If no path can satisfy a bound.
             SmootherTimedOut: If no time is left.
         """
         self._raise_if_late()
@@ -384,7 +384,7 @@ class Solver:
             raise self._timed_out()
 
     def _timed_out(self) -> SmootherTimedOut:
-        """The error, with the path of the last iterate as a warm start of a later call."""
+        """Return the time-out error, with the path of the last iterate as warm start for a later call."""
         message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
         error, last = SmootherTimedOut(message, where={"iterations": self.outcome.iterations}), self.outcome.last
         if last is not None:
@@ -438,7 +438,7 @@ class Solver:
             before = self.deadline.elapsed
 
     def _must_settle(self) -> bool:
-        """Whether a step must be abandoned so that the candidate can be certified in time."""
+        """Whether the current step must be abandoned so that the candidate can be certified in time."""
         return not self.deadline.fits(self.times.reserve(has_candidate=self._candidate is not None))
 
     def _consider(self, iterate: Iterate) -> None:
@@ -485,7 +485,7 @@ class Solver:
         return None
 
     def _judged(self, path: Path, began: float) -> Certificate:
-        """The certificate of a path; its time is measured from `began` [s]."""
+        """Return the certificate of a path; its time is measured from `began` [s]."""
         certificate = self.call.certified(path, self.times.is_late)
         self.outcome.certify_time += self.times.certified(began)
         return certificate
@@ -500,7 +500,7 @@ class Solver:
 
 
 def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> NonlinearProgram:
-    """The program with the view of the dock, if the problem requires it."""
+    """Return the program with the view constraint, if the problem requires a view of the dock."""
     view = call.whole.required_view
     if view is None:
         return nlp
@@ -513,7 +513,7 @@ def _with_view(nlp: NonlinearProgram, call: Call, chosen: ViewSettings) -> Nonli
 
 
 def _more_cautious(nlp: NonlinearProgram, chosen: AnytimeSettings) -> NonlinearProgram:
-    """The program with a larger buffer and more pairs."""
+    """Return the program with a larger clearance buffer and more collision pairs."""
     seen = nlp.scene.settings
     seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
     step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)

@@ -1,8 +1,8 @@
-"""Tuned constants of the method, with reasons.
+"""Tuned constants of the method, with the reasons for their values.
 
-Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30` (rate of certificates,
-times to the end and to the first certified path, cost), and compared with the optimum by
-`python -m experiments.benchmarks optimality`. User parameters are in `CasadiSmootherParameters`.
+Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30`, by the rate of
+certificates, the times to the end and to the first certified path, and the cost. The costs were compared with the
+optimum by `python -m experiments.benchmarks optimality`. User parameters are in `CasadiSmootherParameters`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ResolutionSettings:
 
 @dataclass(frozen=True)
 class BoundSettings:
-    """Bounds of the variables, and the reference values of the cost where a limit is infinite."""
+    """Bounds of the variables, and reference values of the cost for infinite limits."""
 
     curvature_cap: float = 20.0  # [1/m], instead of an unlimited one: a radius of 5 cm, below that of any wheeled robot
     curvature_inside: float = 0.999  # of the limit in steps; the rest is for the goal projection
@@ -59,7 +59,7 @@ class BoundSettings:
 
 @dataclass(frozen=True)
 class GoalProjectionSettings:
-    """Newton steps of least norm onto the goal."""
+    """Projection onto the goal by Newton steps of least norm."""
 
     tolerance: float = 1e-7  # [m, rad]
     max_steps: int = 5
@@ -74,7 +74,7 @@ class GoalProjectionSettings:
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """First variables of a search, and its first step bounds."""
+    """First variables of a search, and first bounds of its steps."""
 
     astray: float = 0.4  # [m]: a fit farther from the input is not used
     turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used
@@ -102,7 +102,7 @@ class GuessSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """Least squares of positions, for a first guess that stays on the input."""
+    """Least-squares fit to positions, for a first guess that stays on the input."""
 
     weight: float = 30.0  # [1/m^3] of squared distance across the input: a hundred times the search's
     along: float = 0.1  # times as much along it: smooth paths are a little shorter than the input
@@ -121,7 +121,7 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class CollisionSettings:
-    """Selection of pairs of interval and obstacle, and their rows."""
+    """Selection of the pairs of interval and obstacle, and of their constraint rows."""
 
     crop: float = 1.0  # [m] beyond the input path: obstacles farther away are left out
     # Broad phase
@@ -204,7 +204,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Rows of the required view, and penalties with which an infeasible search keeps the goal rather than the view."""
+    """Rows of the required view, and penalties that make an infeasible search give up the view before the goal."""
 
     reach: float = 0.35  # [m]: larger margins have no row; as `LoopSettings.most_reach`
     goal_penalty: float = 3000.0  # [1/m]; 6000 makes no difference
@@ -213,10 +213,10 @@ class ViewSettings:
 
 @dataclass(frozen=True)
 class AnytimeSettings:
-    """Repairs, given candidates, and predicted times.
+    """Repairs, acceptance of given paths, and predicted times.
 
-    Times are those of the machine of the benchmarks; `CasadiSmoother.warm_up` measures the speed of this one. Triples:
-    without obstacles; per obstacle nearby; per metre, obstacle and part of the body.
+    Times apply to the benchmark machine; `CasadiSmoother.warm_up` measures the speed of the present machine. Triples
+    are the time without obstacles, the time per nearby obstacle, and the time per metre, obstacle and part of the body.
     """
 
     certificate_seconds: tuple[float, float, float] = (0.0025, 1.2e-5, 8e-7)

@@ -1,11 +1,11 @@
-"""Visibility constraint: the marker of the dock in the camera's view, at the nodes of the last stretch of the path.
+"""Visibility constraint: the dock's marker is in the camera's view at the nodes of the last stretch of the path.
 
-A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view, so that
-shortfalls and rows can be combined with those of clearance. Every edge of the view gives one row per node: the two
-half-planes of a cone of at most half a turn, or the nearest one of a wider cone, and the two circles of the ranges.
-Between two nodes a margin falls below its chord by an eighth of its second difference, to leading order; the margins at
-the nodes are reduced by that amount. The two ends of the stretch lie between nodes; their poses are extrapolated from
-the node before.
+A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view, so
+shortfalls and rows can be combined with the shortfalls and rows of clearance. Every edge of the view gives one row per
+node. The edges are the two half-planes of a cone of at most half a turn, or the nearest half-plane of a wider cone, and
+the two circles of the ranges. Between two nodes a margin falls below its chord by an eighth of its second difference,
+to leading order; the margins at the nodes are reduced by that amount. The two ends of the stretch lie between nodes,
+and their poses are extrapolated from the previous node.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class SeenPlaces(NamedTuple):
 
 
 def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
-    """Return the view at the places where it is required."""
+    """Return the view at the places on the path where the view is required."""
     left = _left_to_drive(bound, basis, variables)
     node, ahead = _places(bound.view, left)
     poses = _driven_on(bound, basis, rollout, node, ahead)
@@ -65,7 +65,7 @@ def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Ro
 def linearized_view(
     bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces, reach: float
 ) -> ClearanceRows:
-    """Return the rows of the margins below `reach` [m]."""
+    """Return the constraint rows of the margins below `reach` [m]."""
     edge, place = np.nonzero(places.margin < reach)
     by_place = _sensitivity(bound, basis, rollout, by, places)
     cosine, sine = np.cos(places.poses[place, 2]), np.sin(places.poses[place, 2])
@@ -79,7 +79,7 @@ def linearized_view(
 
 
 def _left_to_drive(bound: ViewBound, basis: Basis, variables: Variables) -> FloatArray:
-    """Decreasing distance from each node to the end of the path, Shape (num_nodes,) [m]."""
+    """Return the distance from each node to the end of the path, in decreasing order, Shape (num_nodes,) [m]."""
     lengths = variables.lengths
     later = np.append(np.cumsum(lengths[::-1])[::-1][1:], 0.0)
     left: FloatArray = (1.0 - basis.fraction) * lengths[basis.node_gear] + later[basis.node_gear] + bound.after
@@ -87,7 +87,7 @@ def _left_to_drive(bound: ViewBound, basis: Basis, variables: Variables) -> Floa
 
 
 def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Nodes of the stretch and its two ends: nodes, and distances after them, Shape (p,) each."""
+    """Return the nodes and the two ends of the stretch: nodes, and distances after them, Shape (p,) each."""
     far, near = view.visible_distance, view.blind_distance
     inside = np.flatnonzero((left <= far + _SAME_PLACE) & (left >= near - _SAME_PLACE))
     between = [edge for edge in (far, near) if left[-1] < edge < left[0]]
@@ -97,7 +97,7 @@ def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray, ahead: FloatArray) -> FloatArray:
-    """Poses a little ahead of nodes, on arcs of the curvature there. Shape (p, 3)."""
+    """Return poses a little ahead of nodes, on arcs with the curvature at the nodes. Shape (p, 3)."""
     sign = bound.signs[basis.node_gear[node]]
     turn = ahead * rollout.curvature[node]
     x, y, yaw = rollout.poses[node].T
@@ -106,7 +106,7 @@ def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray,
 
 
 def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The marker in the robot's frame (n, 2), directions inwards (edges, n, 2) and margins (edges, n) of every edge."""
+    """Return the marker in the robot frame (n, 2), and inward normals (edges, n, 2) and margins (edges, n) of edges."""
     camera, mount = view.camera, view.camera.mount
     point = camera.points_seen(poses, view.marker)
     c, s = np.cos(mount.yaw), np.sin(mount.yaw)
@@ -126,7 +126,7 @@ def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _cone(view: RequiredView, point: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Inward normals, Shape (n, 2), and margins, Shape (n,), of the edges of the cone, in the camera's frame."""
+    """Return the inward normals (n, 2) and the margins (n,) of the edges of the cone, in the camera's frame."""
     if view.camera.sees_all_around:
         return [], []
     half = 0.5 * view.camera.field_of_view
@@ -140,7 +140,7 @@ def _cone(view: RequiredView, point: FloatArray) -> tuple[list[FloatArray], list
 
 
 def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
-    """Loss of the margins, Shape (edges, n), in the intervals next to each node, to leading order [m]."""
+    """Return the loss of the margins, Shape (edges, n), in the intervals next to each node, to leading order [m]."""
     lost = np.zeros_like(margin)
     inner = np.flatnonzero((basis.fraction > 0.0) & (basis.fraction < 1.0))
     lost[:, inner] = np.maximum(margin[:, inner - 1] - 2.0 * margin[:, inner] + margin[:, inner + 1], 0.0) / 8.0
@@ -150,9 +150,9 @@ def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
 def _sensitivity(
     bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Derivatives of the poses at places by the variables, Shape (p, size) each.
+    """Return the derivatives of the poses at places by the variables, Shape (p, size) each.
 
-    The distance of an end of the stretch from its node changes as the remaining length of the path at that node.
+    The distance of an end of the stretch from its node changes by the same amount as the remaining length at that node.
     """
     node, ahead = places.node, places.ahead
     between = np.flatnonzero(ahead > 0.0)

@@ -1,1 +1,1 @@
-"""`ManoeuvrePlanner`: from any pose into the dock with as many cusps as needed."""
+"""`ManoeuvrePlanner`: manoeuvres from any pose into the dock with as many cusps as needed."""

@@ -66,7 +66,7 @@ class Arcs(NamedTuple):
         return advance(self.joints()[row, owner], driven, self.curvatures[row, owner])
 
     def poses_every(self, spacing: float) -> FloatArray:
-        """Sample a single sequence with poses at most `spacing` apart, all joints included. Shape (q, 3)."""
+        """Return poses of a single sequence at most `spacing` [m] apart, including all joints. Shape (q, 3)."""
         assert len(self.lengths) == 1
         joints, lengths, curvatures = self.joints()[0], self.lengths[0], self.curvatures[0]
         counts = np.where(np.abs(lengths) > _NOTHING, np.ceil(np.abs(lengths) / spacing - 1e-9), 0).astype(np.int64)
@@ -107,8 +107,8 @@ class Moves(NamedTuple):
 class ArcTree:
     """Nodes that are reached from a root pose, Shape (3,), by free arcs.
 
-    `gear` is the sign that a positive length has when driven: 1 from the start, -1 from the goal, where the tree grows
-    backwards in time.
+    `gear` is the gear in which arcs of positive length are driven: 1 for the tree of the start, -1 for the tree of the
+    goal, which grows backwards in time.
 
     Attributes:
         poses: Shape (n, 3).
@@ -138,7 +138,7 @@ class ArcTree:
         """Extend the nodes at `rows` by all moves, up to their first collision, and return the rows of the new nodes.
 
         Nodes are added at `stations`, ascending lengths [m], and at the last free pose. `is_new` filters the poses
-        found, in ascending order of price; None: keep all.
+        found, which it receives in ascending order of price; None keeps all poses.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
@@ -174,7 +174,7 @@ class ArcTree:
         return np.arange(first, len(self))
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
-        """Return lengths and curvatures of the arcs between root and node, as driven. Shape (k,) each."""
+        """Return lengths and curvatures of the arcs between root and node, in driving order. Shape (k,) each."""
         lengths, curvatures = [], []
         while row > 0:
             lengths.append(self.lengths[row])
@@ -223,6 +223,6 @@ def _free_lengths(
 
 
 def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
-    """Concatenate several sequences of arcs to one that begins at a pose."""
+    """Concatenate several sequences of arcs to one sequence that begins at a pose."""
     lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
     return Arcs(start[None], lengths, curvatures)

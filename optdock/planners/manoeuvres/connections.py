@@ -41,7 +41,7 @@ _NOTHING = 1e-6  # [m]: shorter arcs do not count as motion
 
 
 class Connections(NamedTuple):
-    """Words between nodes in ascending order of the price of the whole manoeuvre: Shape (n,) and (n, 5)."""
+    """Words between nodes in ascending order of the price of the whole manoeuvre, Shape (n,) or (n, 5)."""
 
     prices: FloatArray
     exits: IntArray
@@ -62,20 +62,20 @@ class Connections(NamedTuple):
 
     @classmethod
     def merged(cls, blocks: Sequence[Connections]) -> Connections:
-        """Merge several sets in ascending order of price."""
+        """Merge several sets of words in ascending order of price."""
         columns = [np.concatenate(column) for column in zip(*blocks, strict=True)]
         return cls(*columns).rows(np.argsort(columns[0], kind="stable"))
 
 
 class TreeNodes(NamedTuple):
-    """Rows of a tree."""
+    """A tree and the rows of some of its nodes."""
 
     tree: ArcTree
     rows: IntArray
 
 
 def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """Return the cheapest words of pairs of nodes in gears that start and dock allow; collisions are not checked."""
+    """Return the cheapest words between pairs of nodes in gears allowed at both ends, without a collision check."""
     problem, (leaving, i), (arriving, j) = space.problem, exits, entries
     pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, space, per_pair)
     # With the gears in which the nodes are left and reached, cusps at the joints are also counted.
@@ -95,7 +95,7 @@ def connections(exits: TreeNodes, entries: TreeNodes, radius: float, space: Free
 
 
 def all_pairs(exits: TreeNodes, entries: TreeNodes) -> tuple[TreeNodes, TreeNodes]:
-    """Return the pairs of every node of the first tree and every node of the second."""
+    """Return the pairs of each node of the first tree with each node of the second."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
     return TreeNodes(exits.tree, i), TreeNodes(entries.tree, j)
 
@@ -110,7 +110,7 @@ class PairWords(NamedTuple):
 
 
 def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, space: FreeSpace, per_pair: int) -> PairWords:
-    """Return at most `per_pair` words that are cheapest at full speed of every pair of poses, Shape (n, 3) each."""
+    """Return for every pair of poses, Shape (n, 3) each, at most `per_pair` words that are cheapest at full speed."""
     blocks = [PairWords(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 5)), np.zeros((0, 5)))]
     for k in range(0, len(starts), _PAIRS):
         space.poll()
@@ -153,7 +153,7 @@ def free_manoeuvres(
     effort: Effort,
     worthwhile: Callable[[], float],
 ) -> Iterator[Arcs]:
-    """Yield collision-free manoeuvres from start to goal in ascending order of price, while below `worthwhile()`."""
+    """Yield collision-free manoeuvres from start to goal in ascending order of price, up to `worthwhile()`."""
     for k in range(0, found.prices.size, _BATCH):
         space.poll()
         if found.prices[k] >= worthwhile():

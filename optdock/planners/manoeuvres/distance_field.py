@@ -26,8 +26,9 @@ _BESIDE = 0.75  # cells: half a diagonal, and rounding
 class DistanceField:
     """Distances up to `reach` [m] from points of a square to the nearest obstacle.
 
-    `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: of the grid [m]. `poll` is called before every
-    tile. Attribute `side`: number of grid points along each side; `origin`: the first one, Shape (2,) [m].
+    `square`: centre and length of the sides, Shape (3,) [m]. `spacing`: spacing of the grid [m]. `poll`: called before
+    every tile is computed. Attribute `side`: number of grid points along each side; attribute `origin`: the first grid
+    point, Shape (2,) [m].
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class DistanceField:
         self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return bounds of the distances of points, Shape (..., 2) [m]; the lower one is -inf off the field."""
+        """Return bounds of the distances of points, Shape (..., 2) [m]; the lower bound is -inf outside the field."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
         is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
@@ -86,7 +87,7 @@ class DistanceField:
 
 
 def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
-    """Return which pieces are axis-aligned rectangles. Shape (m,)."""
+    """Return a mask of the pieces that are axis-aligned rectangles. Shape (m,)."""
     x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
     low, high = obstacles.lower, obstacles.upper
     at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
@@ -130,8 +131,8 @@ class Wavefront:
     """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
 
     A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
-    octagon. The number of steps is a lower bound of the length in cells, too small by at most 11 %. It advances on
-    demand.
+    octagon. The number of steps is a lower bound of the length in cells and is too small by at most 11 %. The wave
+    advances on demand.
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:

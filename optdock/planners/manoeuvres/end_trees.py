@@ -1,8 +1,9 @@
 """Straight lines and arcs out of the start and out of the dock; the search connects the ends of both.
 
-A robot along a wall cannot turn away from it at full lock, because its tail would hit the wall. If the tail may come
-some millimetres closer, the robot can follow the wall while heading and curvature grow exponentially, equation (R9) of
-`docs/theory/search.md`. This motion is approximated by chains of short arcs, each as sharp as the wall allows.
+A robot alongside a wall cannot turn away from the wall at full lock, because its tail would hit the wall. If the tail
+may come a few millimetres closer, the robot can follow the wall while heading and curvature grow exponentially
+(equation (R9) of `docs/theory/search.md`). This motion is approximated by chains of short arcs, each as sharp as the
+wall allows.
 """
 
 from __future__ import annotations
@@ -80,14 +81,14 @@ class EndTrees:
         return ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
 
     def straight_exits(self, effort: Effort, more: FloatArray) -> TreeNodes:
-        """Return nodes at the start and along the free straight lines from it; `more` as in `staging`."""
+        """Return nodes at the start and along the free straight lines from it; for `more` see `staging`."""
         tree = self.from_start()
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(ROOT, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
         return TreeNodes(tree, np.arange(len(tree)))
 
     def straight_runs(self, effort: Effort) -> dict[str, float]:
-        """Return the free straight length before the dock in each gear, up to some turning radii [m]."""
+        """Return the free straight length before the dock in each gear, up to the final straight plus two radii [m]."""
         tree = self._from_goal()
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
         tree.grow(ROOT, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
@@ -110,7 +111,7 @@ class EndTrees:
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
-        """Return the start and the ends of free arcs and lines out of it, with more arcs in a narrow place; cached."""
+        """Return the start and the ends of free arcs and lines from it, with more arcs in narrow places; cached."""
         key = effort._replace(nodes=0), bends
         if key not in self._by_effort:
             tree = self.from_start()
@@ -133,7 +134,8 @@ class EndTrees:
 
         Returns the rows of the new nodes, empty if all arcs are blocked, and the mean free length of the first arcs
         [m].
-        `gears`: signs of the first lengths. `bends`: curvatures of arcs in those of the smallest radius.
+        `gears`: signs of the first lengths. `bends`: curvatures of the arcs, relative to the curvature of the smallest
+        radius.
         """
         tree, first = end
         station, grid = np.array([effort.radius * EXIT_TURN]), PoseGrid(self.space, effort.fineness)
@@ -152,7 +154,7 @@ class EndTrees:
         return rows if fresh.size else fresh, room
 
     def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
-        """Grow alternating arcs at full lock that turn the robot the same way, by which a car leaves a short slot."""
+        """Grow arcs at full lock in alternating gears that turn the robot one way, as a car leaves a short slot."""
         station, found = np.array([effort.radius * EXIT_TURN]), []
         for side in BOTH:
             for gear in gears:
@@ -169,7 +171,7 @@ class EndTrees:
         return np.array(found[::-1], dtype=np.int64)
 
     def room_before_dock(self, effort: Effort) -> float:
-        """Return the mean free length of the last arcs [m]; `grown` returns that of the first ones."""
+        """Return the mean free length of the last arcs [m]; `grown` returns the mean of the first arcs."""
         tree = self._from_goal()
         moves = Moves.of(self._out_of_dock, (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(ROOT, moves, np.array([effort.radius * EXIT_TURN]), self.space, effort)
@@ -187,14 +189,14 @@ def turning_radius(problem: DockingProblem) -> float:
 
 
 def gears_into(dock: Dock) -> tuple[float, ...]:
-    """Return the signs of the lengths of the last motion into a dock."""
+    """Return the possible signs of the length of the last motion into a dock."""
     return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(dock.direction, BOTH)
 
 
 def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:
-    """Drive chains of arcs to either side until full lock is free; return the rows after arcs at full lock.
+    """Grow chains of arcs to either side until full lock is free; return the rows at the ends of full-lock arcs.
 
-    The chains begin at nodes, Shape (n,), with signs of their lengths `gears`, Shape (n,).
+    The chains begin at the nodes `rows`, Shape (n,); `gears` are the signs of their lengths, Shape (n,).
     """
     node, sign, side = np.repeat(rows, 2), np.repeat(gears, 2), np.tile([1.0, -1.0], rows.size)
     length, full = _LENGTH * space.footprint.circumscribed_radius, 1.0 / effort.radius

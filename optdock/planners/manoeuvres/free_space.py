@@ -1,8 +1,8 @@
 """Collision checks of poses: a distance field and covering discs decide most poses, exact distances the others.
 
-The field holds exact distances at grid points and so bounds the distance of any point from below and above
-([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove a pose free, discs inside the footprint prove
-it blocked; the remaining poses are measured exactly.
+The field contains exact distances at grid points, which bound the distance of any point from below and above
+([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove that a pose is free, and discs inside the
+footprint prove that it is blocked. The remaining poses are measured exactly.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
 class Effort(NamedTuple):
     """Resolution of a search.
 
-    `radius`: of all arcs [m]. `margin`: additional clearance for the smoother [m]. `fineness`: cells of the pose grid
-    per width of the robot. `nodes`: most nodes of hybrid A*. `start_relief`: see `ClearanceRule.required_at` [m].
+    `radius`: radius of all arcs [m]. `margin`: additional clearance for the smoother [m]. `fineness`: cells of the pose
+    grid per width of the robot. `nodes`: largest number of nodes of hybrid A*. `start_relief`: see
+    `ClearanceRule.required_at` [m].
     """
 
     radius: float
@@ -49,7 +50,7 @@ class Effort(NamedTuple):
 
 
 class _Discs(NamedTuple):
-    """Centres (k, 2) [m]; radius of discs that cover a body; radii (k,) of discs inside it, negative: no disc."""
+    """Centres (k, 2) [m], radius at which discs cover a body, and radii (k,) inside it, negative for no disc."""
 
     centres: FloatArray
     cover: float
@@ -57,7 +58,7 @@ class _Discs(NamedTuple):
 
 
 def _discs(body: ConvexBody, across: int) -> _Discs:
-    """Return one disc per square of the body's bounding box, which has `across` squares on its shorter side."""
+    """Return one disc per square of the body's bounding box, with `across` squares along its shorter side."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     size = high - low
     side = float(size.min()) / across
@@ -72,9 +73,9 @@ def _discs(body: ConvexBody, across: int) -> _Discs:
 
 
 class FreeSpace:
-    """Test of poses for the clearance that a problem requires, and a margin.
+    """Test whether poses keep the clearance that a problem requires and a margin.
 
-    `poll` is called every few milliseconds and raises to end the search. Attribute `width`: lesser extent of the
+    `poll` is called every few milliseconds and raises to end the search. Attribute `width`: smaller extent of the
     footprint [m].
     """
 
@@ -98,7 +99,7 @@ class FreeSpace:
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
-        """Return the wavefront from a place, Shape (2,) [m], of a disc, by default the one inside the footprint."""
+        """Return the wavefront of a disc from a place, Shape (2,) [m], by default of the footprint's inscribed disc."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
     @functools.cached_property
@@ -121,7 +122,7 @@ class FreeSpace:
         return kept
 
     def may_be_free(self, poses: FloatArray) -> BoolArray:
-        """Whether no disc inside the footprint meets an obstacle: a fast necessary condition. Shape (n,)."""
+        """Whether no disc inside the footprint overlaps an obstacle, a fast necessary condition. Shape (n,)."""
         passed = np.ones(len(poses), dtype=np.bool_)
         for discs in self._levels[0] if len(self.obstacles) else ():
             _, upper = self.field.bounds(transform_points(poses, discs.centres))

@@ -1,9 +1,9 @@
 """Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as analytic expansions.
 
 The method of [Dolgov2010] searches over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
-and tries from nodes the shortest path to the goal that ignores obstacles. Here the search begins at the tighter end,
-mostly the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger of the
-cheapest word and the length of the shortest way of a disc among the obstacles.
+and tries, from nodes, the shortest path to the goal without regard to obstacles. Here the search begins at the tighter
+end, usually the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger
+of the cheapest word and the length of the shortest way of a disc among the obstacles.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # distances of nodes alon
 
 
 class PoseGrid:
-    """Cells of poses, each of which is entered once: fine near obstacles, coarse in open space.
+    """Grid of pose cells, fine near obstacles and coarse in open space, each of which is entered only once.
 
     The smallest cells are the width of the robot divided by `fineness`.
     """
@@ -50,7 +50,7 @@ class PoseGrid:
         self._seen: set[int] = set()
 
     def enter(self, poses: FloatArray) -> BoolArray:
-        """Return which poses, Shape (n, 3), are the first in their cells, and enter them. Shape (n,)."""
+        """Return a mask of the poses, Shape (n, 3), that are the first in their cells, and enter them. Shape (n,)."""
         room, _ = self._field.bounds(poses[:, :2])
         level = np.searchsorted(_ROOM * self._field.reach, room)
         scale = _COARSER[level]
@@ -79,20 +79,21 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres from start to goal as they are found.
 
-    The first manoeuvre found is seldom the best one: once there is a plan, the tree stops growing, but the remaining
-    words are tried while they may be cheaper.
+    The first manoeuvre found is seldom the best one. Once there is a plan, the tree stops growing, but the remaining
+    words are tried as long as they may be cheaper.
 
     Args:
-        exits: The start, to which every node is joined, and other nodes of its tree; every node is joined to one of
-            these, in turn.
+        exits: The start and other nodes of its tree. Every node is joined to the start and, in turn, to one of the
+            others.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.
         wavefront: Wavefront from the end where the search does not begin.
         worthwhile: Function that returns the price at or above which a manoeuvre is useless; infinite while there is no
             plan.
-        from_start: Grow the start's tree instead, and join its nodes to the entries.
-        bends: Curvatures of the arcs in addition to straight lines, in those of the smallest radius.
+        from_start: Whether to grow the start's tree instead and join its nodes to the entries.
+        bends: Curvatures of the arcs that are used in addition to straight lines, relative to the curvature of the
+            smallest radius.
     """
     growing, aims = (exits, entries) if from_start else (entries, exits)
     tree, limits, radius = growing.tree, space.problem.robot.limits, effort.radius

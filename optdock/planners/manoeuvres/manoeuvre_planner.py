@@ -102,7 +102,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: If the planner is not configured.
-            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            NoValidPathCouldBeFound: If the search found nothing, which does not prove that no path exists.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
@@ -118,7 +118,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: If the planner is not configured.
-            NoValidPathCouldBeFound: If the search found nothing, which is no proof that no path exists.
+            NoValidPathCouldBeFound: If the search found nothing, which does not prove that no path exists.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         problem = self.context.problem_at_hand(None)
@@ -149,7 +149,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
 
 def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
-    """Return the message of a search without a result, after a check whether the dock can be entered straight."""
+    """Return the message of a search without result, which tells whether the dock can be entered straight."""
     dock = problem.dock
     wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
     if all(runs[gear] < dock.final_straight for gear in wanted):
@@ -167,7 +167,7 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
 
 
 class Stages:
-    """One search; `slack`: radius of the first words in smallest turning radii; `poll` raises to end the search."""
+    """One search in stages; `slack`: radius of the first words, in smallest turning radii; `poll` raises to end it."""
 
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
@@ -244,7 +244,7 @@ class Stages:
         return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
-        """Yield turns in place and straight lines, also with rounded corners."""
+        """Yield manoeuvres of turns in place and straight lines, with and without rounded corners."""
         known: set[str] = set()
         for effort in (self._efforts[0], self._efforts[-1]):
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
@@ -264,7 +264,7 @@ class Stages:
         return self.trees.staging(self._efforts[0])
 
     def _words(self, effort: Effort) -> Iterator[Guess]:
-        """Yield words from the start to the staging poses, with a margin."""
+        """Yield words from the start to the staging poses that keep the margin of `effort`."""
         staging = self._staging
         if staging.rows.size == 0:
             return
@@ -279,7 +279,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or its price is much higher than that of the shortest way around the obstacles."""
+        """Whether there is no plan, or its price is much higher than the price of the shortest way around obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True
@@ -312,7 +312,7 @@ class Stages:
             yield from self._offered("roadmap", ways)
 
     def _along_walls(self) -> Iterator[Guess]:
-        """Yield words between arcs that lead away from a wall next to the start and from one next to the dock."""
+        """Yield words from arcs that leave a wall next to the start to arcs that leave a wall next to the dock."""
         exits, effort, gears = self.trees.from_start(), self._efforts[2], np.array(self.trees.start_gears)
         away = sharpest_arcs(exits, np.zeros(gears.size, dtype=np.int64), gears, self.space, effort)
         if away.size == 0:

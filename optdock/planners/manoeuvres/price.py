@@ -1,4 +1,4 @@
-"""Price of a manoeuvre: its duration, a price per cusp and one per metre in reverse, with fast estimates."""
+"""Price of a manoeuvre (duration, price per cusp and price per metre in reverse), and fast estimates of the price."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 
 def price_of(path: Path, duration: float, robot: Robot) -> float:
-    """Return the price by which plans are compared [s]: duration, `CUSP_PRICE` per stop, and metres in reverse.
+    """Return the price by which plans are compared [s]: duration, `CUSP_PRICE` per stop, and cost of reversing.
 
     Args:
         path: Path of any kind.
@@ -49,7 +49,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
-    """Return a lower bound of the price of motions along `path`, from speed, acceleration, jerk and slow zone [s].
+    """Return a lower bound of the price of motions along `path`, from speed, acceleration, jerk and speed zone [s].
 
     Curvature and clearance can only raise the price. A smoother may still find a shorter path nearby.
     """
@@ -77,7 +77,7 @@ def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
 
 
 def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return signed lengths with neighbours of one gear added up, padded with 0, (n, k), and gear changes, (n,)."""
+    """Return signed lengths with neighbours of one gear summed, padded with 0, (n, k), and gear changes, (n,)."""
     rows, gear = np.arange(len(lengths)), np.zeros(len(lengths), dtype=np.int64)
     gears, now = np.zeros(lengths.shape), np.zeros(len(lengths))
     for length in lengths.T:
@@ -89,7 +89,7 @@ def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Return shortest durations [s] from stop to stop by signed lengths [m], Shape (n, k); see `least_price`."""
+    """Return the shortest durations [s] between stops for signed lengths [m], Shape (n, k); see `least_price`."""
     limits, zone = problem.robot.limits, problem.dock.approach
     length, drives = np.abs(gears), gears != 0.0
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
@@ -118,13 +118,13 @@ def stops(path: Path) -> int:
 
 
 def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return the price of the metres in reverse of signed lengths, of any shape [s]."""
+    """Return the price of reversing for signed lengths, negative in reverse, of any shape [s]."""
     prices: FloatArray = robot.reverse_price * np.maximum(-lengths, 0.0)
     return prices
 
 
 def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return prices of signed lengths at full speed, negative in reverse, of any shape [s]."""
+    """Return the prices of driving signed lengths, negative in reverse, at full speed. Any shape [s]."""
     limits = robot.limits
     times: FloatArray = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
     return times + _reversing(lengths, robot)
@@ -169,7 +169,7 @@ def _gear_durations(
 def _ramp(
     slow: FloatArray, fast: FloatArray, acceleration: float, jerk: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return time [s] and distance [m] between two speeds, and the derivative of the distance by the faster one [s]."""
+    """Return time [s] and distance [m] between two speeds, and the distance's derivative by the faster speed [s]."""
     change = np.maximum(fast - slow, 0.0)
     full = change >= acceleration**2 / jerk  # the acceleration reaches its bound
     root = np.sqrt(change / jerk)
@@ -180,15 +180,15 @@ def _ramp(
 
 
 def stopping_cost(limits: MotionLimits) -> float:
-    """Return the cost of a change of gear in addition to the time at full speed, with the price of the cusp [s]."""
+    """Return the cost of a change of gear beyond the time at full speed, including the price of the cusp [s]."""
     mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time for starting, the dock's slow zone and stopping, in addition to full speed [s].
+    """Return a lower bound of the time that starting, speed zone and stopping add to the time at full speed [s].
 
-    The bound is exact without a bound on jerk if the gears are known and the way is long enough for full speed.
+    The bound is exact if the jerk is not limited, the gears are known, and the way is long enough for full speed.
     """
     limits, dock, zone = problem.robot.limits, problem.dock, problem.dock.approach
     speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}
@@ -202,5 +202,5 @@ def ends_cost(problem: DockingProblem) -> float:
 
 
 def gear_changes(lengths: FloatArray) -> IntArray:
-    """Return the number of gear changes along signed lengths, zeros left out; Shape (n, k) to (n,)."""
+    """Return the number of gear changes along signed lengths, without zeros; Shape (n, k) to (n,)."""
     return _merged(lengths)[1]

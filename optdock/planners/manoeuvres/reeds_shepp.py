@@ -1,9 +1,9 @@
 """Reeds-Shepp words: candidates for the shortest path of a car that can reverse.
 
-[ReedsShepp1990] prove that the shortest path with bounded curvature and any number of cusps is one of 48 words of at
-most five arcs and straight lines (`L+R-L-` and so on). The words have eleven closed forms, each with four mirrors: time
-reversal, reflection, both, or none. The sign of the last arc of three is free, so 44 forms hold all 48 words. They are
-evaluated for many pairs of poses at once.
+The shortest path with bounded curvature and any number of cusps is one of 48 words of at most five arcs and straight
+lines (`L+R-L-` and so on), as proven in [ReedsShepp1990]. The words have eleven closed forms, each with four mirrors:
+time reversal, reflection, both, or none. In words of three arcs the sign of the last arc is free, so 44 forms contain
+all 48 words. They are evaluated for many pairs of poses at once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROUNDING = 1e-10  # [rad]: tolerance of the sign of an arc
 
 
 def reeds_shepp_words(starts: FloatArray, goals: FloatArray, radius: float) -> FloatArray:
-    """Return the signed lengths of all words between pairs of poses, Shape (n, 3) each; `TURNS` has the steering.
+    """Return the signed lengths of all words between pairs of poses, Shape (n, 3) each; `TURNS` lists the steering.
 
     Args:
         starts: Start poses.
@@ -84,7 +84,7 @@ def _left_straight_right(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple
 
 
 def _left_right_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[FloatArray, ...]:
-    """L+R-L, the last in either gear, equations 8.3 and 8.4."""
+    """L+R-L, with the last arc in either gear, equations 8.3 and 8.4."""
     xi, eta = x - np.sin(phi), y - 1.0 + np.cos(phi)
     apart = np.hypot(xi, eta)
     u = -2.0 * np.arcsin(np.minimum(0.25 * apart, 1.0))
@@ -96,7 +96,7 @@ def _left_right_left(x: FloatArray, y: FloatArray, phi: FloatArray) -> tuple[Flo
 def _outer_arcs(
     u: FloatArray, v: FloatArray, xi: FloatArray, eta: FloatArray, phi: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the first and the last arc of four arcs with inner ones u and v: equations 8.7 and 8.8."""
+    """Return the first and the last arc of four arcs with the inner arcs u and v, equations 8.7 and 8.8."""
     delta = _within_half_turn(u - v)
     a, b = np.sin(u) - np.sin(delta), np.cos(u) - np.cos(delta) - 1.0
     turned = np.arctan2(eta * a - xi * b, xi * a + eta * b)

@@ -2,11 +2,11 @@
 
 The shortest way of a disc through a building is known from the wavefront. Poses are placed along that way, with
 headings along it and opposite to it, and neighbours are joined by Reeds-Shepp words. A best-first search finds the
-cheapest sequence of words and checks a word for collisions only when it reaches it (lazily, as [Bohlin2000], whose
-roadmap has random vertices).
+cheapest sequence of words and checks a word for collisions only when the search reaches this word (lazily, as in
+[Bohlin2000], where the vertices of the roadmap are random).
 
-The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) pulls it to the middle of the
-free space, up to the radius in which the robot can turn.
+The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this way towards the
+middle of the free space, until there is enough room around it for the robot to turn.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def roadmap_ways(
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres along a route, Shape (n, 2) [m], as they are found, roughly in ascending order of price.
 
-    `entries` are without the root of the goal's tree; `worthwhile` returns the price at or above which a manoeuvre is
-    useless.
+    `entries` must not contain the root of the goal's tree; `worthwhile` returns the price at or above which a manoeuvre
+    is useless.
     """
     for price, way in _LazySearch(exits, entries, space, effort, route).ways():
         if price >= worthwhile():
@@ -102,7 +102,7 @@ class _LazySearch:
         self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
 
     def _words(self) -> _Edges:
-        """Return words between vertices that are close along the route, in gears that the ends allow."""
+        """Return words between vertices that are close along the route, in gears allowed at both ends."""
         station, vertex = self._station, np.arange(len(self._poses))
         i, j = (grid.ravel() for grid in np.meshgrid(vertex[: self._end], vertex[self._begin :], indexing="ij"))
         on, leaves, arrives = station[j] - station[i], i < self._begin, j >= self._end
@@ -145,7 +145,7 @@ class _LazySearch:
                 yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
 
     def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
-        """Push all words out of a vertex; the bound is the price of the way so far plus that of the remaining route."""
+        """Push all words out of a vertex; their bound is the price so far plus a bound for the remaining route."""
         some = slice(self._of[vertex], self._of[vertex + 1])
         changes = self._edges.begins[some] * label.gear < 0.0
         prices = label.price + self._edges.prices[some] + self._stop * changes

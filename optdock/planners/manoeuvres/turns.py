@@ -1,9 +1,10 @@
 """Manoeuvres of robots that turn in place, made of turns and straight lines.
 
-The fastest motions of a differential drive with bounded wheel speeds are such sequences on open floor [Balkcom2002].
-Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives straight and
-turns again. If obstacles block that line, it follows a shortest way around them for the disc in which the robot turns,
-shortened by lines of sight. The smoother rounds corners with enough room without a stop.
+On open floor, the fastest motions of a differential drive with bounded wheel speeds are such sequences [Balkcom2002].
+Straight runs leave the start and enter the dock. Between the ends of two such runs the robot turns, drives straight and
+turns again. If obstacles block this straight line, the robot follows a shortest way around them for the disc in which
+it turns, shortened by lines of sight. The smoother rounds corners that have enough room, so the robot need not stop
+there.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ TurnSearch: TypeAlias = (
 class TurnsAndDrives(NamedTuple):
     """A manoeuvre from `start`, Shape (3,): pairs of a turn [rad] and a straight drive [m], Shape (k,) each.
 
-    `is_rounded`: corners between two drives in one gear are left to the smoother, which rounds them without a stop.
+    `is_rounded`: whether corners between two drives in one gear are left to the smoother, which rounds them without a
+    stop.
     """
 
     start: FloatArray
@@ -66,7 +68,7 @@ class TurnsAndDrives(NamedTuple):
     is_rounded: bool = False
 
     def rounds(self) -> BoolArray:
-        """Return which turns are rounded corners. Shape (k,)."""
+        """Return a mask of the turns that are rounded corners. Shape (k,)."""
         goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)
         rounded: BoolArray = goes_on & (np.abs(self.turns) < _ROUNDED) & self.is_rounded
         return rounded
@@ -90,7 +92,7 @@ class TurnsAndDrives(NamedTuple):
         return np.concatenate(blocks)
 
     def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
-        """Return turns as segments and drives as polylines of some spacing [m], with `goal` as exact last pose."""
+        """Return a path of turn segments and of polylines with a given spacing [m], which ends exactly at `goal`."""
         before, after = self.joints()
         segments: list[Segment] = []
         rounds = np.append(self.rounds(), False)
@@ -143,8 +145,8 @@ def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
     """Return distances from a pose along its axis, in either gear, of places suited for a turn. Shape (n,) [m].
 
-    These are the intersection with the axis of the other end, the foot of the other end on the axis, and the places
-    with the largest clearance.
+    These are the intersection with the axis of the other end, the foot of the perpendicular from the other end to the
+    axis, and the places with the largest clearance.
     """
     ahead = np.array([math.cos(pose[2]), math.sin(pose[2])])
     across = np.array([-math.sin(other[2]), math.cos(other[2])])
@@ -212,7 +214,7 @@ class _Lines(NamedTuple):
 
 
 def _lines(exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort) -> _Lines:
-    """Return every line in both gears with turns either way round that may be free, in ascending order of price."""
+    """Return the lines in both gears, with turns in both directions, that may be free, in ascending order of price."""
     limits = space.problem.robot.limits
     leaving, arriving = exits.tree.poses[exits.rows], entries.tree.poses[entries.rows]
     axes = np.arange(len(leaving)), np.arange(len(arriving)), *([np.array([1.0, -1.0])] * 3)
@@ -265,7 +267,10 @@ def _saved_by_rounding(
 def _whole(
     exits: TreeNodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: TreeNodes, entry_row: int
 ) -> TurnsAndDrives:
-    """Return a run out of the start, turns and drives (the last of them 0), and a run into the dock."""
+    """Return the manoeuvre of a run out of the start, the turns and drives `middle`, and a run into the dock.
+
+    `middle` contains one turn more than drives.
+    """
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
     nothing = np.zeros(1)
     turns = np.concatenate((np.zeros(out.size), middle[0], np.zeros(into.size)))
@@ -289,7 +294,7 @@ def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, F
 
 
 def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
-    """Return the price at full speed with the cost of stops, comparable with that of words [s]."""
+    """Return the price at full speed with the cost of stops, comparable with the price of words [s]."""
     limits, lengths, rounds = space.problem.robot.limits, whole.lengths, whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
@@ -297,7 +302,7 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
-    """Whether a manoeuvre is free, with the margin at coarse poses and without it at fine ones."""
+    """Whether a manoeuvre is free, with the margin at widely spaced poses and without it at close poses."""
     space.poll()
     reach = space.footprint.circumscribed_radius
     if not space.is_free(whole.poses_every(space.spacing(effort), reach), effort.margin, effort.start_relief).all():
@@ -311,8 +316,8 @@ def routes(
 ) -> Iterator[TurnsAndDrives]:
     """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
 
-    The shortest way is first that of the disc in which the robot turns, then that of a disc as wide as the robot.
-    Arguments as in `turns_and_drives`.
+    The shortest way is computed first for the disc in which the robot turns, then for a disc as wide as the robot. The
+    arguments are as in `turns_and_drives`.
     """
     kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
@@ -329,7 +334,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield ways from a node to others along shortest ways of a disc, shortened for a narrower one, in both gears."""
+    """Yield manoeuvres along shortest ways of a disc between nodes, shortened for a narrower disc, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():
@@ -346,7 +351,7 @@ def _around(
 def _cheapest_free(
     found: Sequence[TurnsAndDrives], space: FreeSpace, effort: Effort
 ) -> tuple[float, TurnsAndDrives] | None:
-    """Return the cheapest free manoeuvre and its price."""
+    """Return the price of the cheapest free manoeuvre and the manoeuvre, or None if none is free."""
     priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
     ordered = sorted(priced, key=lambda one: one[0])
     return next((one for one in ordered if _is_free(one[1], space, effort)), None)

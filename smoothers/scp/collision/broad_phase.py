@@ -1,7 +1,7 @@
-"""Broad phase: near pairs of interval, body part and obstacle, by bounding boxes [Ericson2005].
+"""Broad phase: search for near pairs of interval, body part and obstacle by bounding boxes [Ericson2005].
 
-Axis-aligned boxes of six neighbouring intervals at once, then of each interval, then boxes in the frame of the body,
-which are much tighter around a rotated body.
+The search first uses axis-aligned boxes of six neighbouring intervals at once, then boxes of each interval, and then
+boxes in the frame of the body, which are much tighter around a rotated body.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Pairs(NamedTuple):
 
 
 def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
-    """Return the pairs whose boxes are within `reach` [m]; of many pairs, the nearest few of each interval."""
+    """Return the pairs whose boxes are within `reach` [m]; if they are many, only the nearest of each interval."""
     row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
     apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
     near = np.flatnonzero(apart < reach)
@@ -41,7 +41,7 @@ def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes,
 
 
 def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, FloatArray]]:
-    """Lower and upper bounds along x and y of each part in each interval, Shape (parts * intervals,) each."""
+    """Return the lower and upper bounds in x and y of each part in each interval, Shape (parts * intervals,) each."""
     left, shape, found = basis.left, (-1, basis.num_nodes), []
     for values in (body.corners.x, body.corners.y):
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
@@ -53,7 +53,10 @@ def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, Floa
 def _by_world_boxes(
     scene: Scene, boxes: list[tuple[FloatArray, FloatArray]], reach: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows of `boxes` and obstacles within `reach` [m], and their separation; groups of rows are tested first."""
+    """Return the rows of `boxes` and obstacles within `reach` [m], and their separation.
+
+    Groups of rows are tested first.
+    """
     lower, upper, count = scene.obstacles.lower, scene.obstacles.upper, boxes[0][0].size
     together = scene.settings.grouped_intervals
     starts = np.arange(0, count, together)
@@ -74,7 +77,7 @@ def _by_world_boxes(
 
 
 def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Lower bound of the signed distance, from the gaps of boxes along x and y."""
+    """Return a lower bound of the signed distance, from the gaps between boxes along x and y."""
     right, up = np.maximum(x, 0.0), np.maximum(y, 0.0)
     outside = np.sqrt(right * right + up * up)
     distance: FloatArray = outside + np.minimum(np.maximum(x, y), 0.0)
@@ -84,7 +87,7 @@ def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
 def _in_body_frame(
     scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, pairs: tuple[IntArray, IntArray]
 ) -> FloatArray:
-    """Separation [m] of swept body and obstacle box in the frame of the body at the left node. Shape (p,)."""
+    """Return the separation [m] of swept body and obstacle box in the body frame at the left node. Shape (p,)."""
     row, obstacle = pairs
     middle, half = swept_boxes(scene, basis, rollout, body)
     node = basis.left[row % basis.num_intervals]
@@ -99,7 +102,7 @@ def _in_body_frame(
 
 
 def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes) -> tuple[Points, Points]:
-    """Return middle and half extent of the area that each part sweeps, in the left node's frame. Shape (p,) [m]."""
+    """Return middle and half extent of the area swept by each part, in the left node's frame. Shape (p,) [m]."""
     left, shape = basis.left, (-1, len(scene.body.vertices), basis.num_nodes)
     x = body.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
     y = body.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
@@ -117,7 +120,7 @@ def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes)
 
 
 def _nearest(row: IntArray, apart: FloatArray, scene: Scene) -> BoolArray:
-    """Whether each pair is among the nearest few of its row; more pairs are kept if they may be too close."""
+    """Return a mask of the nearest pairs of each row; additional pairs are kept if they may be too close."""
     order = np.lexsort((apart, row))
     first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
     rank = np.empty(row.size, dtype=np.int64)

@@ -33,7 +33,7 @@ class Points(NamedTuple):
         return Points(self.x[:, chosen], self.y[:, chosen])
 
     def along(self, axis: Points) -> FloatArray:
-        """Return the coordinates along one axis per pair, Shape (1, p). Shape (k, p)."""
+        """Return the coordinates of points along one axis per pair, Shape (1, p). Shape (k, p)."""
         heights: FloatArray = axis.x * self.x + axis.y * self.y
         return heights
 
@@ -49,9 +49,10 @@ class Points(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Convex parts of the footprint, padded to equal vertex counts: vertices, normals (parts, v, 2); boxes (parts, 2).
+    """Convex parts of the footprint, padded to equal vertex counts: vertices, normals (parts, v, 2), boxes (parts, 2).
 
-    `reach`: distance of every vertex from the origin (parts, v). `radius`: largest of them. `width`: thickness [m].
+    `reach`: distance of every vertex from the origin (parts, v). `radius`: the largest of these distances. `width`:
+    thickness [m].
     """
 
     vertices: FloatArray
@@ -121,7 +122,7 @@ class Scene:
         return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
 
     def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
-        """Slope of the requirement over the distance from an end where `least` is required, Shape (n,)."""
+        """Return the slope of the required clearance over the distance from an end that requires `least`, (n,)."""
         rule = self.rule
         rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
         return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)

@@ -1,8 +1,8 @@
-"""Linearization: the active set of near pairs, and their clearance as linear rows, exact to first order.
+"""Linearization: selection of active pairs, and their clearance as linear rows that are exact to first order.
 
-Separating planes: a row moves the hull point over the obstacle at a tangent coordinate, a mix of two hull vertices,
-possibly of different nodes. Rows of whole vertices above a fixed plane would also be safe, but would not allow a side
-to roll around a corner.
+Separating planes: a row moves the point of the hull that lies over the obstacle at a tangent coordinate. This point is
+a combination of two hull vertices, possibly at different nodes. Rows that keep whole vertices above a fixed plane would
+also be safe, but would not allow a side to roll around a corner.
 
 Covering discs: if the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may point
 to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so neighbouring discs
@@ -39,7 +39,7 @@ __all__ = [
 
 
 class ActivePairs(NamedTuple):
-    """Indices of the pairs with planes, and of the deeply penetrating ones with discs; ascending, Shape (n,), (m,)."""
+    """Ascending indices of the pairs with planes, Shape (n,), and of deeply penetrating ones with discs, Shape (m,)."""
 
     separated: IntArray
     penetrating: IntArray
@@ -48,8 +48,8 @@ class ActivePairs(NamedTuple):
 def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
     """Return all near pairs, or a selection with at most `most` planes.
 
-    While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest:
-    the rows of neighbouring intervals are nearly equal and would displace those of other obstacles.
+    While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest.
+    The rows of neighbouring intervals are nearly equal and would displace rows of other obstacles.
     """
     settings, worst = scene.settings, float(found.margin.min(initial=np.inf))
     deep = _deeply_penetrating(found.margin, worst, scene.body.width, settings)
@@ -65,7 +65,10 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Pairs whose overlap is too deep to determine a side, and the neighbours of very deep ones. Shape (p,)."""
+    """Return a mask of the pairs whose overlap is too deep to determine a side. Shape (p,).
+
+    If any overlap is very deep, pairs with a small positive margin are also included.
+    """
     if worst >= -settings.deep * width:
         return np.zeros(margin.size, dtype=np.bool_)
     least = -settings.deep if worst >= -settings.very_deep else settings.near_deep
@@ -74,7 +77,7 @@ def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings
 
 
 def local_minima(pairs: Pairs, margin: FloatArray) -> BoolArray:
-    """Whether each pair is a local minimum of the distance over neighbouring intervals. Shape (p,)."""
+    """Return a mask of the pairs at local minima of the distance over neighbouring intervals. Shape (p,)."""
     order = np.lexsort((pairs.interval, pairs.obstacle, pairs.part))
     interval, part, obstacle = (np.diff(column[order]) for column in pairs)
     neighbours = (interval == 1) & (part == 0) & (obstacle == 0)
@@ -125,7 +128,7 @@ def separating_plane_rows(
     chosen: IntArray,
     settings: CollisionSettings,
 ) -> ClearanceRows:
-    """Return up to three rows for every chosen pair of `found`."""
+    """Return up to three separating-plane rows for every chosen pair of `found`."""
     picked = _witnesses(found, chosen, settings)
     place, pair = np.nonzero(picked.used)
     columns = chosen[pair]
@@ -147,7 +150,7 @@ def separating_plane_rows(
 
 
 class _Witness(NamedTuple):
-    """Witness points on the hull: two vertices, share of the second, gap, and whether in use; Shape (t, p) each."""
+    """Witness points on the hull: two vertices, share of the second, gap, and whether it is used; Shape (t, p) each."""
 
     first: IntArray
     second: IntArray
@@ -174,7 +177,7 @@ def _witnesses(found: Clearance, chosen: IntArray, settings: CollisionSettings) 
 def _shared_support(
     along: FloatArray, height: FloatArray, beside: FloatArray, tops: FloatArray, slope: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tangent range in which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
+    """Return the tangent range in which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
     columns = np.arange(along.shape[1])
     i, j = np.argmin(height, axis=0), np.argmax(tops, axis=0)
     of_hull = height <= height[i, columns] + slope * np.abs(along - along[i, columns]) + 1e-9
@@ -185,7 +188,7 @@ def _shared_support(
 
 
 def _upper_side(lines: Chords, tops: FloatArray, place: FloatArray) -> FloatArray:
-    """Height of the obstacle's upper side at tangent coordinates `place`. Shape (t, p)."""
+    """Return the height of the obstacle's upper side at tangent coordinates `place`. Shape (t, p)."""
     share, spans = lines.levels(place[:, None])
     highest: FloatArray = np.where(spans, -lines.height - share * lines.rise, -np.inf).max(axis=1)
     return np.where(np.isfinite(highest), highest, tops.max(axis=0))
@@ -194,7 +197,7 @@ def _upper_side(lines: Chords, tops: FloatArray, place: FloatArray) -> FloatArra
 def _lower_side(
     lines: Chords, height: FloatArray, place: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Vertices, share of the second, and height of the hull's lower side at `place`. Shape (t, p) each."""
+    """Return vertices, share of the second, and height of the hull's lower side at `place`. Shape (t, p) each."""
     columns = np.arange(height.shape[1])
     share, spans = lines.levels(place[:, None])
     level = np.where(spans, lines.height + share * lines.rise, np.inf)  # (t, c, p)
@@ -259,7 +262,7 @@ def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
 
 
 def _signed_distance(points: FloatArray, outline: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance of points (p, d, 2) to polygons (p, k, 2), negative inside, and its gradient (p, d, 2)."""
+    """Return the distance of points (p, d, 2) to polygons (p, k, 2), negative inside, and its gradient (p, d, 2)."""
     edge = np.roll(outline, -1, axis=1) - outline
     away = points[:, :, None] - outline[:, None]
     along = (away * edge[:, None]).sum(axis=3) / np.maximum((edge * edge).sum(axis=2), 1e-18)[:, None]

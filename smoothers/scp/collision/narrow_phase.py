@@ -1,16 +1,18 @@
 """Narrow phase: separating planes between obstacles and the footprint swept between two neighbouring nodes.
 
-For an interval with end poses k and k + 1 let H be the vertices of the footprint at both. For a unit axis n from
-obstacle to robot a vertex falls below the chord of its two positions by at most `sag = h^2 / 8 * max(g'', 0)`, where
+For an interval with end poses k and k + 1, let H be the vertices of the footprint at both poses. For a unit axis n from
+obstacle to robot, a vertex falls below the chord of its two positions by at most `sag = h^2 / 8 * max(g'', 0)`, where
 g'' is the second derivative of its coordinate along n. The area that the vertex sweeps is therefore at least
 
     min over H of (n.v - required - sag) - max over the obstacle of n.q
 
-above the requirement: a lower bound for any n, also between the nodes. g'' is evaluated at both ends; within the
-interval it changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
+above the requirement. This is a lower bound for any n, also between the nodes. g'' is evaluated at both ends. Within
+the interval it differs from its value at the nearer end by at most (h / 2) * M3, with M3 = |rate| (1 + 3 |k| r) + k^2
+(1 + |k| r).
 
-The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. Hulls of two
-neighbouring nodes are those of [Schulman2014]. Arrays hold one pair per column for contiguous reductions.
+The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. The hulls
+over two neighbouring nodes are used as in [Schulman2014]. Arrays hold one pair per column, which makes reductions
+contiguous.
 """
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def narrow_phase(
 
 
 def _both_ends(points: Points, column: IntArray) -> Points:
-    """Stack the columns of the left nodes above those of the right nodes."""
+    """Stack the columns of the left nodes above the columns of the right nodes."""
     both = np.concatenate((column, column + 1))
     count, size = points.x.shape[0], column.size
     return Points(
@@ -85,11 +87,11 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 
 
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
-    """Requirement of every hull vertex, such that no point of the chord between the two nodes is below the requirement.
+    """Return the requirement of every hull vertex, which covers all points of the chord between the two nodes.
 
-    Every part of the rule is convex in the distance, and the smallest one applies; if the part changes within an
-    interval, the larger value of both ends is safe. Next to the start only the right end is raised, because the left
-    pose is given.
+    Every part of the rule is convex in the distance, and the part with the smallest value applies. If the part changes
+    within an interval, the larger value of both ends is safe. Next to the start only the right end is raised, because
+    the left pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -101,7 +103,7 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
 
 
 class _AxisCoordinates(NamedTuple):
-    """Pairs in coordinates of their axes: end nodes (2, p), gear (p,), axis, hull along and across it (2v, p)."""
+    """Pairs in coordinates of their axes: end nodes (2, p), gear (p,), axis, hull along and across the axis (2v, p)."""
 
     nodes: IntArray
     sign: FloatArray
@@ -128,7 +130,7 @@ def sag(scene: Scene, rollout: Rollout, pairs: Pairs, frame: _AxisCoordinates, b
 
 
 def most_sag(rollout: Rollout, radius: float) -> float:
-    """Return an estimate of the largest sag of a vertex within `radius` [m] of the origin of the body [m]."""
+    """Return an estimate of the largest sag [m] of a vertex within `radius` [m] of the origin of the body."""
     turn, rate = np.abs(rollout.curvature).max(), np.abs(rollout.rate).max()
     return float(0.125 * rollout.steps.max() ** 2 * (turn + radius * (turn**2 + rate)))
 
@@ -136,14 +138,15 @@ def most_sag(rollout: Rollout, radius: float) -> float:
 def best_separating_axes(
     hull: Points, outline: Points, normals: Points, inward: Points, settings: CollisionSettings
 ) -> Points:
-    """Return the unit axes, obstacle to robot, with the largest separation among the candidates. Shape (1, p).
+    """Return the unit axes from obstacle to robot with the largest separation among the candidates. Shape (1, p).
 
-    Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices,
-    the normals of the chord of the closest vertex, and the normal of the hull's edge over the obstacle's support point.
-    Without the last one the predicted and the actual separation differ to first order.
+    The candidates are the edge normals of the obstacle, the edge normals of the body at the left node, the direction
+    between the closest vertices, the normals of the chord of the closest vertex, and the normal of the hull's edge over
+    the obstacle's support point. Without the last candidate, predicted and actual separation would differ to first
+    order.
 
     Args:
-        hull: Swept vertices, those of the left node first, Shape (2v, p).
+        hull: Swept vertices, with the vertices of the left node first, Shape (2v, p).
         outline: Obstacle vertices, Shape (k, p).
         normals: Outward obstacle edge normals, Shape (k, p).
         inward: Inward body edge normals at the left node, Shape (v, p).
@@ -169,7 +172,7 @@ def _stacked(*points: Points) -> Points:
 
 
 def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:
-    """Separation along every axis. Shape (a, p)."""
+    """Return the separation along every axis. Shape (a, p)."""
     low = np.empty(axes.x.shape)
     top = np.empty(axes.x.shape)
     for some in _blocks(axes.x.shape[0] * max(hull.x.shape[0], outline.x.shape[0]), axes.x.shape[1]):
@@ -186,7 +189,7 @@ def _blocks(size: int, count: int) -> Iterator[slice]:
 
 
 def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Points, Points]:
-    """Direction between the closest vertices, and a normal of the closest vertex' chord. Shape (1, p)."""
+    """Return the direction between the closest vertices, and a normal of the chord of the closest one. Shape (1, p)."""
     vertex, corner = _closest(hull, outline)
     here, there, count = hull.at(vertex), outline.at(corner), hull.x.shape[0]
     other = hull.at((vertex + count // 2) % count)
@@ -196,7 +199,7 @@ def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Point
 
 
 def _closest(hull: Points, outline: Points) -> tuple[IntArray, IntArray]:
-    """The closest vertices of every hull and its obstacle, Shape (p,) each."""
+    """Return the indices of the closest vertices of every hull and its obstacle, Shape (p,) each."""
     size = hull.x.shape[0] * outline.x.shape[0]
     best = np.empty(hull.x.shape[1], dtype=np.int64)
     for some in _blocks(size, best.size):
@@ -208,7 +211,7 @@ def _closest(hull: Points, outline: Points) -> tuple[IntArray, IntArray]:
 
 
 def _unit(vectors: Points, fallback: Points) -> Points:
-    """Vectors scaled to length 1; the fallback if they are shorter than 1e-9."""
+    """Return vectors scaled to length 1, or the fallback for vectors shorter than 1e-9."""
     length = np.hypot(vectors.x, vectors.y)
     short = length < 1e-9
     if not short.any():
@@ -220,7 +223,8 @@ def _unit(vectors: Points, fallback: Points) -> Points:
 class Chords(NamedTuple):
     """Chords between the vertices of every hull that may form its lower side, from left to right; Shape (c, p) each.
 
-    `first`, `second`: vertex indices. `along`, `height`: of the first. `run`, `rise`: to the second, run >= 0.
+    `first`, `second`: vertex indices. `along`, `height`: coordinates of the first vertex. `run`, `rise`: differences to
+    the second vertex, run >= 0.
     """
 
     first: IntArray
@@ -231,7 +235,7 @@ class Chords(NamedTuple):
     rise: FloatArray
 
     def levels(self, place: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the share of the second vertex at tangent coordinates `place`, and whether the chord spans them."""
+        """Return the share of the second vertex at tangent coordinates `place`, and whether the chord reaches them."""
         usable = self.run > 1e-12
         share = (place - self.along) / np.where(usable, self.run, 1.0)
         return share, usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
@@ -254,13 +258,13 @@ def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -
 
 @cache
 def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
-    """Indices of every pair among `count` elements."""
+    """Return the indices of all pairs among `count` elements."""
     first, second = np.triu_indices(count, 1)
     return readonly(first), readonly(second)
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:
-    """The normal of the hull's lower edge over the obstacle's support point, if its separation is larger."""
+    """Return the normal of the hull's lower edge over the obstacle's support point if it separates more, or `axis`."""
     support = outline.at(np.argmax(outline.along(axis), axis=0))
     lines = chords(hull.across(axis), hull.along(axis), settings)
     share, spans = lines.levels(support.across(axis))
