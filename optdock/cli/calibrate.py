@@ -49,7 +49,8 @@ def calibrate(
     """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % intervals.
 
     The parameters are latency and lag of the drive, wheels, odometry, detections, localization, the stored dock and the
-    driven tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten dockings.
+    tracking tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten
+    dockings.
     """
     # Must precede the import of NumPy: on a busy machine, linear algebra threads block each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
