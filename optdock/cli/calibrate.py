@@ -46,7 +46,7 @@ def calibrate(
     ] = 99,
     verbose: VerboseOption = False,
 ) -> None:
-    """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % intervals.
+    """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % confidence intervals.
 
     The parameters are latency and lag of the drive, wheels, odometry, detections, localization, the stored dock and the
     tracking tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten

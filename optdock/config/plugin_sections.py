@@ -84,5 +84,5 @@ def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], bas
 
 
 def plural(kind: str) -> str:
-    """Return the kind of plugins of a section, one of `INTERFACES`."""
+    """Return the kind of plugins that a section selects, one of `INTERFACES`."""
     return kind if kind == "timing" else f"{kind}s"

@@ -46,7 +46,7 @@ class KeyReference(NamedTuple):
         type: Notation of the value.
         unit: SI unit, or empty.
         rule: Allowed values.
-        default: Default in YAML; empty without a default.
+        default: Default in YAML; empty if there is none.
         required: Whether the key must be given.
         absent: Meaning of a missing key.
         description: Description.

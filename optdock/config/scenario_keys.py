@@ -217,7 +217,7 @@ def _limit_key(name: str, default: float) -> tuple[object, object]:
 if TYPE_CHECKING:
 
     class _LimitKeys(_Part):
-        """The fields of `MotionLimits` as keys."""
+        """Keys for the fields of `MotionLimits`."""
 
 else:
     _LimitKeys = create_model(

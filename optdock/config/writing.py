@@ -55,7 +55,7 @@ def save_scenario(
         obstacles: Obstacles of the problem as polygons, convex or not; None: the convex pieces of the problem are
             written.
         map_source: Map (map_server YAML) of the costmap.
-        note: Comment at the top.
+        note: Comment at the top of the file.
 
     Returns:
         The files written, the scenario first.

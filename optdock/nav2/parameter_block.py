@@ -58,7 +58,7 @@ class ParameterBlock:
         return float(value)
 
     def text(self, name: str, default: str) -> str:
-        """Return a text, or the default if the value is absent or wrong."""
+        """Return a string, or the default if the value is absent or wrong."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
             self.fault(name, message=f"must be text, got {shown(value)}")

@@ -80,7 +80,7 @@ class Nav2Plugin:
 
 
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
-    """Return all plugins of the file, created if optdock provides them.
+    """Return all plugins of the file; those that optdock provides are created.
 
     Unknown parameters are listed, not rejected. Behaviors and layers inherit some parameters of their node, as in Nav2.
     """

@@ -273,7 +273,7 @@ class Behavior(Plugin):
 
 
 class Layer(Plugin):
-    """Write the costs of one source into a layered costmap."""
+    """Write the costs from one source into a layered costmap."""
 
     _is_current = True
 
@@ -309,10 +309,10 @@ class Layer(Plugin):
         return True
 
     def match_size(self) -> None:
-        """Handle a new size of the master grid."""
+        """Adapt to a new size of the master grid."""
 
     def on_footprint_changed(self) -> None:
-        """Handle a new footprint of the robot."""
+        """Adapt to a new footprint of the robot."""
 
 
 class GoalChecker(Plugin):

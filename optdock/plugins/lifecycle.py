@@ -204,7 +204,7 @@ class Plugin(ABC):
         self._state = LifecycleState.UNCONFIGURED
 
     def shutdown(self) -> None:
-        """Release resources: any state but finalized -> finalized."""
+        """Release resources: any state except finalized -> finalized."""
         self._require("shutdown", LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
         if self._state is LifecycleState.ACTIVE:
             self.on_deactivate()

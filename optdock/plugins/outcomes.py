@@ -110,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """Status of a time parameterization; only OK is true. Infeasible motions are statuses, not exceptions."""
+    """Status of a time parameterization; only OK is true. An infeasible motion gives a status, not an exception."""
 
     OK = 0
     START_INFEASIBLE = 1

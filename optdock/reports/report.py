@@ -1,4 +1,4 @@
-"""Plans and runs as files and tables."""
+"""Plans and runs written as files and tables."""
 
 from __future__ import annotations
 

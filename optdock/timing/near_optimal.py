@@ -2,9 +2,9 @@
 
 Plans of one segment (`near_optimal_plans`), each made only if the previous plan was rejected:
 
-1. One ruckig move over the whole segment, if that is sufficient; slower moves on a tiny segment.
+1. One ruckig move over the whole segment, if it keeps the limits; slower moves on a tiny segment.
 2. A reference and the moves along it.
-3. From rest, the same motion slightly stretched in time: exact, and always possible.
+3. From rest, the same motion slightly stretched in time, which is exact and always possible.
 4. Steps 2 and 3 again with reduced speeds around violations, at most twice.
 5. From rest, the best of these motions, stretched until it keeps every limit, and the windowed method; the faster
    result first.

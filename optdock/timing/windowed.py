@@ -44,7 +44,7 @@ class WindowedParameters(PluginParameters):
 
 
 class Windowed(SegmentTimeParameterizer):
-    """Time laws from constant limits in windows: robust, and 3 % (easy paths) to 17 % slower than necessary."""
+    """Time laws from constant limits in windows; robust, but 3 % (easy paths) to 17 % slower than the optimum."""
 
     Parameters = WindowedParameters
     parameters: WindowedParameters

@@ -46,7 +46,7 @@ class LayerParameters(PluginParameters):
 
 
 class Nav2Layer(Layer):
-    """A layer with the parameter `enabled` and without observations, written completely in every update."""
+    """Layer that has the parameter `enabled`, has no observations, and is written completely in every update."""
 
     Parameters = LayerParameters
     parameters: LayerParameters

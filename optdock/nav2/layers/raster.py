@@ -49,8 +49,8 @@ def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
 def cells_of_polygon(vertices: FloatArray) -> IntArray:
     """Return the cells (i, j) that a convex polygon overlaps or touches, Shape (m, 2).
 
-    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: a square and a convex polygon are
-    separated only along a side of either.
+    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: if a square and a convex polygon are
+    separated, then along a side of one of them.
 
     Args:
         vertices: Shape (k, 2), counter-clockwise, in cells from the grid's origin.

@@ -33,7 +33,7 @@ class LayerContract(PluginContract[Layer]):
         """Give the layer observations within 2 m of the origin; by default no observations."""
 
     def exercise(self, plugin: Layer) -> object:
-        """Return the costs that the fed layer writes into a grid of random costs."""
+        """Return the costs that a layer with observations writes into a grid of random costs."""
         self.feed(plugin)
         return _written(plugin).tobytes()
 
@@ -43,7 +43,7 @@ class LayerContract(PluginContract[Layer]):
         grown = layer.update_bounds(ORIGIN, _NOWHERE)
         layer.update_costs(after, 0, 0, _COLUMNS, _ROWS)
         rows, columns = np.nonzero(after.data != before.data)
-        require(rows.size > 0, "a fed layer changes a cell of a grid of random costs")
+        require(rows.size > 0, "a layer with observations changes a cell of a grid of random costs")
         centres = before.centre_of(np.column_stack((columns, rows)))
         low, high = centres.min(axis=0) + _SIDE, centres.max(axis=0) - _SIDE
         inside = low[0] >= grown.min_x and low[1] >= grown.min_y and high[0] <= grown.max_x and high[1] <= grown.max_y

@@ -346,7 +346,7 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             require(is_bad, f"speed {v}, acceleration {a} is a bad start, got {found}")
 
     def test_little_time_is_a_status(self) -> None:
-        """`max_time`: TIMED_OUT without a motion if no time is left; a motion found in little time is certified."""
+        """`max_time`: TIMED_OUT without a motion if no time is left; a motion found in a short time is certified."""
         plugin = self.ready_plugin()
         for path, limits, zone, (speed, _) in self.cases():
             for max_time in (0.0, 0.001, 0.01) if speed == 0.0 else ():
