@@ -109,7 +109,7 @@ def demo(
 ) -> None:
     """Run the built-in scenario: plan, prove, time, drive, draw.
 
-    Its files are written next to the results and can be edited: optdock plan demo/scenario.yaml
+    The scenario files are written next to the results and can be edited: optdock plan demo/scenario.yaml
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario

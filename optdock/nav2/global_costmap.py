@@ -152,7 +152,7 @@ def layered_costmap(
 
     Args:
         place: The map; its occupancies are not used.
-        layers: Layers by name, from bottom to top. They are active during the call and unconfigured afterwards.
+        layers: Layers by name, from bottom to top. The layers are active during the call and unconfigured afterwards.
         robot: Pose of the robot in the frame of the map.
         footprint: Outline of the robot, for the layers.
         track_unknown_space: Whether cells that no layer writes are unknown; otherwise they are free.

@@ -1,4 +1,4 @@
-"""Plugin base: parameters, context, and Nav2's lifecycle.
+"""Base class of plugins, with parameters, context and Nav2's lifecycle.
 
 A plugin can be used once it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive -> active
 -> finalized.
@@ -57,8 +57,8 @@ class PluginContext:
         problem: Docking problem, or None.
         clock: Function that returns a monotonic time [s].
         logger: Logger of the plugin.
-        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. Without a
-            problem and a global costmap it also replaces the global costmap.
+        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. If there is
+            neither a problem nor a global costmap, this costmap also replaces the global costmap.
 
     Raises:
         InvalidValue: If `footprint` is not the outline of the problem's robot, or a part has a wrong type.

@@ -28,7 +28,7 @@ def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedP
     """Return the largest v^2 under caps, acceleration and deceleration; turning limits are applied as caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
-    2 A. It is computed by one sweep forward and one sweep backward [Bobrow1985].
+    2 A. This function is computed by one sweep forward and one sweep backward [Bobrow1985].
     """
     limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
     for limit, most in zip(limits.turning, bounds.turning, strict=True):
