@@ -208,7 +208,7 @@ class PathLimits:
         return cells
 
     def points_at(self, s: FloatArray) -> LimitPoints:
-        """Return the limits at arc lengths `s`, Shape (n,) [m], with the zone; at nodes those of the right side."""
+        """Return the limits at arc lengths `s`, Shape (n,) [m], with the zone; at nodes, the right-hand limits."""
         cell = self.cells_at(s)
         left = self.s[cell]
         share = (s - left) / (self.s[cell + 1] - left)
