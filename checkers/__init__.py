@@ -1,1 +1,1 @@
-"""Goal checkers (`optdock.goal_checkers`): along the end of the path (`axis`), in the dock, and Nav2's (`nav2`)."""
+"""Goal checkers: at the end of the path (`axis`), in the dock (`dock_goal`), and those of Nav2 (`nav2`)."""

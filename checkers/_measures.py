@@ -1,4 +1,4 @@
-"""Measures of goal checkers, computed as in Nav2, so that comparisons agree to rounding."""
+"""Measures of goal checkers, computed as in Nav2, so that the results agree with Nav2 up to rounding."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ __all__ = ["is_stopped", "longer_than", "yaw_error"]
 
 
 def yaw_error(query: Pose2, goal: Pose2, *, symmetric: bool = False) -> float:
-    """Return the angle between two headings [rad]; with `symmetric`, to the nearer of the goal and its opposite."""
+    """Return the angle between two headings [rad]; if `symmetric`, to the goal heading or its opposite."""
     return abs(math.remainder(query.yaw - goal.yaw, math.pi if symmetric else 2.0 * math.pi))
 
 
 def is_stopped(velocity: Twist2, trans_stopped_velocity: float, rot_stopped_velocity: float) -> bool:
-    """Whether speed [m/s], lateral included, and yaw rate [rad/s] are at most the given ones."""
+    """Whether speed [m/s], lateral speed included, and yaw rate [rad/s] are at most the given limits."""
     slow = math.hypot(velocity.linear, velocity.lateral) <= trans_stopped_velocity
     return slow and abs(velocity.angular) <= rot_stopped_velocity
 
 
 def longer_than(path: Iterable[Pose2], limit: float) -> bool:
-    """Whether the path, summed in driving order as in Nav2, is longer than `limit` [m]; 0 or 1 poses have length 0."""
+    """Whether a path is longer than `limit` [m], summed in driving order as in Nav2. 0 or 1 poses have length 0."""
     total = 0.0
     for before, after in itertools.pairwise(path):
         total += math.hypot(after.x - before.x, after.y - before.y)

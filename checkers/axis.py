@@ -19,19 +19,20 @@ if TYPE_CHECKING:
 
 __all__ = ["AxisGoalChecker", "AxisGoalCheckerParameters"]
 
-_AT_GOAL = 1e-6  # [m]: within this distance Nav2's variants accept the goal for any tolerances
+_AT_GOAL = 1e-6  # [m]: within this distance Nav2's versions accept the goal with any tolerances
 _DISTINCT = 1e-6  # [m]: closer poses define no direction
 
 
 class AxisGoalCheckerParameters(PluginParameters):
     """Nav2's parameters of the AxisGoalChecker; the defaults give the documented behaviour.
 
-    With `direction_estimation_distance` 0 the axis passes through the last two distinct poses; above 0 it begins at the
-    last pose at least that far from the end, and is kept when the remaining path becomes too short. Nav2 versions:
-    #5746 has axis_end goal and a radial fallback of hypot(along, cross); #6345 axis_end goal and a baseline of 0.15 m,
-    with `reset` before every call; #6420 the same without resets; #6513 adds the radial parameter.
+    If `direction_estimation_distance` is 0, the axis passes through the last two distinct poses; otherwise it begins at
+    the last pose at that distance or more from the end, and is kept when the remaining path is shorter. Nav2's
+    versions: #5746 has axis_end goal and a radial fallback of hypot(along, cross); #6345 has axis_end goal and a
+    baseline of 0.15 m, with `reset` before every call; #6420 is the same without resets; #6513 adds the radial
+    parameter.
 
-    `stopped` and the two velocities, named as in Nav2's StoppedGoalChecker, also require rest.
+    If `stopped`, the robot must be at rest; the two velocities have the names of Nav2's StoppedGoalChecker.
     """
 
     along_path_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error along the axis [m]")
@@ -62,14 +63,15 @@ class _EndDirection(NamedTuple):
 class AxisGoalChecker(GoalChecker):
     """Goal checker that accepts a robot within tolerance along and across the end of the path.
 
-    With u the unit vector of the path's end and g the vector from the robot to the goal, along = g . u (positive
-    before the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All comparisons are strict.
-    Yaw is not checked; the velocity is checked only if `stopped`.
+    With u the unit vector along the end of the path and g the vector from the robot to the goal, along = g . u
+    (positive before the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All comparisons
+    are strict. Yaw is not checked; the velocity is checked only if `stopped`.
 
     The goal is not reached while the remaining path is longer than `path_length_tolerance`. Without an axis (a single
     pose) the distance must be below the radial fallback; otherwise along and cross must be within tolerance. With
-    `axis_end: goal`, as in every release of Nav2, a robot within 1e-6 m of the goal has reached it for any tolerances.
-    Poses that repeat the last one are skipped. `direction_estimation_distance` must be below `path_length_tolerance`.
+    `axis_end: goal`, as in every release of Nav2, a robot within 1e-6 m of the goal has reached it with any tolerances.
+    Poses that are equal to the last pose are skipped. `direction_estimation_distance` must be below
+    `path_length_tolerance`.
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = AxisGoalChecker(along_path_tolerance=0.05, cross_track_tolerance=0.3)
@@ -112,7 +114,7 @@ class AxisGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """The smaller tolerance in x and y, as in Nav2, without yaw, and with speeds only if `stopped`."""
+        """The smaller tolerance in x and y, as in Nav2, and the speeds if `stopped`; there is no yaw tolerance."""
         p = self.parameters
         radius = min(p.along_path_tolerance, p.cross_track_tolerance)
         return Tolerances(
@@ -157,7 +159,7 @@ class AxisGoalChecker(GoalChecker):
 
 
 def _end_axis(path: Sequence[Pose2], end: Pose2, baseline: float) -> _EndDirection | None:
-    """Direction to `end` from the last pose that is at least `baseline` away, the final pose excluded."""
+    """Return the direction to `end` from the last pose before the final pose that is at least `baseline` away."""
     for i in range(len(path) - 2, -1, -1):
         dx, dy = end.x - path[i].x, end.y - path[i].y
         distance = math.hypot(dx, dy)

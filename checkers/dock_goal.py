@@ -21,7 +21,7 @@ __all__ = ["DockGoalChecker", "DockGoalCheckerParameters"]
 
 
 class DockGoalCheckerParameters(PluginParameters):
-    """Tolerances of a dock; by default the first three are those of the dock in the configured problem."""
+    """Tolerances of a dock; by default the first three are the tolerances of the dock in the configured problem."""
 
     along_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error along the heading [m]")
     cross_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error across the heading [m]")
@@ -47,9 +47,10 @@ class DockGoalChecker(GoalChecker):
     """Goal checker that accepts a robot at rest in the dock, with the dock's heading.
 
     The axis is the heading of the goal, so the shape of the remaining path has no influence. The errors along and
-    across, the heading and (if `stopped`) rest must be accepted in the same call. All comparisons are inclusive. When
-    stateful, an accepted arrival stays accepted until `reset`, even with noise in the measured pose. Missing tolerances
-    are those of the dock of the configured problem, or else the defaults of `DockTolerances` (2 cm, 2 cm, 0.05 rad).
+    across, the heading and rest (if `stopped`) must be accepted in the same call. All comparisons are inclusive. When
+    stateful, an accepted arrival stays accepted until `reset`, even with noise in the measured pose. Tolerances that
+    are not given are those of the dock of the configured problem, or else the defaults of `DockTolerances` (2 cm, 2 cm,
+    0.05 rad).
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = DockGoalChecker(along_tolerance=0.01)
@@ -74,7 +75,7 @@ class DockGoalChecker(GoalChecker):
         return self._reached
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
-        """Whether the errors along and across are accepted, or an arrival is latched; the latch is not changed."""
+        """Whether the errors along and across are accepted, or the arrival is latched; the latch is not changed."""
         p = self.parameters
         if self._is_latched:
             return True
@@ -99,7 +100,7 @@ class DockGoalChecker(GoalChecker):
         )
 
     def reset(self) -> None:
-        """Clear the arrival before a new attempt."""
+        """Clear the latched arrival before a new attempt."""
         self._reached = False
 
     @property

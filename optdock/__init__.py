@@ -6,8 +6,8 @@
     problem = od.DockingProblem(od.Pose2(1.0, 0.2, 0.4), od.Dock(od.Pose2(4.0, 1.0, 0.0)), robot)
     plan = od.plan_dock(problem, time_budget=0.1)
 
-The names are those of `__init__.pyi`; each is imported on its first use, so that `import optdock` is fast. Plugins of
-other packages are found by their entry points.
+The public names are listed in `__init__.pyi`; each is imported on its first use, so that `import optdock` is fast.
+Plugins of other packages are found by their entry points.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 _OF_PLUGIN_PACKAGES = ("AxisGoalChecker", "CasadiSmoother")
 
 _attribute, _, _names = lazy_loader.attach_stub(__name__, __file__)
-__all__ = sorted([*_names, *_OF_PLUGIN_PACKAGES])  # noqa: PLE0605 - a list of names, all the same
+__all__ = sorted([*_names, *_OF_PLUGIN_PACKAGES])  # noqa: PLE0605 - a list of names at run time
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

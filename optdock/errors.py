@@ -54,7 +54,7 @@ class OptdockError(Exception):
         code: Nav2's action error code; 0 if Nav2 defines none.
         where: Data that locates the fault (arc length, pose, obstacle, bound, amount) as plain numbers, strings and
             lists of them.
-        partial: Result of the stages that had finished before a pipeline failed, or None.
+        partial: Result of the stages that had ended before the pipeline failed, or None.
     """
 
     code: ClassVar[int] = 0
@@ -84,7 +84,7 @@ class DockNotInDB(InvalidValue):
 
 
 class DockNotValid(InvalidFile):
-    """A dock has an unknown type, or a frame without a known transform to the map frame."""
+    """A dock has an unknown type, or its frame has no known transform to the map frame."""
 
     code = 902
 
@@ -110,7 +110,7 @@ class Cancelled(OptdockError):
 
 
 class CertificationFailed(OptdockError):
-    """The certificate rejects a result of a solver."""
+    """A result of a solver fails the certificate."""
 
     code = 503
 
@@ -168,13 +168,13 @@ class PlannerTimedOut(PlannerException, TimedOut):
 
 
 class NoValidPathCouldBeFound(PlannerException):
-    """The planner found no path of the kind that it generates."""
+    """The planner found no path."""
 
     code = 208
 
 
 class NoMotionExists(NoValidPathCouldBeFound):
-    """It is proven that no motion connects start and goal, or that none ends in the dock as required.
+    """It is proven that no motion connects start and goal, or that no motion ends in the dock as required.
 
     Attributes:
         proof: The `ImpossibilityProof` or the `BlockedStraight`.

@@ -1,1 +1,1 @@
-"""Nav2's goal checkers, with its parameters, defaults and comparisons."""
+"""Nav2's goal checkers, with Nav2's parameters, defaults and comparisons."""

@@ -1,4 +1,4 @@
-"""AdaptiveToleranceGoalChecker: a fine radius, and a coarse one for a robot without progress."""
+"""AdaptiveToleranceGoalChecker: a fine radius, and a coarse radius for a robot that makes no progress."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class AdaptiveToleranceGoalCheckerParameters(PluginParameters):
 
 @dataclass
 class _CoarseVisit:
-    """A stay inside the coarse radius: first position relative to the goal [m], and cycles without progress."""
+    """State inside the coarse radius: first position relative to the goal [m], cycles without progress."""
 
     entry_x: float
     entry_y: float
@@ -57,7 +57,7 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
 
     Inside the fine radius the position is accepted at any speed. After the first call inside the coarse radius the
     position is accepted once the robot has crossed the line through the goal perpendicular to its entry, after
-    `required_stagnation_cycles` stopped calls, or after as many calls without a new least distance. Leaving the coarse
+    `required_stagnation_cycles` calls at rest, or after as many calls without a new least distance. Leaving the coarse
     radius resets this. An accepted position is latched when stateful, until the distance exceeds the radius that
     accepted it plus the buffer (if > 0). The heading is checked in every call. Comparisons are inclusive.
     """
@@ -113,7 +113,7 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
         return radius is not None
 
     def _accepting_radius(self, dx: float, dy: float, velocity: Twist2) -> float | None:
-        """The radius that accepts the position in this call, or None."""
+        """Return the radius within which the position is accepted in this call, or None."""
         p, distance = self.parameters, math.hypot(dx, dy)
         if distance <= p.fine_xy_goal_tolerance:
             return p.fine_xy_goal_tolerance

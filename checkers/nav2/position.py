@@ -30,7 +30,7 @@ class PositionParameters(PluginParameters):
 
 
 class PositionGoalChecker(GoalChecker):
-    """Nav2's PositionGoalChecker: reached when the distance is at most `xy_goal_tolerance`.
+    """Nav2's PositionGoalChecker: the goal is reached when the distance is at most `xy_goal_tolerance`.
 
     When stateful, an accepted position is latched until `reset`, or, with a buffer, until the distance exceeds
     tolerance + buffer.

@@ -1,4 +1,4 @@
-"""StoppedGoalChecker: the SimpleGoalChecker with a robot at rest."""
+"""StoppedGoalChecker: the SimpleGoalChecker for a robot at rest."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def plugins(
     *,
     nav2_params: Annotated[
         Path | None,
-        typer.Option(help="List the plugins in this Nav2 parameter file, and which of them are provided here."),
+        typer.Option(help="List the plugins in this Nav2 parameter file, and whether optdock provides them."),
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:

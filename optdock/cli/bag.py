@@ -32,7 +32,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
         typer.Option(help="Scenario of a plan or run, for the map, the swept area and the closest point."),
     ] = None,
     frame: Annotated[
-        str, typer.Option(help="Name of the coordinate frame; default: that of the file or the scenario.")
+        str, typer.Option(help="Name of the coordinate frame; default: the frame of the file or the scenario.")
     ] = "",
     base_frame: Annotated[str, typer.Option(help="Frame of the robot.")] = "base_link",
     start: Annotated[float, typer.Option(metavar=SECONDS, help="Start time since 1970; for a log, an offset.")] = 0.0,
@@ -44,8 +44,8 @@ def bag(  # noqa: PLR0913 - one parameter per option
     """Record a plan, a simulated run or the log of a docking for RViz, Foxglove or PlotJuggler.
 
     Topics: plan and docking_trajectory (Path), odom, cmd_vel, tf, markers, diagnostics, map; for runs measured_pose and
-    reference_pose; for logs detected_dock_pose and the costmap. The motion of a plan is recorded as driven exactly.
-    Recordings are read by optdock import bag.
+    reference_pose; for logs detected_dock_pose and the costmap. The motion of a plan is recorded without tracking
+    errors. Recordings are read by optdock import bag.
     """
     with reported(verbose=verbose):
         from optdock.ros.bag import write_bag
@@ -76,7 +76,7 @@ def _checked(names: Names) -> Names:
 
 
 def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Iterator[BagMessage]:
-    """The messages of a plan file, run file or log."""
+    """Generate the messages of a plan file, run file or log."""
     from optdock.ros.contents import log_messages, plan_messages, run_messages
 
     kind = _format_of(source)
@@ -84,7 +84,7 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
         from optdock.executor.log import read_log
 
         if problem is not None:
-            raise InvalidValue("--scenario: is for plans and runs; the log of a docking contains its problem")
+            raise InvalidValue("--scenario: is only for plans and runs; the log of a docking contains its problem")
         yield from log_messages(read_log(source), names)
     elif kind.startswith("optdock-run/"):
         from optdock.io.run_file import load_run
@@ -101,7 +101,7 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
 
 
 def _format_of(source: Path) -> str:
-    """The format name in a file; empty without one."""
+    """Return the name of the format stated in a file, or an empty string if there is none."""
     from optdock.io.guarded_file import MostBytes, parse_json, read_text
 
     try:

@@ -46,10 +46,11 @@ def calibrate(
     ] = 99,
     verbose: VerboseOption = False,
 ) -> None:
-    """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % intervals.
+    """Estimate parameters of a robot, its sensors and its dock from recorded drives, with 95 % confidence intervals.
 
     The parameters are latency and lag of the drive, wheels, odometry, detections, localization, the stored dock and the
-    driven tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten dockings.
+    tracking tube. Parameters that the recordings do not determine are listed with the reason. Use at least ten
+    dockings.
     """
     # Must precede the import of NumPy: on a busy machine, linear algebra threads block each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -40,7 +40,7 @@ _SLOW = 2.0  # [s], after which a command shows its progress
 ScenarioArgument: TypeAlias = Annotated[Path, typer.Argument(help="Scenario file (YAML).", show_default=False)]
 BudgetOption: TypeAlias = Annotated[
     float | None,
-    typer.Option(metavar=SECONDS, help="Wall-clock time for planning, instead of the scenario's.", show_default=False),
+    typer.Option(metavar=SECONDS, help="Wall-clock time for planning; default: the scenario's.", show_default=False),
 ]
 PlotOption: TypeAlias = Annotated[
     Path | None,
@@ -51,12 +51,12 @@ PlotOption: TypeAlias = Annotated[
     ),
 ]
 VerboseOption: TypeAlias = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Log to stderr; before or after the command.")
+    bool, typer.Option("--verbose", "-v", help="Log to stderr; may be given before or after the command.")
 ]
 
 
 class _Console(logging.Formatter):
-    """Log format: warnings by level, other records by module."""
+    """Log format: warnings begin with their level, other records with their module."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
@@ -65,7 +65,7 @@ class _Console(logging.Formatter):
 
 
 class _Once(logging.Filter):
-    """Filter that passes every warning once, because a file may be read twice."""
+    """Filter that passes every warning only once, because a file may be read twice."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -95,8 +95,8 @@ def reported(*, verbose: bool) -> Iterator[None]:
     """Convert errors of the library to messages on stderr and exit statuses.
 
     Raises:
-        Exit: If the block raises an `OptdockError`. Faults of files are printed line by line, failures in one line that
-            begins with the name of the error.
+        Exit: If the block raises an `OptdockError`. Faults of files are printed line by line, other failures in one
+            line that begins with the name of the error.
     """
     listen(verbose=verbose)
     try:
@@ -113,10 +113,10 @@ def one_line(error: OptdockError) -> str:
 
 
 def check_picture(option: str, picture: Path | None) -> None:
-    """Check the format of a picture before the work.
+    """Check the format of a picture before the computation.
 
     Raises:
-        InvalidValue: If the suffix is not that of a picture format.
+        InvalidValue: If the suffix does not belong to a picture format.
         MissingExtra: If Matplotlib is not installed.
     """
     if picture is not None:
@@ -137,7 +137,7 @@ def spare(source: Path | None, *targets: Path | None) -> None:
     files = [target for target in targets if target is not None and (target.is_file() or not target.exists())]
     for i, file in enumerate(files):
         if file.resolve() in [other.resolve() for other in files[:i]]:
-            raise InvalidValue(f"{file}: is given twice, and one result would overwrite the other")
+            raise InvalidValue(f"{file}: is given twice, so one result would overwrite the other")
     for target in targets:
         if (
             source is not None
@@ -146,7 +146,7 @@ def spare(source: Path | None, *targets: Path | None) -> None:
             and source.exists()
             and target.samefile(source)
         ):
-            raise InvalidValue(f"{target}: is the file to read, and would be overwritten; choose another name")
+            raise InvalidValue(f"{target}: is the input file and would be overwritten; choose another name")
 
 
 def checked_positive(option: str, value: float | None, unit: str) -> None:
@@ -161,7 +161,7 @@ def checked_positive(option: str, value: float | None, unit: str) -> None:
 
 @contextmanager
 def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar with the estimated time left on stderr, on terminals only and after two seconds.
+    """Show a progress bar with the estimated time left on stderr, only on terminals and after two seconds.
 
     The yielded function advances the bar by one; its argument is the name of the finished item.
     """

@@ -14,7 +14,7 @@ __all__ = ["EXIT_STATUSES", "ExitStatus", "status_of"]
 
 
 class ExitStatus(IntEnum):
-    """Exit status of a command; `EXIT_STATUSES` has the meanings."""
+    """Exit status of a command; `EXIT_STATUSES` contains the meanings."""
 
     CERTIFIED = 0
     UNEXPECTED = 1

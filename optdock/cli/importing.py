@@ -1,4 +1,4 @@
-"""`optdock import nav2 | bag`: scenario files of Nav2's files and of recordings."""
+"""`optdock import nav2 | bag`: scenario files from Nav2's files and from recordings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Make scenario files of Nav2's files or of recordings.", no_args_is_help=True)
+app = typer.Typer(help="Make scenario files from Nav2's files or from recordings.", no_args_is_help=True)
 
 
 @app.command()
@@ -55,7 +55,7 @@ def nav2(  # noqa: PLR0913 - one parameter per option
             spare(read, out)
         found = nav2_scenario(nav2_params, map_, start, docks_source=docks, dock_name=dock)
         typer.echo(table(found.costmap_rows))
-        note = f"{nav2_params.name}, {map_.name}, dock {dock or 'the only one'}"
+        note = f"{nav2_params.name}, {map_.name}, dock {dock or 'the only dock'}"
         _print_files(
             save_scenario(out, dataclasses.replace(found, time_budget=time_budget), map_source=map_, note=note)
         )
@@ -63,7 +63,7 @@ def nav2(  # noqa: PLR0913 - one parameter per option
 
 @app.command()
 def bag(  # noqa: PLR0913 - one parameter per option
-    file: Annotated[Path, typer.Argument(help="Recording: .mcap, .db3, or the folder of one.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="Recording: .mcap, .db3, or a recorded folder.", show_default=False)],
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.", show_default=False)],
     path_topic: Annotated[
@@ -81,11 +81,11 @@ def bag(  # noqa: PLR0913 - one parameter per option
     odom_topic: Annotated[str, typer.Option(metavar="TOPIC", help="Default: /odom, else /odometry/filtered.")] = "",
     base_frame: Annotated[str, typer.Option(help="The robot's frame; default: the odometry's child frame.")] = "",
     footprint: Annotated[
-        str, typer.Option(help="Outline as a list of corners in Nav2's syntax, instead of the recording's.")
+        str, typer.Option(help="Outline as a list of corners in Nav2's syntax, instead of the recorded footprint.")
     ] = "",
     radius: Annotated[
         float | None,
-        typer.Option(metavar=METRES, help="Radius of a round robot, instead of the recording's footprint."),
+        typer.Option(metavar=METRES, help="Radius of a round robot, instead of the recorded footprint."),
     ] = None,
     clearance: Annotated[float, typer.Option(metavar=METRES, help="Required clearance of path and drive.")] = 0.0,
     contact: Annotated[
@@ -154,7 +154,7 @@ def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, Occupan
 
 
 def _outline(text: str, radius: float | None) -> Footprint | None:
-    """The outline given as an option, or None."""
+    """Return the outline given by an option, or None."""
     from optdock.geometry.footprint import Footprint
 
     if text and radius is not None:

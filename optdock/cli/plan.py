@@ -1,4 +1,4 @@
-"""`optdock plan` and `optdock compare`, and the planning of all commands."""
+"""`optdock plan` and `optdock compare`, and the planning step of all commands."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NAV2 = "Instead of a scenario"
 
 
 class PlanOutputs(NamedTuple):
-    """Output files of a plan or a failure, and the sampling; None: not written.
+    """Output files of a plan or a failure, and the sampling steps; a file that is None is not written.
 
     Args:
         file: Plan file.
@@ -152,15 +152,15 @@ def _plan_and_report(
 
 
 def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOutputs = _USUAL) -> DockPlan:
-    """Return the certified plan of a scenario; on failure, the partial results are written and drawn.
+    """Return the certified plan of a scenario; if planning fails, write and draw the partial results.
 
     Args:
         scenario: The scenario.
-        time_budget: Wall-clock time instead of the scenario's [s].
-        outputs: Output files of a failure.
+        time_budget: Wall-clock time instead of the time budget of the scenario [s].
+        outputs: Output files that are written if planning fails.
 
     Raises:
-        OptdockError: If no certified plan is found, see `plan_dock`, or a file cannot be written.
+        OptdockError: If no certified plan is found, see `plan_dock`, or if a file cannot be written.
     """
     from optdock.io.plan_file import save_plan
     from optdock.planning.plan import PartialPlan
@@ -191,7 +191,7 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
 
 @contextmanager
 def _secondary() -> Iterator[None]:
-    """Print errors of the picture of a failure, so that the failure itself is raised."""
+    """Print errors that occur while a failure is drawn, so that the failure itself is raised."""
     try:
         yield
     except OptdockError as error:
@@ -205,7 +205,7 @@ def _draw(
     verdict: str,
     refusal: OptdockError | None = None,
 ) -> None:
-    """Draw a plan or partial plan into the scene."""
+    """Draw a plan or partial plan with its scene."""
     if target is None:
         return
     from optdock.plotting import save_plan_picture
@@ -242,7 +242,7 @@ def compare(
 ) -> None:
     """Compare raw and smoothed paths of scenarios: print a table, write a CSV and pictures.
 
-    The exit status is the highest of the scenarios.
+    The exit status is the highest exit status of all scenarios.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -268,7 +268,7 @@ def compare(
 
 
 def _scenarios_among(sources: list[Path]) -> list[Path]:
-    """Return the scenario files; others are reported on stderr.
+    """Return the scenario files; report other files on stderr.
 
     Raises:
         InvalidFile: If there is no scenario file.
@@ -276,14 +276,14 @@ def _scenarios_among(sources: list[Path]) -> list[Path]:
     found = [source for source in sources if _is_scenario(source)]
     for source in sources:
         if source not in found:
-            typer.echo(f"{source}: skipped, it has no line 'format: optdock-scenario/1'", err=True)
+            typer.echo(f"{source}: skipped, because it has no line 'format: optdock-scenario/1'", err=True)
     if not found:
         raise InvalidFile("none of the files is a scenario; 'optdock demo' writes one, demo/scenario.yaml")
     return found
 
 
 def _is_scenario(source: Path) -> bool:
-    """Whether a file has the format of scenarios, or cannot be read."""
+    """Whether a file has the format of a scenario, or cannot be read."""
     from optdock.io.guarded_file import MostBytes, read_bytes
 
     if source.is_dir():
@@ -296,7 +296,7 @@ def _is_scenario(source: Path) -> bool:
 
 
 def _compared(scenario: Scenario, picture: Path) -> tuple[list[PathFigures], ExitStatus]:
-    """Return the rows and the exit status of a scenario and draw it; a failure becomes a row and a line on stderr."""
+    """Draw a scenario, and return its rows and exit status; a failure becomes a row and a line on stderr."""
     from optdock.planning.plan import PartialPlan
     from optdock.reports.comparison import PathFigures, figures_of
 

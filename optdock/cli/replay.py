@@ -46,7 +46,7 @@ def replay(
             save_docking_picture(plot, found.task.problem, found.measured, again.estimates, found.commands)
     if again.differs_at is not None:
         at = again.differs_at
-        typer.echo(f"{log}:{at.line}: the command is {at.command}, driven again it is {again.command}", err=True)
+        typer.echo(f"{log}:{at.line}: the command is {at.command}, but in the replay it is {again.command}", err=True)
         raise typer.Exit(ExitStatus.NOT_CERTIFIED)
 
 

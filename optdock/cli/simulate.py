@@ -38,12 +38,12 @@ __all__ = ["WorldDeviations", "demo", "driven", "simulate"]
 
 
 class WorldDeviations(NamedTuple):
-    """Disturbances of the simulation.
+    """Disturbances in the simulation.
 
     Args:
         position_noise: Standard deviation of the measured x and y [m]; the default is typical of a docking sensor.
         yaw_noise: Standard deviation of the measured yaw [rad].
-        lag: Time constant with which speed and yaw rate, or the steering of a car, follow their commands [s].
+        lag: Time constant with which speed and yaw rate, or a car's steering angle, follow their commands [s].
         latency: Delay of the commands [s], rounded to the nearest quarter of the control period.
     """
 
@@ -72,7 +72,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = _USUAL.latency,
     plot: PlotOption = None,
     gif: Annotated[
-        Path | None, typer.Option(metavar="FILE.gif", help="Draw the robot driving.", show_default=False)
+        Path | None, typer.Option(metavar="FILE.gif", help="Write an animation of the drive.", show_default=False)
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
@@ -109,7 +109,7 @@ def demo(
 ) -> None:
     """Run the built-in scenario: plan, prove, time, drive, draw.
 
-    Its files are written next to the results and can be edited: optdock plan demo/scenario.yaml
+    The scenario files are written next to the results and can be edited: optdock plan demo/scenario.yaml
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -137,7 +137,7 @@ def demo(
 
 
 def _program() -> str:
-    """The command of this program: its name if it is in PATH, otherwise its file."""
+    """Return the command of this program: its name if it is in PATH, otherwise its file."""
     called = sys.argv[0]
     return called if Path(called).stem == "optdock" and shutil.which("optdock") is None else "optdock"
 
@@ -160,7 +160,7 @@ def _demo_files(folder: Path) -> Path:
 
 
 def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[Path | None, Path | None]) -> None:
-    """Write the run as a file, and as a picture and an animation if requested."""
+    """Write the run file, and a picture and an animation if requested."""
     from optdock.io.atomic_file import write_text
     from optdock.reports.report import run_json
 
@@ -193,7 +193,7 @@ def _refuse_fault(run: Run, left: str) -> None:
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations = _USUAL) -> Run:
     """Simulate the plan with the controller of the scenario until its goal checker reports docked.
 
-    The result of the DockGoalChecker, which also checks the heading, is added at the end.
+    At the end, the result of the DockGoalChecker is added, which also checks the heading.
 
     Args:
         scenario: Scenario with controller and goal checker.
@@ -216,7 +216,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations
     beside = [] if isinstance(checker, type(second)) else [second]
     for plugin in (controller, checker, *beside):
         plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
-    # A controller with a configured period is called with that period.
+    # A controller that has a configured period is called with that period.
     period = float(controller.parameters.model_dump().get("period") or SimulationSettings.period)
     settings = SimulationSettings(
         period=period,
@@ -230,7 +230,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations
 
 
 def _deviations(plan: DockPlan, run: Run) -> Deviations:
-    """Deviations of a run from the path of its plan."""
+    """Return the deviations of a run from the path of its plan."""
     from optdock.samples.tube import Tube
 
     return Tube(plan.path, plan.problem, plan.certificate.start_relief).deviations(run.poses)
@@ -245,7 +245,7 @@ def _checked(world: WorldDeviations) -> WorldDeviations:
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
     try:
         Actuation(world.lag, world.lag, world.latency)
-    except InvalidValue as error:  # among finite values >= 0, only the latency has another rule
+    except InvalidValue as error:  # for finite values >= 0, only the latency has a further rule
         raise InvalidValue(f"--latency: {str(error).partition(': ')[2]}") from error
     fault = unit_fault(world.yaw_noise, "rad")
     if fault:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 
-# Default plugins of the sections; only the first planner, because only its parameters may be given.
+# Default plugins of the sections; of the planners only the first, because only its parameters may be given.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
     "planner": DEFAULT_PLANNERS[0],
     "smoother": DEFAULT_SMOOTHER,
@@ -36,7 +36,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
     Args:
         kind: Key of the section.
-        section: Its value; values that are not mappings are reported by the model.
+        section: Value of the key; the model reports values that are not mappings.
         faults: List to which an unknown plugin and invalid parameters are added.
     """
     name = PLUGIN_DEFAULTS[kind]
@@ -59,7 +59,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 
 def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
-    """Return the named planner, or the default planners, the first one with the given parameters.
+    """Return the named planner, or the default planners, of which the first has the given parameters.
 
     Args:
         choice: Result of `plugin_choice`.
@@ -77,12 +77,12 @@ def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], bas
         plugin.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
         return faults_of(error, lambda key: fields if not key else (), base)
-    # Every field's description ends in its unit.
+    # The description of every field ends with its unit.
     given = ((name, value, _UNIT.search(fields[name].description or "")) for name, value in parameters.items())
     checked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
     return [Fault((*base, name), fault) for name, fault in checked if fault]
 
 
 def plural(kind: str) -> str:
-    """Return the kind of plugins of a section, one of `INTERFACES`."""
+    """Return the kind of plugins that a section selects, one of `INTERFACES`."""
     return kind if kind == "timing" else f"{kind}s"

@@ -1,4 +1,4 @@
-"""Reference and JSON schema of scenario files and plugin parameters, made from the models."""
+"""Reference and JSON schema of scenario files and plugin parameters, generated from the models."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class KeyReference(NamedTuple):
         type: Notation of the value.
         unit: SI unit, or empty.
         rule: Allowed values.
-        default: Default in YAML; empty without a default.
+        default: Default in YAML; empty if there is none.
         required: Whether the key must be given.
         absent: Meaning of a missing key.
         description: Description.
@@ -63,7 +63,7 @@ class KeyReference(NamedTuple):
 
 
 def scenario_reference() -> tuple[KeyReference, ...]:
-    """Return every key of a scenario file in the order of the format; for plugins see `plugin_reference`."""
+    """Return every key of a scenario file in the order of the format; for plugin parameters see `plugin_reference`."""
     return _reference(ScenarioDocument)
 
 
@@ -72,7 +72,7 @@ def plugin_reference(kind: str, name: str) -> tuple[KeyReference, ...]:
 
     Args:
         kind: One of `optdock.plugins.registry.INTERFACES`, such as `smoothers`.
-        name: Its name.
+        name: Name of the plugin.
 
     Raises:
         PluginError: If the kind or plugin does not exist or cannot be imported.
@@ -89,8 +89,8 @@ def scenario_schema() -> Schema:
     """Return a JSON schema (draft 2020-12) of scenario files with the parameters of every installed plugin.
 
     Additional keywords: `x-unit`; `x-finite` if infinity is rejected; `x-absent`, the meaning of a missing key;
-    `x-form`, the notation of a value. Rules on several keys (such as `at_dock <= required`) and on geometry are checked
-    by `load_scenario` only.
+    `x-form`, the notation of a value. Rules on several keys (such as `at_dock <= required`) and on geometry are only
+    checked by `load_scenario`.
     """
     plugins = {section: _parameter_models(section) for section in SECTIONS}
     models: list[type[BaseModel]] = [ScenarioDocument, *(m for found in plugins.values() for m in found.values())]
@@ -105,7 +105,7 @@ def scenario_schema() -> Schema:
 
 
 def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
-    """Parameter models of the installed plugins of a section; plugins that cannot be imported are left out."""
+    """Return the parameter models of the installed plugins of a section; skip plugins that cannot be imported."""
     kind = plural(section)
     found: dict[str, type[BaseModel]] = {}
     for plugin in available_plugins():
@@ -116,8 +116,8 @@ def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
 
 
 def _section(parameters: Mapping[str, Schema], default: str) -> Schema:
-    """Schema of a section with the parameters of the named or default plugin."""
-    names = [{"enum": list(parameters)}, {"type": "string", "pattern": "::|/"}]  # or the class name of Nav2
+    """Return the schema of a section with the parameters of the named or default plugin."""
+    names = [{"enum": list(parameters)}, {"type": "string", "pattern": "::|/"}]  # or a class name of Nav2
     cases = [
         {
             "if": {"properties": {"plugin": {"const": name}}, "required": [] if name == default else ["plugin"]},
@@ -133,7 +133,7 @@ def _name_of(reference: Mapping[str, Any]) -> str:
 
 
 def _for_editors(value: Any) -> Any:  # noqa: ANN401 - JSON
-    """Add units as keywords; remove generated titles, and defaults that are not JSON or are given by the keys below."""
+    """Add units as keywords; remove generated titles, defaults that are not JSON, and defaults of whole mappings."""
     if isinstance(value, list):
         return [_for_editors(item) for item in value]
     if not isinstance(value, dict):
@@ -178,7 +178,7 @@ def _rows(schema: Schema, definitions: Mapping[str, Schema], base: str) -> Itera
 
 
 def _alternatives(schema: Schema, definitions: Mapping[str, Schema]) -> Iterator[Schema]:
-    """Alternatives of a schema without null, with references resolved."""
+    """Generate the alternatives of a schema except null, with references resolved."""
     if "$ref" in schema:
         yield from _alternatives(definitions[_name_of(schema)], definitions)
     elif "anyOf" in schema and "x-form" not in schema:

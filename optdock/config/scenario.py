@@ -45,10 +45,11 @@ class Scenario:
         planner: Planners of raw paths, in order.
         smoother: Smoother of raw paths.
         timing: Time parameterizer.
-        controller: Controller of `optdock simulate`.
-        goal_checker: Goal checker of `optdock simulate`.
+        controller: Controller for `optdock simulate`.
+        goal_checker: Goal checker for `optdock simulate`.
         source: The file.
-        default_limits: Motion limits that the file does not give, with the defaults of `MotionLimits`.
+        default_limits: Names of the motion limits that the file does not give; they have the defaults of
+            `MotionLimits`.
     """
 
     problem: DockingProblem
@@ -65,7 +66,7 @@ class Scenario:
         """Plan with the plugins and the time budget of the file.
 
         Args:
-            time_budget: Wall-clock time [s]; None: that of the file.
+            time_budget: Wall-clock time [s]; None: the time budget of the file.
 
         Raises:
             OptdockError: If no certified plan is found; see `plan_dock`.
@@ -121,7 +122,7 @@ def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocum
 
 
 def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
-    """The map, relative to the scenario."""
+    """Return the costmap of a map, with a path relative to the scenario; None if there is no map or it has faults."""
     if not isinstance(name, str):
         return None
     try:
@@ -132,7 +133,7 @@ def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
 
 
 def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Document) -> DockingProblem:
-    """The problem, checked for rules between its parts.
+    """Return the problem, and check the rules that relate its parts.
 
     Raises:
         InvalidFile: If such a rule is broken.
@@ -165,7 +166,7 @@ def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingPr
 
 
 def _warn_of_outside_origin(source: Path, outline: Footprint) -> None:
-    """Warn if the origin is outside of the outline, which usually means an outline in another frame."""
+    """Warn if the origin is outside the outline; usually the outline is then given in another frame."""
     if not any(np.all(body.offsets >= 0.0) for body in outline.bodies):
         logger.warning(
             "%s: robot.footprint does not contain [0, 0], the point of the robot that follows the path; is it in "

@@ -1,8 +1,8 @@
 """Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
-The constructors of the values check their rules; the models call them key by key, so that every fault is reported. The
-scenario reference and the JSON schema of `optdock.config.reference` are generated from the descriptions of the keys
-(`_key`), which end with the unit in brackets.
+The rules are checked by the constructors of the values; the models call them key by key, so that every fault is
+reported. The scenario reference and the JSON schema in `optdock.config.reference` are generated from the descriptions
+of the keys (`_key`), which end with the unit in brackets.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from optdock.planning.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
-_FARTHEST = 1e8  # [m]; as for polygons
-# Names of the same quantities in Nav2, its planners and controllers.
+_FARTHEST = 1e8  # [m]: the same limit as for polygons
+# Names of the same quantities in Nav2's planners and controllers.
 _SYNONYMS = {
     "min_turning_radius": "max_curvature",
     "minimum_turning_radius": "max_curvature",
@@ -100,12 +100,12 @@ def _footprint(value: object) -> Footprint:
     if not isinstance(value, list):
         raise InvalidValue(f"must be a list of points [x, y], the same as text, or {{radius: r}}, got {shown(value)}")
     check_vertices(value)
-    return Footprint(value)  # type: ignore[arg-type]  # Footprint checks and converts what it is given
+    return Footprint(value)  # type: ignore[arg-type]  # Footprint checks and converts the value
 
 
 def _polygon(value: object) -> list[list[float]]:
     check_vertices(value)
-    polygon: list[list[float]] = simple_polygon(value, "polygon").tolist()  # type: ignore[arg-type]  # checks it itself
+    polygon: list[list[float]] = simple_polygon(value, "polygon").tolist()  # type: ignore[arg-type]  # checks the value
     return polygon
 
 
@@ -125,7 +125,7 @@ def _distance(value: float) -> float:
 class _Parsed:
     """Annotation of a field whose value is the result of `parse`.
 
-    `schema`: JSON schema of the value; `form`: notation of the value for people.
+    `schema`: JSON schema of the value; `form`: notation of the value in the documentation.
     """
 
     parse: Callable[[object], object]
@@ -183,11 +183,11 @@ def _key(
     least: float | None = None,
     finite: bool = False,
 ) -> Any:  # noqa: ANN401 - as pydantic's Field
-    """A key of the file.
+    """Return the field of one key of the file.
 
     Args:
         description: Description with the unit in brackets.
-        default: Default; without one the key is required.
+        default: Default value; if it is omitted, the key is required.
         absent: Meaning of a missing key, if not the default.
         above: Exclusive lower bound of the constructor.
         least: Inclusive lower bound of the constructor.
@@ -206,7 +206,7 @@ _TUBE, _ORIGIN = TrackingTube(), Pose2(0.0, 0.0, 0.0)
 
 
 def _limit_key(name: str, default: float) -> tuple[object, object]:
-    """Type and key of a field of `MotionLimits`, by `LIMITS` and `DIMENSIONS`."""
+    """Return type and key of a field of `MotionLimits`, as described in `LIMITS` and `DIMENSIONS`."""
     if name in DIMENSIONS:
         return Number, _key(f"{DIMENSIONS[name]} [m]", default, least=0, finite=True)
     limit = LIMITS[name]
@@ -217,7 +217,7 @@ def _limit_key(name: str, default: float) -> tuple[object, object]:
 if TYPE_CHECKING:
 
     class _LimitKeys(_Part):
-        """The fields of `MotionLimits` as keys."""
+        """Keys for the fields of `MotionLimits`."""
 
 else:
     _LimitKeys = create_model(
@@ -307,7 +307,7 @@ class RobotDocument(_Part):
         False,  # noqa: FBT003 - as pydantic's Field
     )
     tracking: TrackingDocument = _key(
-        "tracking tube: the certificate holds for every pose in it",
+        "tracking tube: the certificate is valid for every pose within it",
         TrackingDocument(),
         absent="no tube",
     )
@@ -423,7 +423,7 @@ class StartDocument(_Part):
         "signed speed, negative in reverse [m/s]", 0.0, finite=True, absent="at rest"
     )
     curvature: Annotated[Number, Field(allow_inf_nan=False)] | None = _key(
-        "curvature of the path at its start along the travel, left positive [1/m]",
+        "curvature of the path at its start in the direction of travel, left positive [1/m]",
         None,
         finite=True,
         absent="free at rest, 0 in motion",
@@ -434,7 +434,7 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """The start curvature of the path [1/m]: the given one, or else free at rest (None) and 0 in motion."""
+        """Start curvature of the path [1/m]. If it is not given: None (free) at rest, 0 in motion."""
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
@@ -442,7 +442,7 @@ _CLEARANCE = ClearanceRule()
 
 
 class ClearanceDocument(_Part):
-    """`clearance`; a single number holds everywhere, also at the dock."""
+    """`clearance`; a single number applies everywhere, also at the dock."""
 
     required: Distance = _key("clearance away from the dock [m]", _CLEARANCE.required, least=0, finite=True)
     at_dock: Distance = _key("clearance at the dock, at most `required` [m]", _CLEARANCE.at_dock, least=0, finite=True)
@@ -459,11 +459,11 @@ class ClearanceDocument(_Part):
         finite=True,
     )
     at_start: Distance | None = _key(
-        "as at_dock, for a start with less clearance than required, such as in a dock [m]",
+        "replaces at_dock at a start with less clearance than required, such as in a dock [m]",
         None,
         least=0,
         finite=True,
-        absent="5 mm less than the clearance of the start, at least half of it",
+        absent="5 mm less than the clearance at the start, but at least half of it",
     )
 
     @model_validator(mode="after")
@@ -472,7 +472,7 @@ class ClearanceDocument(_Part):
         return self
 
     def value(self) -> ClearanceRule:
-        """The rule."""
+        """The clearance rule."""
         return ClearanceRule(self.required, self.at_dock, self.taper, self.dock_run, self.at_start)
 
 
@@ -507,7 +507,7 @@ class ScenarioDocument(_Part):
     dock: DockDocument = _key("goal of the robot")
     start: StartDocument = _key("start of the robot")
     clearance: Annotated[ClearanceDocument, BeforeValidator(_clearance), _OrNumber()] = _key(
-        "required distance of the footprint from obstacles; a single number holds everywhere, also at the dock [m]",
+        "required distance of the footprint from obstacles; a single number applies everywhere, also at the dock [m]",
         ClearanceDocument(),
         absent="each key's own default",
     )
@@ -541,13 +541,13 @@ def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     model: type[BaseModel] | None = ScenarioDocument
     for part in key:
         field = model.model_fields.get(str(part)) if model else None
-        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of an optional mapping
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # for an optional mapping
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return tuple(model.model_fields) if model else ()
 
 
 def synonym(key: tuple[str | int, ...], value: object) -> str:
-    """Return `; write ...` for a key of another program, with the converted value, or "".
+    """Return `; write ...` with the converted value for a key of another program, otherwise "".
 
     >>> synonym(("robot", "limits", "min_turning_radius"), 0.5)
     '; write max_curvature: 2, that is 1 / radius'

@@ -45,23 +45,25 @@ def save_scenario(
 ) -> tuple[Path, ...]:
     """Write a scenario file, format `optdock-scenario/1`, atomically.
 
-    Reading the file yields the same problem with identical numbers. The file refers to `map_source` if the same cells
+    Reading the file gives the same problem with identical numbers. The file refers to `map_source` if the same cells
     are occupied as in the costmap; otherwise the costmap is written next to the scenario, as NAME_map.yaml and
     NAME_map.pgm. Default motion limits of the scenario are not written.
 
     Args:
         target: The file.
         scenario: The scenario.
-        obstacles: Obstacles of the problem as polygons, convex or not; None: its convex pieces.
+        obstacles: Obstacles of the problem as polygons, convex or not; None: the convex pieces of the problem are
+            written.
         map_source: Map (map_server YAML) of the costmap.
-        note: Comment at the top.
+        note: Comment at the top of the file.
 
     Returns:
         The files written, the scenario first.
 
     Raises:
         InvalidFile: If a file cannot be written.
-        InvalidValue: If a scenario file cannot represent the problem: free unknown cells, or tolerances of the dock.
+        InvalidValue: If the problem has free unknown cells or tolerances of the dock, which have no key in a scenario
+            file.
     """
     target, problem = Path(target), scenario.problem
     _check_supported(problem)
@@ -83,13 +85,13 @@ def problem_document(
     obstacles: Sequence[ArrayLike] | None = None,
     omitted: frozenset[str] = frozenset(),
 ) -> dict[str, object]:
-    """Return a problem as the document of a scenario file, without costmap.
+    """Return the document of a scenario file for a problem, without its costmap.
 
     Args:
         problem: The problem.
-        map_name: Name of the map; empty without a map.
+        map_name: Name of the map; empty if there is no map.
         obstacles: As in `save_scenario`.
-        omitted: Motion limits to leave out.
+        omitted: Names of motion limits that are not written.
     """
     pieces = problem.obstacles.vertices if obstacles is None else obstacles
     document: dict[str, object] = {"format": "optdock-scenario/1", "frame": problem.frame}
@@ -113,7 +115,7 @@ def _check_supported(problem: DockingProblem) -> None:
 
 
 def _map(target: Path, costmap: Costmap | None, source: str | Path | None) -> tuple[str, tuple[Path, ...]]:
-    """Name of the map in the scenario, and the files written for it."""
+    """Return the name of the map in the scenario, and the files written for it."""
     if costmap is None:
         return "", ()
     if source is not None and _blocks_as(load_map(source).costmap, costmap):
@@ -127,7 +129,7 @@ def _blocks_as(first: Costmap, second: Costmap) -> bool:
 
 
 def _name_from(folder: Path, file: Path) -> str:
-    """Path of a file relative to a folder, or its absolute path if no relative one exists."""
+    """Return the path of a file relative to a folder, or its absolute path if there is no relative path."""
     try:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # another drive
@@ -177,7 +179,7 @@ def _start(problem: DockingProblem) -> dict[str, object]:
 
 
 def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
-    """Section of a plugin; for several planners, the parameters of the first one without its name."""
+    """Return the section of a plugin; for several planners, the parameters of the first planner without its name."""
     if isinstance(choice, tuple):
         return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
     return {"plugin": choice.name, **choice.parameters}
@@ -196,7 +198,7 @@ class _Points(list[list[float]]):
 
 
 def _points(polygon: ArrayLike) -> _Points:
-    """Return the vertices of a polygon without repetitions, which pad obstacles to equal numbers of vertices."""
+    """Return the vertices of a polygon without the repetitions that pad obstacles to equal numbers of vertices."""
     points: list[list[float]] = np.asarray(polygon, dtype=np.float64).tolist()
     return _Points(point for i, point in enumerate(points) if point != points[i - 1])
 

@@ -47,7 +47,7 @@ class Nav2Scenario(Scenario):
     """A scenario from Nav2's files.
 
     Args:
-        costmap_rows: Name and outcome for every part of the file's costmaps.
+        costmap_rows: Pairs of name and result, one for every part of the file's costmaps.
     """
 
     costmap_rows: tuple[tuple[str, str], ...] = ()
@@ -63,23 +63,23 @@ def nav2_scenario(
 ) -> Nav2Scenario:
     """Return the problem of driving into a dock that Nav2's files describe.
 
-    The footprint, padded, is that of the global costmap; speeds and accelerations are those of the velocity smoother;
-    approach speed and gear are those of the docking server and the dock type. Nav2 has no curvature limit, no outline
-    of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is the file's global
-    one, built over the map by `file_costmap`.
+    The footprint is the padded footprint of the global costmap; speeds and accelerations are those of the velocity
+    smoother; approach speed and gear are those of the docking server and the dock type. Nav2 has no curvature limit, no
+    outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is the
+    global costmap of the file, built over the map by `file_costmap`.
 
     Args:
         params_source: Parameter file.
         map_source: Map (map_server YAML).
         start: Pose of the robot in the map's frame, or the text `x,y,yaw` [m, m, rad].
         docks_source: Dock database; None for the docks in the parameter file.
-        dock_name: Name of the dock; optional if there is exactly one.
+        dock_name: Name of the dock; optional if there is exactly one dock.
 
     Raises:
         InvalidFile: If a file breaks its format or has no costmap.
-        DockNotValid: If the dock is in another frame than the map, or its type is not among the parameter file's dock
-            types. In a file without dock types every dock is entered forward, as by Nav2's default.
-        DockNotInDB: If there is no dock of that name, or several docks and no name.
+        DockNotValid: If the frame of the dock is not that of the map, or its type is not among the parameter file's
+            dock types. In a file without dock types every dock is entered forward, as by Nav2's default.
+        DockNotInDB: If there is no dock of that name, or there are several docks and no name is given.
         InvalidValue: If the start is not a pose.
     """
     params = load_nav2_params(params_source)
@@ -153,7 +153,7 @@ def _start(text: Pose2 | str) -> Pose2:
 def nav2_limits(params: Nav2Params) -> MotionLimits:
     """Return the motion limits of the velocity smoother, with the defaults of `MotionLimits`.
 
-    The yaw limit is the smaller of those to the left and to the right.
+    The yaw limit is the smaller of the limits to the left and to the right.
 
     Raises:
         InvalidFile: If a limit is invalid, such as a maximum velocity that is not > 0.
@@ -165,7 +165,7 @@ def nav2_limits(params: Nav2Params) -> MotionLimits:
 
 
 def _given_limits(params: Nav2Params) -> dict[str, float]:
-    """Motion limits that the velocity smoother gives, by name."""
+    """Return the motion limits of the velocity smoother, by name."""
     smoother, found = params.node("velocity_smoother"), dict[str, float]()
     for limit, name, axis, sign in _SMOOTHER_LIMITS:
         value = _entry(smoother, name, axis, sign)
@@ -175,7 +175,7 @@ def _given_limits(params: Nav2Params) -> dict[str, float]:
 
 
 def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:
-    """Magnitude of one component of a vector of three or six numbers; None if there is no such vector."""
+    """Return the magnitude of one component of a vector of three or six numbers, or None if there is no such vector."""
     vector = values.get(name)
     if vector is None:
         return None
@@ -193,7 +193,7 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
 
 
 def _approach(params: Nav2Params, dock_type: DockTypeParams) -> SpeedZone:
-    """Speed of the docking controller after the staging pose."""
+    """Return the speed zone from the staging pose on, with the speed of the docking controller."""
     controller = params.node("docking_server").get("controller", {})
     place = f"{params.source}: docking_server.controller"
     if not isinstance(controller, Mapping):

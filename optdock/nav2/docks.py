@@ -1,7 +1,7 @@
 """Nav2's docks: poses from dock databases or parameter files, and dock types.
 
-Unlike in Nav2's file loader, every dock is read separately, so that the `id` of one dock is not used for the docks
-below it, and all faults are reported together.
+Every dock is read separately. In Nav2's file loader, the `id` of one dock is also used for the docks
+below it. All faults are reported together.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ _DEFAULT_FRAME = "map"
 
 
 def docked_pose(dock: Pose2, direction: DockDirection) -> Pose2:
-    """Return the pose of the docked robot; the x axis of Nav2's docks points into the dock for either direction.
+    """Return the pose of the docked robot; the x axis of Nav2's dock poses points into the dock for both directions.
 
-    The function is its own inverse: it also returns the dock's pose for the pose of the docked robot.
+    Applied to the pose of the docked robot, the function returns the dock's pose.
     """
     return dock @ Pose2(0.0, 0.0, math.pi) if direction is DockDirection.BACKWARD else dock
 
 
 @dataclass(frozen=True)
 class DockTypeParams:
-    """Parameters of a dock plugin instance; names and defaults are those of opennav_docking's simple docks.
+    """Parameters of a dock plugin instance; names and defaults are the same as in opennav_docking's simple docks.
 
     Args:
         name: Name of the instance, as used by the `type` of docks.
@@ -60,7 +60,7 @@ class DockTypeParams:
 
 
 def read_dock_type(name: str, block: ParameterBlock) -> DockTypeParams:
-    """Return the dock type with the parameters in `block`; faults are added to those of the block."""
+    """Return the dock type with the parameters in `block`; faults are added to the faults of the block."""
     direction = block.text("dock_direction", _DIRECTIONS[0])
     if direction not in _DIRECTIONS:
         hint = closest(direction, _DIRECTIONS)
@@ -84,9 +84,9 @@ class DockEntry:
     Args:
         name: Name of the dock.
         type: Name of its dock plugin instance.
-        pose: Pose of the dock in `frame`: that of a robot docked forward; a robot docked backward has the opposite yaw.
+        pose: Pose of a robot docked forward, in `frame`; a robot docked backward has the opposite yaw.
         frame: Name of the coordinate frame.
-        id: Name used by detectors; None if there is none.
+        id: Name used by detectors, or None.
         unknown: Keys that Nav2 does not read.
     """
 

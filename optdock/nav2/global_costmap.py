@@ -34,7 +34,7 @@ _EVERYWHERE = Bounds(-math.inf, -math.inf, math.inf, math.inf)
 
 
 class FileCostmap(NamedTuple):
-    """A costmap, and one row for every part of the file's costmaps: name and outcome."""
+    """A costmap, and rows of name and result for every part of the file's costmaps."""
 
     costmap: Costmap
     rows: tuple[tuple[str, str], ...]
@@ -43,15 +43,15 @@ class FileCostmap(NamedTuple):
 def file_costmap(
     params: Nav2Params, described: CostmapParams, grid: OccupancyGrid, start: Pose2, dock: Dock
 ) -> FileCostmap:
-    """Return the costmap `described`, with the place and size of the map, before any sensor data.
+    """Return the costmap `described`, with the place and size of the map, without sensor data.
 
     The layers that optdock provides are applied in the order of the file with their parameters. Layers of sensors are
-    skipped because there is no data, inflation layers because the clearance is proven with the exact footprint. If the
-    file has no static layer, one is added below the others.
+    skipped because there is no data. Inflation layers are skipped because the clearance is proven with the exact
+    footprint. If the file has no static layer, one is added below the others.
 
     Args:
         params: The parameter file.
-        described: One of its costmaps.
+        described: One of the costmaps in this file.
         grid: The map.
         start: Pose of the robot, for layers that clear the cells under it.
         dock: The dock, for a `DockLayer`.
@@ -63,7 +63,7 @@ def file_costmap(
     values = params.nodes[node]
     rows, columns = grid.data.shape
     size = f"{columns * grid.resolution:g} m x {rows * grid.resolution:g} m, cells of {grid.resolution:g} m"
-    rolls = "; it does not roll, as the whole map is known" * (values.get("rolling_window") is True)
+    rolls = "; it does not roll, because the whole map is known" * (values.get("rolling_window") is True)
     listed = [p for p in params.plugins if p.node == node and p.kind in ("layer", "filter")]
     layers, outcomes = _layers(params, listed, grid, dock)
     tracked = values.get("track_unknown_space")
@@ -82,7 +82,7 @@ def file_costmap(
 def _layers(
     params: Nav2Params, listed: list[PluginInstance], grid: OccupancyGrid, dock: Dock
 ) -> tuple[dict[str, Layer], list[tuple[str, str]]]:
-    """Layers by name with their map or dock, and the outcome for every listed layer."""
+    """Return the layers by name with their map or dock, and the result for every listed layer."""
     layers: dict[str, Layer] = {}
     rows: list[tuple[str, str]] = []
     for instance in listed:
@@ -106,10 +106,10 @@ def _has_map(layers: Mapping[str, Layer]) -> bool:
 
 
 def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) -> tuple[Layer | None, str]:
-    """The layer with its map or dock, or None, and the outcome."""
+    """Return the layer with its map or dock, or None, and the result."""
     layer, cleared = found.plugin, ""
     if found.instance.kind == "filter":
-        return None, "skipped: optdock has no filters; its restrictions are not in the costmap"
+        return None, "skipped: optdock has no filters; the restrictions of this filter are not in the costmap"
     if not isinstance(layer, Layer):
         return None, f"skipped: {found.reason}"
     if not layer.is_enabled():
@@ -125,11 +125,11 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
 
 
 def _unknown_cells(tracked: object, layers: Mapping[str, Layer]) -> str:
-    """Meaning of unknown cells; the parameter of the map's layer may differ from that of the costmap."""
+    """Return the meaning of unknown cells; the map's layer and the costmap may have different parameters."""
     if any(isinstance(one, StaticLayer) and not one.parameters.track_unknown_space for one in layers.values()):
         return "free: track_unknown_space is false"
     if tracked is False:
-        return "obstacles: track_unknown_space is false, but not of the layer of the map"
+        return "obstacles: track_unknown_space is false, but not for the layer of the map"
     silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would treat them as free)"
     return f"obstacles{silent}"
 
@@ -152,14 +152,14 @@ def layered_costmap(
 
     Args:
         place: The map; its occupancies are not used.
-        layers: Layers by name, from the bottom up. They are active during the call and unconfigured afterwards.
+        layers: Layers by name, from bottom to top. The layers are active during the call and unconfigured afterwards.
         robot: Pose of the robot in the frame of the map.
         footprint: Outline of the robot, for the layers.
         track_unknown_space: Whether cells that no layer writes are unknown; otherwise they are free.
 
     Raises:
         InvalidValue: If an entry of `layers` is not a Layer, or a layer is given twice or rejects the footprint.
-        LifecycleError: If a layer is in use already.
+        LifecycleError: If a layer is already in use.
         PluginError: If a layer shrinks the bounds or returns NaN.
         OptdockError: If a layer raises an error.
     """
@@ -189,7 +189,7 @@ def _check_layers(layers: Mapping[str, Layer]) -> None:
 
 @contextmanager
 def _active(layers: Mapping[str, Layer], footprint: Footprint | None) -> Iterator[None]:
-    """Configure and activate all layers; clean up those configured here at the end."""
+    """Configure and activate all layers; at the end, clean up the layers that were configured here."""
     started: list[Layer] = []
     try:
         for name, layer in layers.items():

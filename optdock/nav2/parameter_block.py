@@ -1,4 +1,4 @@
-"""Blocks of Nav2 parameters: numbers, texts and lists of names, with defaults, rules and the line of every fault."""
+"""Blocks of Nav2 parameters: numbers, texts and lists of names, with defaults, rules, and line numbers of faults."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ParameterBlock:
         document: The file.
         keys: Position of the mapping in the file.
         values: The mapping.
-        faults: Collected error messages; faults of wrong values are added.
+        faults: Collected error messages, to which messages about wrong values are added.
     """
 
     document: Document
@@ -58,7 +58,7 @@ class ParameterBlock:
         return float(value)
 
     def text(self, name: str, default: str) -> str:
-        """Return a text, or the default if the value is absent or wrong."""
+        """Return a string, or the default if the value is absent or wrong."""
         value = self.values.get(name, default)
         if not isinstance(value, str):
             self.fault(name, message=f"must be text, got {shown(value)}")
@@ -66,7 +66,7 @@ class ParameterBlock:
         return value
 
     def names(self, name: str) -> tuple[str, ...]:
-        """Return the valid entries of a list of distinct names."""
+        """Return the valid names of a list, each once."""
         value = self.values.get(name)
         if not isinstance(value, list):
             self.fault(name, message=f"must be a list of names, got {shown(value)}")

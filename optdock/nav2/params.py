@@ -43,7 +43,7 @@ class CostmapParams:
         footprint_padding: Distance by which every vertex is moved outward [m].
         resolution: Side of a cell [m].
         global_frame: Name of the coordinate frame.
-        layers: Names of the layers, from the bottom up.
+        layers: Names of the layers, from bottom to top.
         filters: Names of the filters.
     """
 
@@ -84,7 +84,7 @@ class Nav2Params:
     docks: Mapping[str, DockEntry]
 
     def node(self, name: str) -> Mapping[str, object]:
-        """Return the parameters of the first node whose path ends in `name`; empty if there is none."""
+        """Return the parameters of the first node whose path ends in `name`, or an empty mapping."""
         found = (values for path, values in self.nodes.items() if path.rsplit("/", 1)[-1] == name)
         return next(found, {})
 
@@ -92,12 +92,12 @@ class Nav2Params:
 def load_nav2_params(source: str | Path) -> Nav2Params:
     """Read a Nav2 parameter file, or a bare costmap file without nodes.
 
-    Unknown parameters are kept. Dotted names are nested blocks. If several namespaces contain a costmap, dock type or
-    dock of one name, the first is used.
+    Unknown parameters are kept. Dotted names are read as nested blocks. If several namespaces contain a costmap, dock
+    type or dock of the same name, the first is used.
 
     Raises:
-        InvalidFile: If the file cannot be read, holds no parameters, has a plugin list that is empty, repeats a name or
-            names a plugin without a class, or has an invalid footprint, dock or dock type; the message lists all
+        InvalidFile: If the file cannot be read, contains no parameters, has a plugin list that is empty, repeats a name
+            or names a plugin without a class, or has an invalid footprint, dock or dock type; the message lists all
             faults.
     """
     document = _with_nested_names(load_yaml(source))
@@ -124,14 +124,14 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
 
 
 def _nodes(document: Document) -> list[tuple[Keys, Mapping[str, object]]]:
-    """Position and content of every `ros__parameters` mapping, or of the bare costmap."""
+    """Return position and content of every `ros__parameters` mapping, or of a bare costmap."""
     found = list(_parameter_mappings(document.value, ()))
     value = document.value
     if found:
         return found
     if isinstance(value, Mapping) and any(key in value for key in _COSTMAP_KEYS):
         return [((), value)]
-    raise InvalidFile(f"{document.path}: holds no {PARAMETERS} and no costmap parameters")
+    raise InvalidFile(f"{document.path}: contains no {PARAMETERS} and no costmap parameters")
 
 
 def _parameter_mappings(value: object, keys: Keys) -> Iterator[tuple[Keys, Mapping[str, object]]]:
@@ -163,7 +163,7 @@ def _read_costmap(block: ParameterBlock) -> CostmapParams:
 
 
 def _read_footprint(block: ParameterBlock) -> Footprint | None:
-    """The footprint; None if it is empty. Nav2 also uses the radius if the text is invalid."""
+    """Return the footprint, or None if it is empty. Nav2 also uses the radius if the text is invalid."""
     value = block.values.get("footprint", "[]")
     text = value.strip() if isinstance(value, str) else str(value)
     if text in _NO_FOOTPRINT:
@@ -196,9 +196,9 @@ def _first_of_name(named: Iterable[N]) -> dict[str, N]:
 
 
 def _with_nested_names(document: Document) -> Document:
-    """The document with every dotted name of a parameter split into nested blocks, and the line numbers of the blocks.
+    """Return a document with every dotted parameter name split into nested blocks, and with their line numbers.
 
-    If a name is given both ways, its first value is used.
+    If a name is given in both notations, its first value is used.
     """
     lines = dict(document.lines)
     value = _nested(document.value, (), (), lines)
@@ -206,7 +206,7 @@ def _with_nested_names(document: Document) -> Document:
 
 
 def _nested(value: object, old: Keys, new: Keys, lines: dict[Keys, int]) -> object:
-    """`value` at the position `old`, moved to `new`, with the names in parameter blocks split."""
+    """Return `value` with the names in parameter blocks split, and move its line numbers from `old` to `new`."""
     if not isinstance(value, Mapping):
         return value
     result: dict[object, object] = {}

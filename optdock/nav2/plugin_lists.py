@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["UNLISTED", "PluginInstance", "plugin_instances"]
 
 UNLISTED = "unlisted"
-"""Kind of a block with a class that is in no list of its node."""
+"""Kind of a block that has a class but is in no list of its node."""
 
 _COSTMAP_LISTS: Mapping[str, str] = {"plugins": "layer", "filters": "filter"}
 
@@ -27,7 +27,7 @@ class PluginInstance:
     Args:
         node: Path of the node that loads it, such as `controller_server` or `global_costmap/global_costmap`.
         kind: Kind of plugin: `controller`, `planner`, `smoother`, `goal_checker`, `behavior`, `layer`, `filter`,
-            `dock`... or `UNLISTED`.
+            `dock`, ... or `UNLISTED`.
         name: Name of the instance; dotted for an instance inside another block.
         nav2_class: Class as named in the file.
         parameters: Other parameters of the block.
@@ -45,10 +45,10 @@ class PluginInstance:
 
 
 def plugin_instances(block: ParameterBlock) -> list[PluginInstance]:
-    """Return the instances that the node's lists name, then the blocks with a class that no list names.
+    """Return the instances named in the node's lists, then the blocks that have a class but are in no list.
 
     Lists are `<kind>_plugins`, `plugins` and `filters` of a costmap, a single `<kind>_plugin`, and any other list that
-    only contains names of blocks with a class.
+    contains only names of blocks that have a class.
     """
     listed = [found for key in block.values for found in _listed(block, str(key))]
     named = {instance.keys for instance in listed}
@@ -83,7 +83,7 @@ def _blocks_with_class(values: Mapping[str, object], keys: Keys) -> Iterator[Key
 
 
 def _inner(block: ParameterBlock, keys: Keys) -> Mapping[str, object]:
-    """Mapping at `keys` in the block; empty if there is none."""
+    """Return the mapping at `keys` in the block, or an empty mapping."""
     value: object = block.values
     for key in keys:
         value = value.get(key) if isinstance(value, Mapping) else None

@@ -1,4 +1,4 @@
-"""Plugins of a Nav2 parameter file that optdock provides, and the reasons for the others."""
+"""Plugins of a Nav2 parameter file that optdock provides, and the reasons why it does not provide the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins", "provided"]
 
-# Nav2's kinds of plugins and the groups of their interfaces.
+# Nav2's kinds of plugins, and the entry point groups of their interfaces.
 _KINDS: Mapping[str, str] = {
     "planner": "planners",
     "smoother": "smoothers",
@@ -29,7 +29,7 @@ _KINDS: Mapping[str, str] = {
     "behavior": "behaviors",
     "layer": "layers",
 }
-# Parameters that Nav2's plugins of a kind read from their node.
+# Parameters that Nav2's plugins of each kind read from their node.
 _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
     "behavior": ("cycle_frequency", "simulate_ahead_time"),
     "layer": (
@@ -39,7 +39,7 @@ _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
 }
 _REASONS: Mapping[str, str] = {
     "dock": "its staging offsets, direction and threshold are read; the plugin itself needs sensors",
-    UNLISTED: "no list of plugins names it",
+    UNLISTED: "it is in no list of plugins",
 }
 _UNSEEN = "there is no sensor data yet"
 _CLASS_REASONS: Mapping[str, str] = {
@@ -50,15 +50,15 @@ _CLASS_REASONS: Mapping[str, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Nav2Plugin:
-    """One plugin of a Nav2 file, and the outcome.
+    """One plugin of a Nav2 file, and whether optdock provides it.
 
     Args:
         instance: Entry of the file.
         plugin: Plugin created with its known parameters; None if it is not provided.
         taken: Parameters of the file that are used.
         reason: Reason why the plugin is not provided; empty if it is provided.
-        unknown: Parameters that are not used: unknown ones, each with the closest known name, and those with a meaning
-            on a ROS graph only.
+        unknown: Parameters that are not used: unknown parameters, each with the closest known name, and parameters that
+            only matter in a ROS graph.
         refused: Whether optdock has the plugin, but the plugin rejects its parameters.
     """
 
@@ -71,7 +71,7 @@ class Nav2Plugin:
 
     @property
     def outcome(self) -> str:
-        """The plugin with the parameters used, or the reason why it is not provided, in one line."""
+        """Description in one line: the plugin with the parameters used, or the reason why it is not provided."""
         if self.plugin is None:
             return f"not provided: {self.reason}"
         taken = ", ".join(f"{name}={value}" for name, value in self.taken.items())
@@ -80,7 +80,7 @@ class Nav2Plugin:
 
 
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
-    """Return all plugins of the file, created if optdock provides them.
+    """Return all plugins of the file; those that optdock provides are created.
 
     Unknown parameters are listed, not rejected. Behaviors and layers inherit some parameters of their node, as in Nav2.
     """
@@ -96,7 +96,7 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
     try:
         plugin_class = load_plugin(INTERFACES[kind], instance.nav2_class)
     except PluginError as error:
-        if error.__cause__ is not None:  # an installed plugin cannot be imported
+        if error.__cause__ is not None:  # the plugin is installed but cannot be imported
             return Nav2Plugin(instance, reason=str(error))
         default = f"optdock has no {instance.kind.replace('_', ' ')} of this class"
         reason = _CLASS_REASONS.get(instance.nav2_class.rsplit(":", 1)[-1].rsplit("/", 1)[-1], default)
@@ -117,7 +117,7 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
 
 
 def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:
-    """Names that the plugin's model forbids, including those in nested blocks."""
+    """Return the names that the plugin's model forbids, including names in nested blocks."""
     try:
         parse_parameters(plugin_class.Parameters, parameters, "")
     except InvalidValue as error:
@@ -128,13 +128,13 @@ def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tu
 
 
 def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, object]:
-    """The block and its nested blocks without these names."""
+    """Return a block and its nested blocks without these names."""
     kept = {str(name): value for name, value in values.items() if str(name) not in names}
     return {name: _without(value, names) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 
 def nav2_plugin_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
-    """Return one row per plugin: node, instance, Nav2's class, outcome."""
+    """Return one row per plugin: node, instance, Nav2's class, description of the plugin or reason."""
     return [(p.instance.node, p.instance.name, p.instance.nav2_class, p.outcome) for p in nav2_plugins(params)]
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["frame_count", "save_animation", "save_gif"]
 
-_APART = 0.15  # [m] between outlines that stay in the picture
+_APART = 0.15  # [m]: distance between the outlines that stay in the picture
 _FRAME_TIME = 0.1  # [s]
 _MOST_FRAMES = 150
 _HOLD = 1500  # [ms] on the last frame
@@ -37,7 +37,7 @@ def save_animation(
     poses: FloatArray,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Draw the drive and the swept area with ten frames per second; long drives are shown faster.
+    """Write an animation of the drive and the swept area with ten frames per second; long drives are shown faster.
 
     Args:
         target: GIF file to write.
@@ -62,7 +62,7 @@ def save_animation(
 
 
 def frame_count(duration: float) -> int:
-    """Number of frames of a drive [s]: ten per second, at most 150."""
+    """Return the number of frames for a drive of `duration` [s]: ten per second, at most 150."""
     return min(max(math.ceil(duration / _FRAME_TIME), 2), _MOST_FRAMES)
 
 
@@ -86,7 +86,7 @@ def save_gif(target: str | Path, frames: list[Image], duration: float) -> None:
 
 
 class _Stage:
-    """The scene, drawn once, and the robot, drawn for every frame."""
+    """Scene that is drawn once, and robot that is drawn for every frame."""
 
     def __init__(self, problem: DockingProblem, poses: FloatArray) -> None:
         view = view_of(problem, [poses])
@@ -115,13 +115,13 @@ class _Stage:
         (self._trace,) = self._axes.fill(
             [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fill=False, edgecolor=COLOURS["robot"], linewidth=0.6
         )
-        self._left_behind: FloatArray | None = None  # pose of the last outline that stays
+        self._left_behind: FloatArray | None = None  # pose of the last outline that stays in the picture
         (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
-        self._palette: Image | None = None  # of the first frame, which has all colours
+        self._palette: Image | None = None  # palette of the first frame, which has all colours
         self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
 
     def frame(self, pose: FloatArray, clock: str) -> Image:
-        """The picture with the robot at a pose, Shape (1, 3)."""
+        """Return the picture with the robot at a pose, Shape (1, 3)."""
         from PIL import Image as Images
 
         self._outline.set_xy(transform_points(pose, self._vertices)[0])

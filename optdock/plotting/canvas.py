@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["COLOURS", "DPI", "canvas_of", "entitle", "format_of", "legend_below", "new_figure", "save_figure"]
 
 DPI = 110
-# Widths [inch] of a letter of a title, of a letter of a legend, and of the handle and padding of a legend entry.
+# Widths [inch] of a letter in a title, of a letter in a legend, and of the handle and padding of a legend entry.
 _TITLE_LETTER, _LEGEND_LETTER, _LEGEND_HANDLE = 0.085, 0.07, 0.65
-# Okabe and Ito's palette, which colour-blind readers can distinguish.
+# The palette of Okabe and Ito, whose colours can be distinguished by colour-blind readers.
 COLOURS = {
     "raw": "#E69F00",
     "path": "#0072B2",
@@ -61,7 +61,7 @@ def entitle(figure: Figure, title: str) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Add the legend of `axes` below the figure, at most as wide as the figure; equal labels appear once."""
+    """Add the legend of `axes` below the figure, at most as wide as the figure; equal labels appear only once."""
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     widest = _LEGEND_HANDLE + _LEGEND_LETTER * max(map(len, handles), default=0)
     columns = max(1, min(len(handles), int(figure.get_figwidth() / widest)))
@@ -71,10 +71,10 @@ def legend_below(figure: Figure, axes: Axes) -> None:
 
 
 def format_of(target: str | Path) -> str:
-    """Return the picture format of the suffix of `target`; PNG without a suffix.
+    """Return the picture format given by the suffix of `target`; PNG if there is none.
 
     Raises:
-        InvalidValue: If the suffix is not that of a picture format.
+        InvalidValue: If the suffix does not belong to a picture format.
         MissingExtra: If Matplotlib is not installed.
     """
     known = canvas_of(new_figure(1.0, 1.0)).get_supported_filetypes()
@@ -85,11 +85,11 @@ def format_of(target: str | Path) -> str:
 
 
 def save_figure(figure: Figure, target: str | Path) -> None:
-    """Write a picture atomically, in the format of the suffix; PNG without a suffix.
+    """Write a picture atomically, in the format given by the suffix, or PNG if there is none.
 
     Raises:
         InvalidFile: If the file cannot be written.
-        InvalidValue: If the suffix is not that of a picture format.
+        InvalidValue: If the suffix does not belong to a picture format.
     """
     kind = format_of(target)
     with replacing(target) as temporary:

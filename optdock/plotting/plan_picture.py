@@ -51,12 +51,12 @@ __all__ = ["PlanDrawing", "plan_picture_png", "save_plan_picture", "show_plan_pi
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # widths of the two paths [pt]
-_VIEW_REASONS = ("view", "approach_unseen")  # colour of refusals
-_FOOTPRINTS = 24  # drawn along a path at most
+_VIEW_REASONS = ("view", "approach_unseen")  # reasons of refusals for which the camera's cone is drawn
+_FOOTPRINTS = 24  # largest number of outlines along a path
 
 
 class PlanDrawing(NamedTuple):
-    """Arguments of a drawing; see `save_plan_picture`."""
+    """Arguments of `save_plan_picture`."""
 
     problem: DockingProblem
     raw_path: Path | None = None
@@ -76,7 +76,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     refusal: OptdockError | None = None,
     title: str = "",
 ) -> None:
-    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the reason of a refusal.
+    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the place of a refusal.
 
     If the dock must be in view, its marker and the camera's cone at some poses of the path are also drawn.
 
@@ -84,9 +84,9 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         target: File to write; the suffix gives the format.
         problem: The docking problem.
         raw_path: Path of the planner.
-        path: Smoothed path; with a refusal and without a valid certificate, the best path found.
+        path: Smoothed path; after a refusal or without a valid certificate, the best path found.
         certificate: Certificate of `path`; the pose of least clearance is marked.
-        refusal: Error that ended the planning; the obstacle and the pose in it are marked.
+        refusal: Error that ended the planning; the obstacle and the pose that it names are marked.
         title: Title of the picture.
 
     Raises:
@@ -98,12 +98,12 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
 
 
 def show_plan_picture(drawing: PlanDrawing) -> None:
-    """Show the picture of a plan in a window; blocks until it is closed, unless Matplotlib is interactive.
+    """Show the picture of a plan in a window; block until the window is closed, unless Matplotlib is interactive.
 
     Raises:
         MissingExtra: If Matplotlib is not installed.
     """
-    new_figure(1.0, 1.0)  # raises without Matplotlib
+    new_figure(1.0, 1.0)  # raises MissingExtra without Matplotlib
     import matplotlib.pyplot as plt
 
     def window(width: float, height: float) -> Figure:
@@ -170,7 +170,7 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
 def _draw_raw(axes: Axes, path: Path, problem: DockingProblem) -> None:
     """Draw the raw path, with overlaps of the robot and obstacles in another colour."""
     samples = path.sample(_SPACING)
-    # Wide and below the smoothed path, so that both are visible where they coincide.
+    # The line is wide and below the smoothed path, so that both are visible where they coincide.
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)
     clearances, _ = pose_clearances(samples.poses, problem.robot.footprint, problem.all_obstacles, within=_SPACING)
     hits = clearances < -TOLERANCE
@@ -200,7 +200,7 @@ def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: 
 
 
 def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray | None) -> None:
-    """Mark the pose of a refusal, Shape (1, 3) or None, and the obstacle it names."""
+    """Mark the pose of a refusal, Shape (1, 3) or None, and the obstacle that the refusal names."""
     if place is not None:
         _mark(axes, problem, place, "refused here")
     if place is not None and problem.required_view is not None and refusal.where.get("reason") in _VIEW_REASONS:
@@ -212,7 +212,7 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
 
 
 def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProof) -> None:
-    """Draw the cells reachable by the robot's centre and the outline at the bottleneck, or at the blocked poses."""
+    """Draw the cells that the robot's centre can reach, and the outline at the bottleneck or at the blocked poses."""
     if isinstance(proof, BlockedStraight):
         for blocked in proof.poses:
             pose = np.array([[blocked.x, blocked.y, blocked.yaw]])
@@ -233,7 +233,7 @@ def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProo
 
 
 def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:
-    """The pose of a refusal: given directly, at an arc length, or start or goal; None without a place."""
+    """Return the pose of a refusal: given directly, at an arc length, or start or goal; None if no place is given."""
     where = refusal.where
     pose = where.get("pose")
     if isinstance(pose, Sequence) and len(pose) == 3:

@@ -27,7 +27,7 @@ _POINTS = 1500
 
 
 class _Panel(NamedTuple):
-    """One quantity: axis label, values over time and bounds (inf: unlimited)."""
+    """One plotted quantity: axis label, values over time and bounds (inf: unlimited)."""
 
     label: str
     values: FloatArray
@@ -40,15 +40,15 @@ def save_profile_picture(
 ) -> None:
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 
-    Other quantities that depend on curvature are drawn if they are limited, without turns in place. The speed limit is
-    the minimum of the limits of drive and approach zone and of those of yaw rate, lateral acceleration, wheel speed and
-    steering rate at the curvature there.
+    Other quantities that depend on curvature are drawn if they are limited, except in turns in place. The speed limit
+    is the smallest of the limits of drive and speed zone and of the speeds at which yaw rate, lateral acceleration,
+    wheel speed and steering rate reach their limits at the curvature of the path.
 
     Args:
         target: File to write; the suffix gives the format.
         trajectory: The motion.
         limits: Motion limits.
-        zone: Slow stretch at the end of the path.
+        zone: Speed zone at the end of the path.
         title: Title of the picture.
 
     Raises:
@@ -101,7 +101,7 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
 
 
 class _TurnProfile(NamedTuple):
-    """Speed, acceleration, curvature and its rate, as `TurningMotion`."""
+    """Speed, acceleration, curvature and its rate; implements `TurningMotion`."""
 
     v: FloatArray
     a: FloatArray
@@ -112,7 +112,7 @@ class _TurnProfile(NamedTuple):
 def _more_panels(
     limits: MotionLimits, drawn: Collection[str], motion: _TurnProfile, turning: BoolArray
 ) -> Iterator[_Panel]:
-    """Panels of the other finite limits that depend on curvature."""
+    """Generate the panels of the other finite limits that depend on curvature."""
     for name, bound in finite_limits(limits).items():
         if name not in drawn and name in LIMITS and (size := LIMITS[name].size):
             values = np.where(turning, np.nan, size(motion, limits))
@@ -124,12 +124,12 @@ def _symmetric(name: str, values: FloatArray, bound: float) -> _Panel:
 
 
 def _label(name: str) -> str:
-    """Label of the quantity of a limit, with unit."""
+    """Return the label of the limited quantity, with its unit."""
     return LIMITS[name].label.replace("^2", "²").replace("^3", "³")
 
 
 def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray) -> FloatArray:
-    """Largest speed at every |curvature|, Shape (n,) [m/s]."""
+    """Return the largest speed at every |curvature|, Shape (n,) [m/s]."""
     bent = np.maximum(curvature, 1e-12)
     bound = np.where(forward, limits.max_speed, limits.max_reverse_speed)
     bound = np.minimum(bound, limits.max_yaw_rate / bent)
@@ -158,7 +158,7 @@ def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray)
 
 
 def _range_of(bound: FloatArray, reach: float) -> float:
-    """Axis range that shows a bound; 0 for a bound so large that it would flatten the curve."""
+    """Return the axis range that shows a bound, or 0 if the bound is so large that the curve would appear flat."""
     finite = np.abs(bound[np.isfinite(bound)])
     largest = 1.1 * float(finite.max()) if finite.size else 0.0
     return largest if largest < 12.0 * reach else 0.0

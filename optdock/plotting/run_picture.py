@@ -25,7 +25,7 @@ _FOOTPRINTS = 24  # number of outlines, at equal distances
 
 
 def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
-    """Draw the driven poses over the planned ones, and the tracking errors and speeds over time.
+    """Draw the driven and the planned poses, and the tracking errors and speeds over time.
 
     Args:
         target: File to write; the suffix gives the format.

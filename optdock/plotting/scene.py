@@ -40,20 +40,20 @@ __all__ = [
     "view_of",
 ]
 
-# Names of obstacles that are visible in the drawn map.
+# Names of obstacles that are already visible in the drawn map.
 DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
-_MAP_ORDER = 0.8  # above the grid, below everything else
-_SLIMMEST = 0.55  # least ratio of the sides, which shows obstacles next to a straight path and leaves room for a legend
-_CONES = 4  # cones along the path; more would hide each other
-_BEYOND = 1.08  # length of a drawn cone over the distance of the marker, or over the minimum range
-_ARC = 0.05  # [rad] between the points of an arc, at most
-_MARGIN = 0.6  # [m] around the content
-_CLOSE_BY = 1.0  # [m]: parts of obstacles at this distance are included
+_MAP_ORDER = 0.8  # above the grid, below all other elements
+_SLIMMEST = 0.55  # least ratio of the sides, so that obstacles next to a straight path and a legend have room
+_CONES = 4  # number of cones along the path; more cones would hide each other
+_BEYOND = 1.08  # length of a drawn cone divided by the distance of the marker, or by the minimum range
+_ARC = 0.05  # [rad]: largest angle between the points of an arc
+_MARGIN = 0.6  # [m]: margin around the content
+_CLOSE_BY = 1.0  # [m]: parts of obstacles within this distance are included
 
 
 class View(NamedTuple):
-    """The visible rectangle [m]."""
+    """Visible rectangle [m]."""
 
     left: float
     right: float
@@ -61,13 +61,13 @@ class View(NamedTuple):
     top: float
 
     def figure_size(self, width: float = 9.0, tallest: float = 9.0) -> tuple[float, float]:
-        """Figure size [inch] for the view with equal axes and room for labels."""
+        """Return the figure size [inch] for the view with equal axes and room for labels."""
         ratio = (self.top - self.bottom) / (self.right - self.left)
         return (width, width * ratio + 0.9) if width * ratio <= tallest else (tallest / ratio + 0.9, tallest)
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
-    """Return a view of the robot along every path, Shape (n, 3) each, the dock, and the obstacles close by.
+    """Return a view that contains the robot along every path, Shape (n, 3) each, the dock, and obstacles close by.
 
     Only the near part of a long obstacle is included; cells of the map do not widen the view.
     """
@@ -105,7 +105,7 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
     grey[costmap.data == NO_INFORMATION] = _GREYS["unknown"]
     grey[costmap.data == LETHAL] = _GREYS["occupied"]
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
-    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # also outside of the map
+    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # also outside the map
     axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="white", zorder=0.0)
     axes.imshow(
         grey,
@@ -144,7 +144,7 @@ def _greys() -> ListedColormap:
 
 
 def _in_view(costmap: Costmap, view: View) -> CostArray:
-    """Costs of the cells in the view, possibly empty."""
+    """Return the costs of the cells in the view; the array may be empty."""
     (x0, y0), side = costmap.lower, costmap.resolution
     rows, columns = (
         slice(max(0, int((low - start) / side)), max(0, int((high - start) / side) + 1))
@@ -227,7 +227,7 @@ def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) 
 
 
 def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
-    """Draw the marker, and cones along the part of the path where the marker must be in view."""
+    """Draw the marker, and camera cones along the part of the path where the marker must be in view."""
     axes.plot(
         *view.marker, "*", color=COLOURS["goal"], markeredgecolor="black", markersize=13, label="marker", zorder=6.5
     )
@@ -242,13 +242,13 @@ def draw_view(axes: Axes, view: RequiredView, path: Path | None) -> None:
 
 
 def draw_cone(axes: Axes, view: RequiredView, pose: FloatArray) -> None:
-    """Draw the cone at a pose of the robot, Shape (3,), from which the marker is out of view."""
+    """Draw the camera cone at a pose of the robot, Shape (3,), from which the marker is not in view."""
     style = OutlineStyle(edge=COLOURS["hot"], width=1.4, line="--", order=6.4, label="camera there")
     draw_shapes(axes, [_cone(view, pose)], style)
 
 
 def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
-    """Outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
+    """Return the outline of the camera's cone at a pose of the robot, Shape (n, 2) [m]."""
     camera = view.camera
     distance = float(view.margins(pose[None]).distance[0])
     reach = min(camera.max_range, max(_BEYOND * distance, _BEYOND * camera.min_range))
@@ -258,7 +258,7 @@ def _cone(view: RequiredView, pose: FloatArray) -> FloatArray:
 
 
 def _sector(camera: Camera, reach: float) -> FloatArray:
-    """Outline of the cone in the camera's frame, from the minimum range to `reach` [m]. Shape (n, 2) [m]."""
+    """Return the outline of the cone in the camera's frame, from the minimum range to `reach` [m]. Shape (n, 2) [m]."""
     half = 0.5 * camera.field_of_view
     angles = np.linspace(-half, half, max(2, math.ceil(2.0 * half / _ARC)))
     arc = np.column_stack((np.cos(angles), np.sin(angles)))

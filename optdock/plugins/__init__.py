@@ -1,1 +1,1 @@
-"""Plugins: their interfaces, life cycle, parameters and outcomes, and the registry that finds them."""
+"""Plugins: their interfaces, life cycle, parameters and results, and the registry that finds them."""

@@ -1,4 +1,4 @@
-"""Nav2's plugin interfaces in Python: snake case, results instead of output arguments, Nav2's exceptions (`errors`)."""
+"""Nav2's plugin interfaces in Python, with names in snake case, results instead of output arguments, and exceptions."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ __all__ = [
 
 
 def never_cancelled() -> bool:
-    """Return False: the default `cancel_checker`."""
+    """Return False; this is the default `cancel_checker`."""
     return False
 
 
@@ -81,7 +81,7 @@ class GlobalPlanner(Plugin):
         `cancel_checker` is polled at least every 5 ms.
 
         Raises:
-            PlannerException: If there is no path.
+            PlannerException: If no path is found.
             PlannerCancelled: If `cancel_checker` returned True.
         """
 
@@ -90,21 +90,22 @@ class GlobalPlanner(Plugin):
         start: Pose2,
         goal: Pose2,
         cancel_checker: Callable[[], bool] = never_cancelled,
-        better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - one path is the best of one
+        better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - used by overrides
     ) -> Iterator[Guess | None]:
         """Yield several paths, the most promising first; by default the path of `create_plan`.
 
         The next path is computed when it is requested. The iterator ends when no further path can have a lower price.
-        None is a pause: the next path takes longer, and the caller may do other work first.
+        None marks a pause: the next path takes longer, and the caller may do other work first.
 
         Args:
             start: As in `create_plan`.
             goal: As in `create_plan`.
             cancel_checker: As in `create_plan`.
-            better_than: Function that returns the price to beat [s], duration and cost of cusps; inf without a plan.
+            better_than: Function that returns the price of the best plan [s], duration and cost of cusps; inf without a
+                plan.
 
         Raises:
-            PlannerException: If there is no path.
+            PlannerException: If no path is found.
             PlannerCancelled: If `cancel_checker` returned True.
         """
         yield Guess(self.create_plan(start, goal, cancel_checker))
@@ -126,42 +127,42 @@ class Smoother(Plugin):
         """Return a smoother path between the same two poses, in the same frame.
 
         If `problem` is given, a smoother that certifies its results returns a path from the problem's start to its
-        goal, and raises InvalidPath for a `path` that leads elsewhere.
+        goal, and raises InvalidPath if the ends of `path` are elsewhere.
 
         Args:
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s].
             problem: Constraints; the configured costmap is added if the problem has none. None: the configured problem,
-                with the ends of `path` if they differ; without a configured problem, the path leads from the first to
-                the last pose of `path`, among the obstacles of the configured costmap.
+                but with the ends of `path` if they differ. Without a configured problem, the path leads from the first
+                to the last pose of `path`, among the obstacles of the configured costmap.
             warm_start: Earlier result for a similar problem.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` is of another class.
-            InvalidPath: If `path` is not a Path, too short, in another frame than the problem, or leads elsewhere.
-            SmootherTimedOut: If the time ran out before any usable result.
-            FailedToSmoothPath: If no result keeps every bound; the message names the violated one.
+            InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` has a wrong type.
+            InvalidPath: If `path` is not a Path, is too short, has another frame than the problem, or has other ends.
+            SmootherTimedOut: If the time ran out before there was a usable result.
+            FailedToSmoothPath: If no result keeps every bound; the message names the violated bound.
             SmootherCancelled: If `cancel_checker` returned True.
         """
 
     @staticmethod
     def check_task(path: Path, problem: DockingProblem | None, warm_start: Path | None) -> None:
-        """Check the classes of the arguments of `smooth`.
+        """Check the types of the arguments of `smooth`.
 
         Raises:
             InvalidPath: If `path` is not a Path.
-            InvalidValue: If `problem` or `warm_start` is of another class.
+            InvalidValue: If `problem` or `warm_start` has a wrong type.
         """
         if not isinstance(path, Path):
-            raise InvalidPath(f"path: must be a Path, got {type(path).__name__}; Path.from_poses(poses) makes one")
+            raise InvalidPath(f"path: must be a Path, got {type(path).__name__}; Path.from_poses(poses) returns a Path")
         if problem is not None:
             instance(DockingProblem, problem, "problem")
         if warm_start is not None:
             instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
-        """Load libraries and build data in advance that would make the first call slower."""
+        """Load libraries and compute data in advance, so that the first call is not slower than others."""
 
 
 class TimeParameterizer(Plugin):
@@ -182,15 +183,15 @@ class TimeParameterizer(Plugin):
     ) -> TimingResult:
         """Return the motion along `path` under `limits`, at rest at every cusp and at the end.
 
-        A motion with status OK passes `certify_trajectory`. With less time the motion is slower, or the status is
-        TIMED_OUT. Callers pass `start_wait` only if it is positive.
+        A motion with status OK passes `certify_trajectory`. If there is little time, the motion is slower or the status
+        is TIMED_OUT. Callers pass `start_wait` only if it is positive.
 
         Args:
             path: Path.
             limits: Motion limits.
-            zone: Slow stretch at the end of the path.
-            start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
-            start_acceleration: Acceleration along the travel at the start [m/s^2].
+            zone: Speed zone at the end of the path.
+            start_speed: Speed in the direction of travel at the start, >= 0 in both gears [m/s].
+            start_acceleration: Acceleration in the direction of travel at the start [m/s^2].
             start_wait: Time at rest at the start, for steering [s]; with a start in motion the status is FAIL.
             max_time: Wall-clock time for the whole call [s]; with 0 or less the status is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
@@ -211,7 +212,7 @@ class Controller(Plugin):
         Args:
             path: Path or trajectory.
             start_stamp: Time at which a trajectory begins, on the clock of the stamps [s], for a change of plan in
-                motion. None: with the next command.
+                motion. None: the trajectory begins with the next command.
 
         Raises:
             ControllerInvalidPath: If the path or trajectory cannot be followed.
@@ -226,7 +227,7 @@ class Controller(Plugin):
         Args:
             pose: Measured pose in the path's frame.
             velocity: Measured body velocity.
-            goal_checker: Source of tolerances, or None.
+            goal_checker: Goal checker whose tolerances are used, or None.
             stamp: Time of the measured pose, on any monotonic clock [s]; None: now, on the context's clock.
 
         Raises:
@@ -260,11 +261,11 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Costmaps of the collision checks, which always include the obstacles of the problem."""
+        """Costmaps used in the collision checks, which always include the obstacles of the problem."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
-        """Start the behavior; cycles follow only after SUCCEEDED."""
+        """Start the behavior; cycles may follow only if the result is SUCCEEDED."""
 
     @abstractmethod
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -272,7 +273,7 @@ class Behavior(Plugin):
 
 
 class Layer(Plugin):
-    """Write the costs of one source into a layered costmap."""
+    """Write the costs from one source into a layered costmap."""
 
     _is_current = True
 
@@ -286,14 +287,14 @@ class Layer(Plugin):
 
     @abstractmethod
     def update_costs(self, master: Costmap, min_i: int, min_j: int, max_i: int, max_j: int) -> None:
-        """Write costs into `master`, inside columns [min_i, max_i) and rows [min_j, max_j) only."""
+        """Write costs into `master`, only in columns [min_i, max_i) and rows [min_j, max_j)."""
 
     def is_clearable(self) -> bool:
         """Whether a clearing behavior may reset the layer."""
         return False
 
     def is_current(self) -> bool:
-        """Whether the costs of the layer are up to date; servers wait until they are.
+        """Whether the costs of the layer are up to date; servers wait until this is the case.
 
         An override must call this method to respect `set_current(False)`.
         """
@@ -308,10 +309,10 @@ class Layer(Plugin):
         return True
 
     def match_size(self) -> None:
-        """Handle a new size of the master grid."""
+        """Adapt to a new size of the master grid."""
 
     def on_footprint_changed(self) -> None:
-        """Handle a new footprint of the robot."""
+        """Adapt to a new footprint of the robot."""
 
 
 class GoalChecker(Plugin):
@@ -329,20 +330,20 @@ class GoalChecker(Plugin):
         """
 
     def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
-        """Whether the position alone is accepted, now or by a latch; by default the result of `is_goal_reached`."""
+        """Whether the position is accepted, now or by a latch; by default the result of `is_goal_reached`."""
         return self.is_goal_reached(query_pose, goal_pose, velocity, path)
 
     @property
     @abstractmethod
     def tolerances(self) -> Tolerances:
-        """Accepted errors."""
+        """Errors that are accepted at the goal."""
 
     def reset(self) -> None:
-        """Clear latches before a new path."""
+        """Clear latched arrivals before a new path."""
 
 
 class DockType(Plugin):
-    """Define staging poses, detections, contact and charging of a kind of dock.
+    """Define the staging poses, detections, contact and charging of a kind of dock.
 
     The executor calls each method within a control cycle.
     """
@@ -351,13 +352,13 @@ class DockType(Plugin):
     def contact(self, now: AtDock) -> Contact | None:
         """Return the present contact, or None.
 
-        Called once in every control cycle with a known pose, in order of the stamps. Contact without `now.is_near` is
-        reported as a fault.
+        Called once in every control cycle with a known pose, in order of the stamps. Contact while `now.is_near` is
+        False is reported as a fault.
         """
 
     @property
     def is_pressed_on(self) -> bool:
-        """Whether the robot drives on until contact; False: until contact or until the goal checker accepts."""
+        """Whether the robot drives on until contact; if False, acceptance by the goal checker also ends the drive."""
         return False
 
     @property
@@ -370,19 +371,19 @@ class DockType(Plugin):
         return measurements.contact is True
 
     def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
-        """Return poses at which an approach may begin, relative to the docked pose, the preferred one first.
+        """Return poses at which an approach may begin, relative to the docked pose, the preferred pose first.
 
-        The next one is tried if one cannot be reached. By default one pose at `distance` on the axis of the dock.
+        If a pose cannot be reached, the next is tried. The default is one pose at `distance` on the axis of the dock.
 
         Args:
             gear: Gear of the last motion into the dock: 1 forward, -1 in reverse.
-            distance: Distance from the docked pose, from the settings or sufficient for correcting an inaccurate dock
+            distance: Distance from the docked pose, from the settings, or sufficient for correcting an inaccurate dock
                 pose [m].
         """
         return (Pose2(-gear * distance, 0.0, 0.0),)
 
     def detections(self, measurements: Measurements) -> Sequence[Detection]:
-        """Return the detections of the dock, as poses of the docked robot; by default all measured ones.
+        """Return the detections of the dock, as poses of the docked robot; by default all measured detections.
 
         Called once for every set of measurements, before `contact`.
         """
@@ -390,7 +391,7 @@ class DockType(Plugin):
 
     @property
     def back_out_distance(self) -> float:
-        """Largest straight distance out of contact before a path is planned [m]; the final straight when undocking."""
+        """Largest straight distance out of contact before a path is planned [m]; for undocking, the final straight."""
         return 0.1  # twice the 5 cm within which contact is accepted
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""Plugin base: parameters, context, and Nav2's lifecycle.
+"""Base class of plugins, with parameters, context and Nav2's lifecycle.
 
 A plugin can be used once it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive -> active
 -> finalized.
@@ -45,7 +45,7 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """Surroundings of a plugin: costmaps, footprint and problem; missing ones are derived from the others.
+    """Data that a plugin works on: costmaps, footprint and problem. Missing parts are derived from the others.
 
     `footprint` and `costmap` default to those of the problem, and the obstacles of the problem include the cells of
     `costmap`.
@@ -55,13 +55,13 @@ class PluginContext:
         costmap: Global costmap, or None.
         footprint: Robot outline, or None.
         problem: Docking problem, or None.
-        clock: Monotonic time [s].
+        clock: Function that returns a monotonic time [s].
         logger: Logger of the plugin.
-        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. Without a
-            problem and a global costmap it also replaces the global one.
+        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. If there is
+            neither a problem nor a global costmap, this costmap also replaces the global costmap.
 
     Raises:
-        InvalidValue: If `footprint` is not the outline of the problem's robot, or a part is of another class.
+        InvalidValue: If `footprint` is not the outline of the problem's robot, or a part has a wrong type.
     """
 
     name: str = ""
@@ -91,10 +91,11 @@ class PluginContext:
             object.__setattr__(self, "costmap", self.problem.costmap)
 
     def problem_at_hand(self, called_with: DockingProblem | None) -> DockingProblem | None:
-        """Return the problem of a call, with the obstacles of the context and of the local costmap; or None.
+        """Return the problem of a call with the obstacles of the context and of the local costmap, or None.
 
         Args:
-            called_with: Problem of the call, whose costmap replaces the configured one; None: the configured problem.
+            called_with: Problem of the call, whose costmap replaces the configured costmap; None: the configured
+                problem.
         """
         found = self.problem if called_with is None else called_with
         if found is None:
@@ -103,12 +104,12 @@ class PluginContext:
             found = found.among(self.costmap)
         if self.local_costmap is None:
             return found
-        # No border: the space beyond a local costmap is not an obstacle.
+        # Without a border, because the space beyond a local costmap is not an obstacle.
         local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
     def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
-        """Return the costmaps that `needs` names; the global one replaces a missing local one."""
+        """Return the costmaps that `needs` names; the global costmap replaces a missing local costmap."""
         local = self.costmap if self.local_costmap is None else self.local_costmap
         asked = {
             CostmapInfoType.NONE: (),
@@ -121,12 +122,12 @@ class PluginContext:
     def obstacles_near(
         self, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
     ) -> ObstacleSet:
-        """Return the obstacles in a box: those of the problem, and the cells of the costmaps that `needs` names.
+        """Return the obstacles in a box: obstacles of the problem, and cells of the costmaps that `needs` names.
 
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Costmaps to include in addition to the problem, which contains the cells of the global one.
+            needs: Costmaps to include in addition to the problem, which contains the cells of the global costmap.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
@@ -137,9 +138,9 @@ class PluginContext:
 
 
 class Plugin(ABC):
-    """Base of all plugins; subclasses set `Parameters` and may override the `on_*` hooks.
+    """Base class of all plugins; subclasses set `Parameters` and may override the `on_*` hooks.
 
-    Transitions of the lifecycle raise LifecycleError in a state that does not allow them.
+    A transition raises LifecycleError if the present state does not allow it.
 
     Args:
         **parameters: Values of the fields of `Parameters`.
@@ -158,7 +159,7 @@ class Plugin(ABC):
 
     @property
     def name(self) -> str:
-        """Name of the instance in its context, or of its class."""
+        """Name of the instance in its context, or else name of its class."""
         return self.context.name or type(self).__name__
 
     @property
@@ -203,7 +204,7 @@ class Plugin(ABC):
         self._state = LifecycleState.UNCONFIGURED
 
     def shutdown(self) -> None:
-        """Release resources: any state but finalized -> finalized."""
+        """Release resources: any state except finalized -> finalized."""
         self._require("shutdown", LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
         if self._state is LifecycleState.ACTIVE:
             self.on_deactivate()
@@ -216,7 +217,7 @@ class Plugin(ABC):
         """Change several parameters at once.
 
         Raises:
-            InvalidValue: If a name is unknown or the changed set is invalid; no parameter is changed then.
+            InvalidValue: If a name is unknown or the changed set is invalid; in this case no parameter is changed.
         """
         merged = {**self.parameters.model_dump(by_alias=True), **changes}
         checked = parse_parameters(self.Parameters, merged, self.context.name)

@@ -33,7 +33,7 @@ __all__ = [
 
 
 class Guess(NamedTuple):
-    """A raw path of a planner, exactly from start to goal, and the stage of the method that found it, for reports."""
+    """Raw path of a planner, exactly from start to goal, and name of the stage that found it, for reports."""
 
     path: Path
     stage: str = ""
@@ -43,7 +43,7 @@ class SmoothingStatus(str, Enum):
     """Origin of a smoother's path."""
 
     CONVERGED = "converged"  # a local optimum
-    STOPPED = "stopped"  # the best path at the limit of time or iterations
+    STOPPED = "stopped"  # the best path when the limit of time or iterations was reached
     INPUT_KEPT = "input kept"  # the input is certified, and no better path was found
     WARM_START_KEPT = "warm start kept"  # the earlier result is certified, and no other path was found
     STRAIGHT = "straight"  # the straight line from start to goal is certified
@@ -51,18 +51,18 @@ class SmoothingStatus(str, Enum):
 
 @dataclass(frozen=True, repr=False)
 class SmoothingReport:
-    """Report of a smoother; values that are not reported are None or empty.
+    """Report of a smoother; values that the smoother does not report are None or empty.
 
     Args:
         status: Origin of the path.
         cost: Cost of the path, defined by the smoother.
         iterations: Number of iterations.
-        setup_s: Time before the first iteration, without `build_s` [s].
-        build_s: Time for programs that later calls in this process reuse [s].
+        setup_s: Time before the first iteration, excluding `build_s` [s].
+        build_s: Time for building programs that later calls in this process reuse [s].
         certify_s: Time for certificates [s].
         first_certified_s: Time until the first certified path [s].
         total_s: Time of the call [s].
-        certificate: Certificate of the path by the smoother; the pipeline certifies the path again.
+        certificate: Certificate that the smoother computed; the pipeline certifies the path again.
         extra: Further entries.
         warning: Warning for the user, or empty.
     """
@@ -96,7 +96,7 @@ class SmoothingResult:
 
     Args:
         path: Smoothed path.
-        completed: False if the time limit stopped the work.
+        completed: False if the computation was stopped by the time limit.
         report: Report.
     """
 
@@ -110,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """Status of a time parameterization; only OK is true. Infeasible motions are statuses, not exceptions."""
+    """Status of a time parameterization; only OK is true. An infeasible motion gives a status, not an exception."""
 
     OK = 0
     START_INFEASIBLE = 1
@@ -129,7 +129,7 @@ class TimingReport:
 
     Args:
         gears: Method used for every gear, in driving order.
-        replaced: Reason why `plan_dock` used the default method instead; empty if it used this one.
+        replaced: Reason why `plan_dock` used the default method instead; empty if it used this method.
         extra: Further entries.
     """
 
@@ -148,15 +148,15 @@ class TimingResult:
 
     Args:
         status: Status.
-        trajectory: Motion. OK: along the whole path. START_INFEASIBLE: full braking until after the last violation,
-            then on to the end, or to rest if that fails. CANNOT_STOP: full braking in the present gear, beyond its
-            end. BAD_START, FAIL, TIMED_OUT: None.
-        worst_ratio: Largest quotient of a quantity and its limit; at most 1 if OK.
+        trajectory: Motion. OK: motion along the whole path. START_INFEASIBLE: full braking until after the last
+            violation, then the motion to the end, or to rest if that fails. CANNOT_STOP: full braking in the present
+            gear, beyond its end. BAD_START, FAIL, TIMED_OUT: None.
+        worst_ratio: Largest ratio of a quantity to its limit; at most 1 if OK.
         overshoot: Distance of full braking beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
         report: Report.
-        reason: Reason if not OK, one sentence with numbers.
+        reason: Reason if the status is not OK, one sentence with numbers.
         limit: Name of the exceeded limit in `MotionLimits`, or `approach_speed`; empty if no single limit is exceeded.
-        at_s: Arc length of the violation [m]; None if there is no single place.
+        at_s: Arc length of the violation [m]; None if the violation has no single place.
     """
 
     status: TimingStatus
@@ -177,7 +177,7 @@ class TimingResult:
         return bool(self.status)
 
     def failure(self) -> FailedToTimePath:
-        """Return the error of a result that is not OK."""
+        """Return the error that describes a result that is not OK."""
         where: dict[str, object] = {"status": self.status.name}
         where |= {"worst_ratio": self.worst_ratio, "overshoot": self.overshoot}
         if self.limit:
@@ -210,7 +210,7 @@ class BehaviorStatus(IntEnum):
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """Status, Nav2 error code (0 for none) and message of a behavior; true if it has succeeded."""
+    """Status, Nav2 error code (0 for none) and message of a behavior; true if the behavior has succeeded."""
 
     status: BehaviorStatus
     error_code: int = 0
@@ -224,11 +224,11 @@ class Contact(Enum):
     """Kind of contact with a dock."""
 
     SIGNAL = "external signal"  # a switch, or the charger
-    STALL = "stall"  # commanded to move, but at rest
+    STALL = "stall"  # the robot is commanded to move, but stays at rest
 
 
 class Bounds(NamedTuple):
-    """A box in the costmap's frame [m]."""
+    """Box in the costmap's frame [m]."""
 
     min_x: float
     min_y: float
@@ -237,7 +237,7 @@ class Bounds(NamedTuple):
 
 
 class Tolerances(NamedTuple):
-    """Accepted errors of a goal checker [m], [rad], [m/s], [rad/s]; None: not measured."""
+    """Accepted errors of a goal checker [m], [rad], [m/s], [rad/s]; None: not checked."""
 
     x: float | None = None
     y: float | None = None

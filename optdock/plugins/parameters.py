@@ -20,10 +20,10 @@ __all__ = ["PluginParameters", "checked_seconds", "closest", "invalid_parameters
 
 
 class PluginParameters(BaseModel):
-    """Base of every plugin's parameters: frozen; unknown names and non-finite numbers are rejected.
+    """Base class of plugin parameters. Instances are frozen; unknown names and non-finite numbers are rejected.
 
-    Types are not converted, as in ROS, except integers to floats. Fields have Nav2's names and defaults if they exist
-    in Nav2, and descriptions with the unit.
+    As in ROS, types are not converted, except integers to floats. Fields that exist in Nav2 have Nav2's names and
+    defaults. The description of a field contains its unit.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
@@ -62,7 +62,7 @@ def checked_seconds(value: object, name: str) -> float:
     """Return a time limit [s] as a float.
 
     Raises:
-        InvalidValue: If it is not finite, or negative.
+        InvalidValue: If the value is not finite, or negative.
     """
     if not (isinstance(value, Real) and math.isfinite(value) and float(value) >= 0.0):
         raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value!r}")
@@ -78,12 +78,12 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
         owner: Name of the plugin, for messages.
 
     Raises:
-        InvalidValue: If `values` is not a mapping, or for unknown names, wrong types and values out of range; one line
-            per fault.
+        InvalidValue: If `values` is not a mapping, or contains unknown names, wrong types or values out of range; one
+            line per fault.
     """
     if not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
-    # Every plan constructs its plugins with the same values: immutable parameters are validated once.
+    # Every plan constructs its plugins with the same values, so immutable parameters are validated only once.
     is_plain = all(type(value) in _PLAIN for value in values.values())
     key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
     known = _CHECKED.get(key)
@@ -109,7 +109,7 @@ _MOST_KEPT = 256
 _CHECKED: dict[tuple[object, ...], PluginParameters] = {}
 
 
-_PLAIN = (bool, int, float, str, type(None))  # immutable, with distinct representations
+_PLAIN = (bool, int, float, str, type(None))  # immutable types with distinct representations
 
 
 def _is_constant(checked: PluginParameters) -> bool:

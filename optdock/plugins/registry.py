@@ -1,4 +1,4 @@
-"""Plugins by name, from entry points; Nav2's class names are aliases."""
+"""Plugins found by name from entry points; Nav2's class names are aliases."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ INTERFACES: Mapping[str, type[Plugin]] = {
     "docks": DockType,
 }
 
-# Nav2 pluginlib names, without namespace, that differ from entry point names.
+# Names in Nav2's pluginlib, without namespace, that differ from entry point names.
 _NAV2_ALIASES: Mapping[str, Mapping[str, str]] = {
     "smoothers": {"ConstrainedSmoother": "CasadiSmoother"},
 }
@@ -127,7 +127,7 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     point = found[short]
     try:
         loaded = point.load()
-    except (Exception, SystemExit) as error:  # foreign code may raise any exception
+    except (Exception, SystemExit) as error:  # code of plugins may raise any exception
         why = f"cannot be imported: {error}{_hidden_by(point)}"
         raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, interface)):
@@ -137,7 +137,7 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
 
 
 def _hidden_by(point: EntryPoint) -> str:
-    """A hint at a folder or file on Python's path that hides the package of a plugin, such as one next to a script."""
+    """Return a hint if a file or folder on Python's path, e.g. next to the script, hides the package of a plugin."""
     package, *inside = point.module.split(".")
     specs = (PathFinder.find_spec(package, [entry]) for entry in sys.path)
     places = [place for spec in specs if spec for place in spec.submodule_search_locations or [spec.origin or ""]]
@@ -154,18 +154,18 @@ def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object
     """Return a new plugin.
 
     Raises:
-        PluginError: As `load_plugin`, or if the class is abstract or its constructor fails.
+        PluginError: See `load_plugin`; also if the class is abstract or its constructor fails.
         InvalidValue: If a parameter is unknown, of the wrong type or out of range.
     """
     plugin_class = load_plugin(interface, name)
     values = {} if parameters is None else parameters
-    # Validated before the call: not every name of a file is a valid keyword argument.
+    # The values are validated before the call, because not every name in a file is a valid keyword argument.
     parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
     try:
         return plugin_class(**values)
     except OptdockError:
         raise
-    except Exception as error:  # foreign code may raise any exception
+    except Exception as error:  # code of plugins may raise any exception
         target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
         raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error
 
@@ -179,7 +179,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         role: Name of the argument, for messages.
 
     Raises:
-        PluginError: As `create_plugin`.
+        PluginError: See `create_plugin`.
         InvalidValue: If `asked` is neither a name nor a choice nor a plugin, or a parameter is wrong.
     """
     if isinstance(asked, interface):
@@ -192,7 +192,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         raise InvalidValue(
             f"{role}: must be a {interface.__name__}, got the class {asked.__name__}; write {asked.__name__}()"
         )
-    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or its name, got {type(asked).__name__}")
 
 
 def timed_by(  # noqa: PLR0913 - method, path, limits and start state
@@ -205,20 +205,20 @@ def timed_by(  # noqa: PLR0913 - method, path, limits and start state
     start_acceleration: float = 0.0,
     start_wait: float = 0.0,
 ) -> Trajectory:
-    """Return the motion along a path by a time parameterizer, without a certificate.
+    """Return the motion that a time parameterizer computes along a path, without a certificate.
 
     Args:
         timing: Name, name with parameters, or an unconfigured plugin.
         path: Path.
         problem: Problem with the limits and the dock; None: default limits.
-        zone: Slow stretch at the end; None: that of the problem's dock.
-        start_speed: Speed along the travel, >= 0 in either gear [m/s].
-        start_acceleration: Acceleration along the travel [m/s^2].
+        zone: Speed zone at the end of the path; None: the speed zone of the problem's dock.
+        start_speed: Speed in the direction of travel, >= 0 in both gears [m/s].
+        start_acceleration: Acceleration in the direction of travel [m/s^2].
         start_wait: Time at rest at the start, for steering [s].
 
     Raises:
-        FailedToTimePath: If the method has no motion from this start that keeps the limits.
-        PluginError: As `create_plugin`.
+        FailedToTimePath: If the method finds no motion from this start that keeps the limits.
+        PluginError: See `create_plugin`.
         LifecycleError: If the plugin is already configured.
         InvalidValue: If a parameter or the start state is wrong.
     """
@@ -246,7 +246,7 @@ def plugin_class(name: str) -> type[Plugin]:
     """Return the installed plugin class called `name`, of any kind.
 
     Raises:
-        PluginError: If no kind has such a plugin, or it cannot be imported.
+        PluginError: If there is no such plugin of any kind, or it cannot be imported.
     """
     for kind, interface in INTERFACES.items():
         if name in _found(kind):

@@ -27,7 +27,7 @@ __all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "w
 
 
 class PathFigures(NamedTuple):
-    """Figures of one path; None if a figure does not exist.
+    """Figures of one path; figures that do not exist are None.
 
     Args:
         scenario: Name of the scenario.
@@ -57,10 +57,10 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
     """Compute the figures of a path.
 
     Args:
-        scenario: The scenario the path must solve.
+        scenario: The scenario that the path must solve.
         kind: `raw` or `smoothed`.
         path: The path.
-        duration: Its duration [s]; None: computed by the time parameterizer of the scenario.
+        duration: Duration of the motion [s]; None: computed by the time parameterizer of the scenario.
     """
     certificate = certify_path(path, scenario.problem)
     return PathFigures(
@@ -76,7 +76,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
 
 
 def _duration(path: Path, scenario: Scenario) -> float | None:
-    """The duration [s]; None if the limits allow no motion along the path, as at a corner."""
+    """Return the duration [s], or None if the limits allow no motion along the path, for example at a corner."""
     problem = scenario.problem
     speed, acceleration = problem.start_state(int(path.segments[0].direction))
     wait = problem.start_wait(path)
@@ -89,7 +89,7 @@ def _duration(path: Path, scenario: Scenario) -> float | None:
 
 
 def worst_joint_angle(path: Path) -> float:
-    """Largest jump of the direction of motion along the path [rad]; reversals at cusps are ignored.
+    """Return the largest jump of the direction of motion along the path [rad]; reversals at cusps are ignored.
 
     A polyline jumps between two steps, and between the heading of its first or last pose and the step next to it.
     """
@@ -108,13 +108,13 @@ def _jump_inside(segment: Segment) -> float:
 
 
 def comparison_table(figures: Sequence[PathFigures]) -> str:
-    """The figures as an aligned table."""
+    """Return the figures as an aligned table."""
     heads = (f"{name} {_UNITS.get(name, '')}".strip().replace("_", " ") for name in PathFigures._fields)
     return table([tuple(heads), *(tuple(_cell(value, 4, "-") for value in row) for row in figures)])
 
 
 def comparison_csv(figures: Sequence[PathFigures]) -> str:
-    """The figures as CSV; figures that do not exist are empty."""
+    """Return the figures as CSV; figures that do not exist are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     units = {name: f"_{unit.replace('1/', '1p')}" for name, unit in _UNITS.items()}

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PlanFileVerdict", "judge_plan_file"]
 
-_ROUNDED = 0.01  # relative, of the curvature of a path that is known by samples
+_ROUNDED = 0.01  # relative tolerance of the curvature of a path that is known only by samples
 _SAME_PLACE = 1e-3  # [m], [rad]: tolerance between the ends of raw path and path
 
 
@@ -50,7 +50,7 @@ class PlanFileVerdict(NamedTuple):
         outcome: `certified`: path and motion, if the file has one, are proven, and no value is false.
             `unproven`: the path is proven, and the samples of the motion do not refute it. `impossible`: the proof that
             no motion exists is valid. `refuted`: otherwise.
-        rows: Results, a name and a sentence each.
+        rows: Results, each a name and a sentence.
         faults: Every broken rule.
         false_claims: False values of the file.
     """
@@ -65,7 +65,7 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """The first broken rule or false value, or the reason why the motion is not proven; empty if certified."""
+        """First broken rule or false value, or the reason why the motion is not proven; empty if certified."""
         unproven = ("samples cannot prove a motion",) if self.outcome == "unproven" else ()
         return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 
@@ -75,7 +75,7 @@ def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
 
     Args:
         plan: The file, see `load_plan`.
-        problem: The problem it must solve.
+        problem: The problem that the plan must solve.
 
     Raises:
         InvalidFile: If parts of the file contradict each other.
@@ -84,11 +84,9 @@ def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
     if plan.impossibility is not None:
         return _judged_impossible(plan, plan.impossibility, problem)
     if plan.path is None:
-        return _refused(plan, f"the file has no path, its status is {plan.status}")
+        return _refused(plan, f"the file has no path; its status is {plan.status}")
     if not may_be_one_frame(plan.frame, problem.frame):
-        fault = (
-            f"the frame of the plan is {plan.frame!r}, that of the scenario {problem.frame!r}; transform one of them"
-        )
+        fault = f"the plan is in frame {plan.frame!r}, the scenario in frame {problem.frame!r}; transform one of them"
         return _refused(plan, fault)
     return _judged_path(plan, plan.path, problem)
 
@@ -130,7 +128,7 @@ def _refused(plan: PlanFile, fault: str) -> PlanFileVerdict:
 def _judged_impossible(plan: PlanFile, proof: NoMotionProof, problem: DockingProblem) -> PlanFileVerdict:
     """Check the proof that no motion exists."""
     verdict = check_impossibility(proof, problem)
-    faults = [] if verdict.proven else [f"the proof that no motion exists does not hold: {verdict.reason}"]
+    faults = [] if verdict.proven else [f"the proof that no motion exists is not valid: {verdict.reason}"]
     others = ", ".join(proof.problem.differences(problem.fingerprint))
     bottleneck = proof.bottleneck
     if isinstance(proof, BlockedStraight):
@@ -151,11 +149,11 @@ def _judged_impossible(plan: PlanFile, proof: NoMotionProof, problem: DockingPro
 def _judged_path(plan: PlanFile, path: Path, problem: DockingProblem) -> PlanFileVerdict:
     certificate = certify_path(path, problem)
     motion = _motion(plan, path, problem)
-    # Collisions first.
+    # Collisions are reported first.
     broken = sorted(certificate.violations, key=lambda violation: violation.kind != "clearance")
     faults = [*map(_described, broken), *motion.faults]
     if _is_refusal(plan):
-        faults.append(f"the file is a refusal, its status is {plan.status}")
+        faults.append(f"the file is a refusal; its status is {plan.status}")
     claims = _Claims(plan, path, certificate, motion, problem)
     false = tuple(claims.false())
     refuted = bool(faults or false)
@@ -173,13 +171,13 @@ def _judged_path(plan: PlanFile, path: Path, problem: DockingProblem) -> PlanFil
 
 
 def _described(violation: Violation) -> str:
-    """The message of a violation, with the pose of a collision."""
+    """Return the message of a violation; for a collision also its pose."""
     pose = violation.where.get("pose") if violation.kind == "clearance" else None
     return f"{violation.message}, at {Pose2.from_sequence(pose).brief}" if isinstance(pose, list) else violation.message
 
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """One row with the parts that cannot be checked; empty without such parts."""
+    """Return one row with the parts that cannot be checked, or no row if there are none."""
     foreign = (
         [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
     )
@@ -189,9 +187,9 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
 
 
 class _MotionVerdict(NamedTuple):
-    """Result for a motion: verdict, row, faults, and the proof if there is one.
+    """Result for a motion: verdict, row, faults, and the proof or None.
 
-    `is_sampled`: only samples are known, and they do not refute the motion.
+    `is_sampled`: whether the motion is known only by samples, which do not refute it.
     """
 
     verdict: str
@@ -203,7 +201,7 @@ class _MotionVerdict(NamedTuple):
 
 def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _MotionVerdict:
     if plan.trajectory is None:
-        return _MotionVerdict("path certified", "none in the file, only the path is checked", [])
+        return _MotionVerdict("path certified", "none in the file; only the path is checked", [])
     if plan.time_law is None:
         return _sampled(plan.trajectory, path, problem)
     return _exact(plan.trajectory, path, plan.time_law, problem)
@@ -226,7 +224,7 @@ def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: Docking
 
 
 def _offset(verdict: SampledMotionVerdict) -> str:
-    """Description of samples off the path."""
+    """Return a description of samples that are off the path, or an empty string."""
     if not verdict.off_path:
         return ""
     apart, turned = verdict.offset
@@ -234,7 +232,7 @@ def _offset(verdict: SampledMotionVerdict) -> str:
 
 
 def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> _MotionVerdict:
-    """Check a motion that is known by samples only."""
+    """Check a motion that is known only by samples."""
     verdict = check_sampled_motion(motion, path, problem)
     if verdict.refuted:
         faults = [violation.message for violation in verdict.violations]
@@ -247,10 +245,10 @@ def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> 
 
 
 class _Claims:
-    """Comparison of the other values of a file with the proven ones.
+    """Comparison of the other values of a file with the proven values.
 
-    A certificate holds for the problem and the path of its digests. Values for another problem cannot be compared;
-    values for curves that were rounded later are compared roughly.
+    A certificate is valid for the problem and the path of its digests. Values for another problem cannot be compared;
+    values for curves that were rounded later are compared with a larger tolerance.
     """
 
     def __init__(
@@ -271,16 +269,16 @@ class _Claims:
 
     @property
     def made_for(self) -> str:
-        """Differences of problem and path of the certificate in the file; empty without differences."""
+        """Differences in problem and path of the certificate in the file; empty if there are none."""
         parts = []
         if self._others:
-            parts.append(f"another problem: {', '.join(self._others)} differ; checked here for this one")
+            parts.append(f"another problem: {', '.join(self._others)} differ; checked here for this problem")
         if not self._of_path:
-            parts.append("a path of other numbers, such as before rounding; checked here for this one")
+            parts.append("a path with other numbers, such as before rounding; checked here for this path")
         return "; ".join(parts)
 
     def not_judged(self) -> tuple[str, ...]:
-        """Names of the values that cannot be compared."""
+        """Return the names of the values that cannot be compared."""
         names = ["certificate.poses_checked"] if "poses_checked" in self._claimed else []
         if "at_s" in self._claimed and not self._of_path and not self._others:
             names.append("certificate.at_s")
@@ -291,10 +289,10 @@ class _Claims:
         return tuple(names)
 
     def false(self) -> Iterator[str]:
-        """Every false value."""
+        """Generate a message for every false value."""
         plan, certificate = self._plan, self._certificate
         if not certificate.certified and plan.status == CERTIFIED:
-            yield f"status is {CERTIFIED!r}, the path is not"
+            yield f"status is {CERTIFIED!r}, but the path is not certified"
         yield from self._false_verdict("certificate", self._claimed, certificate, "the path is")
         yield from self._false_numbers()
         if certificate.certified and not self._others:
@@ -311,14 +309,14 @@ class _Claims:
     ) -> Iterator[str]:
         claim = claimed.get("certified")
         if claim is True and not verdict.certified:
-            yield f"{name}.certified is true, {subject} not certified"
+            yield f"{name}.certified is true, but {subject} not certified"
         elif claim is False and verdict.certified and not self._others:
-            yield f"{name}.certified is false, {subject} certified"
+            yield f"{name}.certified is false, but {subject} certified"
         if claim is True and claimed.get("violations"):
             yield f"{name}.violations is not empty, but {name}.certified is true"
 
     def _false_numbers(self) -> Iterator[str]:
-        """Numbers of the certificate; clearances are accurate to `SHARPNESS`, margins hold for the same path only."""
+        """Check the numbers of the certificate: clearances to within `SHARPNESS`, margins only for the same path."""
         here, sharp = self._certificate, SHARPNESS + TOLERANCE
         of_problem = here.certified and not self._others
         same, exact = of_problem and self._of_path, self._of_path and "path" in self._claimed
@@ -339,26 +337,26 @@ class _Claims:
             if claim is None:
                 continue
             wrong = is_comparable and not _near(claim, value, near)
-            # Differences of rounded poses are too large; only values below the proven one are false then.
+            # The differences of rounded poses are too large to compare; only values below the proven value are false.
             wrong |= name.startswith("max_") and claim < value * (1.0 - _ROUNDED) - TOLERANCE
-            # For another path the margin is at most the difference at the least clearance.
+            # On another path, the margin is at most the difference at the least clearance.
             most = here.min_clearance - here.required_clearance + sharp
             wrong |= name == "margin" and of_problem and claim != value and not claim <= most
             if wrong:
                 yield f"certificate.{name} is {claim:.6g} {unit}, proven is {value:.6g} {unit}"
 
     def _false_place(self) -> Iterator[str]:
-        """Obstacle and place of the least clearance."""
+        """Check the obstacle and the place of the least clearance."""
         nearest, obstacles = self._claimed.get("nearest"), self._problem.all_obstacles
         if nearest == "" and self._certificate.nearest:
-            yield f"certificate.nearest is empty, {self._certificate.nearest} is nearest"
+            yield f"certificate.nearest is empty, but {self._certificate.nearest} is nearest"
         elif nearest and nearest not in {obstacles.name_of(row) for row in range(len(obstacles))}:
-            yield f"certificate.nearest is {shown(nearest)}, no obstacle has this name"
+            yield f"certificate.nearest is {shown(nearest)}, but no obstacle has this name"
         here, at = self._certificate, _number(self._claimed, "at_s", math.nan)
         if at is None or not self._of_path or not math.isfinite(here.min_clearance) or _same(at, here.at_s):
             return
         if not -TOLERANCE <= at <= self._path.length + TOLERANCE:
-            yield f"certificate.at_s is {at:.6g} m, the path has {self._path.length:.6g} m"
+            yield f"certificate.at_s is {at:.6g} m, but the length of the path is {self._path.length:.6g} m"
             return
         found, least = self._clearance_at(at), max(self._clearance_at(here.at_s), here.min_clearance)
         if not found <= least + SHARPNESS:
@@ -372,7 +370,7 @@ class _Claims:
     def _false_motion(self, proof: TrajectoryCertificate, claimed: Mapping[str, object]) -> Iterator[str]:
         duration, ratios = _number(claimed, "duration", math.inf), claimed.get("ratios")
         if duration is not None and not _same(duration, proof.duration):
-            yield f"certificate.trajectory.duration is {duration:.6g} s, the motion takes {proof.duration:.6g} s"
+            yield f"certificate.trajectory.duration is {duration:.6g} s, but the motion takes {proof.duration:.6g} s"
         for name, claim in ratios.items() if isinstance(ratios, dict) else ():
             value = proof.ratios.get(name)
             if value is None:
@@ -381,7 +379,7 @@ class _Claims:
                 yield f"certificate.trajectory.ratios.{name} is {shown(claim)}, proven is {value:.6g}"
 
     def _false_guess(self) -> Iterator[str]:
-        """Check that the raw path has the ends of the path."""
+        """Check that the raw path has the same ends as the path."""
         guess = self._plan.raw_path
         if guess is None:
             return
@@ -399,15 +397,15 @@ class _Claims:
         price = price_of(self._path, law.duration, self._problem.robot)
         best = min(priced, key=lambda one: one["price"])  # type: ignore[arg-type,return-value]  # numbers, see above
         if not _same(best["price"], price):  # type: ignore[arg-type]
-            yield f"tried: the lowest price is {best['price']:.6g} s, that of the plan {price:.6g} s"
+            yield f"tried: the lowest price is {best['price']:.6g} s, but the price of the plan is {price:.6g} s"
         elif guess is not None and is_number(best.get("length")) and best.get("cusps") is not None:
             near = abs(best["length"] - guess.driven) <= _SAME_PLACE  # type: ignore[operator]
             if not near or best["cusps"] != len(guess.cusps):
-                yield "tried: the guess of the lowest price has another length or other cusps than raw_path"
+                yield "tried: the guess of the lowest price differs from raw_path in length or cusps"
 
 
 def _number(claimed: Mapping[str, object], name: str, null: float) -> float | None:
-    """The number of a key; `null` for null, which means infinity, and None without the key."""
+    """Return the number of a key; `null` for null, which means infinity, and None if the key is missing."""
     if name not in claimed:
         return None
     claim = claimed[name]

@@ -1,4 +1,4 @@
-"""Plans and runs as files and tables."""
+"""Plans and runs written as files and tables."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ class Row(NamedTuple):
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
-    """Return the plan file of a failure: its name, its reason, and the results so far.
+    """Return the plan file of a failure, with the name of the error, its reason, and the results so far.
 
-    A path without certificate is left out, because paths of plan files are meant to be driven.
+    A path without certificate is not written, because paths in plan files are meant to be driven.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
     judged = so_far.certificate is not None and proof is None  # no path next to a proof that no path exists
@@ -90,7 +90,7 @@ def plan_rows(plan: DockPlan) -> list[Row]:
 
 
 def _tightest_rows(plan: DockPlan) -> list[Row]:
-    """The least margin over the required clearance away from start and dock."""
+    """Return the least difference from the required clearance away from start and dock."""
     problem, s = plan.problem, np.arange(0.0, plan.path.length, _STEP)
     poses, required = plan.path.poses_at(s), problem.clearance.required
     ends = problem.goal, problem.start
@@ -112,13 +112,13 @@ def _tightest_rows(plan: DockPlan) -> list[Row]:
 
 
 def _straight_rows(plan: DockPlan) -> list[Row]:
-    """Length of the straight end of the path."""
+    """Return the length of the straight end of the path."""
     straight = plan.problem.dock.final_straight
     return [Row("final straight", f"{straight:g} m" if straight > 0.0 else "none: dock.final_straight is 0")]
 
 
 def _tried(plan: DockPlan) -> str:
-    """The stage that found the plan, and the number of guesses."""
+    """Return the stage that found the plan, and the number of guesses."""
     guesses = [attempt for attempt in plan.tried if attempt.guess is not None]
     made = sum(not attempt.reason for attempt in guesses)
     return f"{plan.stage}, {made} of {len(guesses)} guesses became plans" if len(guesses) > 1 else plan.stage
@@ -156,7 +156,7 @@ def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row
 
 
 def _wrapped(name: str, parts: Iterable[str]) -> list[Row]:
-    """Rows of items, separated by commas and wrapped between items; empty without items."""
+    """Return rows of items, separated by commas and wrapped between items; no rows if there are no items."""
     lines = textwrap.wrap(", ".join(part.replace(" ", _NO_BREAK) for part in parts), _WIDE)
     return [Row(name if i == 0 else "", line.replace(_NO_BREAK, " ")) for i, line in enumerate(lines)]
 
@@ -170,7 +170,7 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
 
     Args:
         run: The run.
-        deviations: Deviations of its poses from the certified path; None without a path.
+        deviations: Deviations of its poses from the certified path; None if there is no path.
         left: Description of the poses outside the proven region, see `beyond_proof`; empty if all are inside.
     """
     error = run.final_error
@@ -194,7 +194,7 @@ def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> 
 
 
 def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
-    """The deviations of the drive, and whether it stayed in the proven tube."""
+    """Return the deviations of the drive, and whether it stayed in the proven tube."""
     off, yaw = float(np.hypot(deviations.along, deviations.cross).max()), float(np.abs(deviations.yaw).max())
     farthest, width = float(deviations.displacement.max()), float(deviations.width.max())
     needed = f"{1e3 * off:.2f} mm and {yaw:.5f} rad, no point of the robot by more than {1e3 * farthest:.2f} mm"

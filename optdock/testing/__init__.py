@@ -1,1 +1,1 @@
-"""Contract suites of plugins, and drives with known time laws."""
+"""Contract suites for plugins, and drives with known time laws."""

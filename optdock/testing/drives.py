@@ -29,10 +29,10 @@ def clothoid(
 def rest_to_rest(
     segments: Sequence[ClothoidSegment], *, speed: float = 0.4, acceleration: float = 0.4, jerk: float = 2.0
 ) -> Trajectory:
-    """Return a motion of seven constant-jerk phases per segment: up to `speed` [m/s], cruise, down to rest.
+    """Return a motion of seven constant-jerk phases per segment: accelerate to `speed` [m/s], cruise, brake to rest.
 
     Raises:
-        InvalidValue: If a segment is too short for the speed, or the speed too small for the acceleration.
+        InvalidValue: If a segment is too short for the speed, or the speed is too small for the acceleration.
     """
     ramp = acceleration / jerk
     hold = speed / acceleration - ramp
@@ -52,7 +52,7 @@ def straight_drive(start: Pose2, direction: Direction = Direction.FORWARD, lengt
 
 
 def s_curve_drive(start: Pose2, direction: Direction = Direction.FORWARD) -> Trajectory:
-    """Return a left and a right turn of 34 degrees, radius down to 0.83 m, and half a metre straight."""
+    """Return a left and a right turn of 34 degrees with a smallest radius of 0.83 m, and half a metre straight."""
     return rest_to_rest([clothoid(start, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], [0.0, 1.2, 0.0, -1.2, 0.0, 0.0], direction)])
 
 

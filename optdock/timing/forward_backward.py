@@ -1,4 +1,4 @@
-"""Forward-backward pass: the fastest speed profile within acceleration limits, without jerk."""
+"""Forward-backward pass: the fastest speed profile within acceleration limits, without a jerk limit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SpeedProfile", "forward_backward_pass"]
 
-_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, because the profile rests at its ends
+_SLOWEST = 1e-4  # [m/s]: least mean speed of a cell in the pseudo time, because the speed at the ends is zero
 
 
 class SpeedProfile(NamedTuple):
@@ -25,10 +25,10 @@ class SpeedProfile(NamedTuple):
 
 
 def forward_backward_pass(bounds: ReferenceBounds, start: MotionState) -> SpeedProfile:
-    """Return the fastest v^2 under caps, acceleration and deceleration, with the turning limits as caps at a = 0.
+    """Return the largest v^2 under caps, acceleration and deceleration; turning limits are applied as caps at a = 0.
 
     The time-optimal v^2 is the largest function below the maximum velocity curve whose slope 2 a is between -2 D and
-    2 A: one sweep forward, one backward [Bobrow1985].
+    2 A. This function is computed by one sweep forward and one sweep backward [Bobrow1985].
     """
     limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
     for limit, most in zip(limits.turning, bounds.turning, strict=True):

@@ -3,13 +3,13 @@
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
     subject to A c <= 1,   B c <= f / sqrt(c_{m+1}),   two coefficients given at each end,
 
-with f = sqrt(c) over a speed in the cell, held fixed after some iterations: B holds limits on a product with the speed,
-such as the jerk |x''| v / 2.
+where f is sqrt(c) divided by a speed in the cell, held fixed after some iterations. The rows B are limits on a product
+with the speed, such as the jerk |x''| v / 2.
 
-Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
-steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the rows B is convex in c; its
+Every row contains three neighbouring coefficients, so Newton's normal matrix is pentadiagonal. Q, the price on jerk
+steps, adds one band. Each iteration is one call of LAPACK's `dpbsv`. The right side of the rows B is convex in c; its
 linearization is an inner approximation, as in the convex-concave procedure [Lipp2016], without its curvature. The
-method is that of [Wright1997] with slacks, S + G = 0, S Z = mu, and separate primal and dual steps.
+method of [Wright1997] is used with slacks, S + G = 0, S Z = mu, and separate primal and dual steps.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ if TYPE_CHECKING:
 
 __all__ = ["Program", "applied", "load_lapack", "solve"]
 
-_LEAST_SHARE = 1e-6  # of the cell's coefficient: lower bound of v^2 at a place, so that f stays below a thousand
-_MOST_ITERATIONS = 40  # then the last iterate is used; any iterate is a motion
-_GAP = 1e-2  # of duality, relative to the objective; the margins of the reference are larger
+_LEAST_SHARE = 1e-6  # share of the cell's coefficient: lower bound of v^2 at a place, so that f stays below 1000
+_MOST_ITERATIONS = 40  # after these the last iterate is used, because any iterate is a motion
+_GAP = 1e-2  # duality gap relative to the objective; the margins of the reference are larger
 _RESIDUAL = 6e-3  # relative tolerance of every bound
-_FREEZE = 8  # iterations after which f stays fixed: updating f further converges only linearly
-_TO_BOUNDARY = 0.99  # of the way to the next bound that a step takes
-_LARGEST_DECREASE = 0.9  # of a coefficient in one step
-_SMALLEST_SLACK = 0.2  # at the start: rows violated by the first iterate must not start on their bound
-_FIRST_GAP = 0.2  # times the objective
-# The next target gap is a share of the present one, by the length of the step.
+_FREEZE = 8  # iterations after which f is fixed, because further updates of f converge only linearly
+_TO_BOUNDARY = 0.99  # share of the way to the next bound that a step may take
+_LARGEST_DECREASE = 0.9  # share of a coefficient in one step
+_SMALLEST_SLACK = 0.2  # at the start, so that rows violated by the first iterate do not start on their bound
+_FIRST_GAP = 0.2  # initial duality gap relative to the objective
+# The next target gap is a share of the present gap that depends on the length of the step.
 _CENTERING, _SHORT_CENTERING = ((0.85, 0.08), (0.4, 0.25)), 0.6
 
 
 def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
-    """Return stencils on three neighbouring coefficients, Shape (3, ..., M), times coefficients, Shape (M + 2,)."""
+    """Apply stencils on three neighbouring coefficients, Shape (3, ..., M), to coefficients, Shape (M + 2,)."""
     total: FloatArray = stencil[0] * c[:-2] + stencil[1] * c[1:-1] + stencil[2] * c[2:]
     return total
 
 
 class Program(NamedTuple):
-    """The program: M cells, M + 2 coefficients of which two are given at each end."""
+    """Program with M cells and M + 2 coefficients, of which two are given at each end."""
 
     steps: FloatArray  # lengths of the cells h, Shape (M,) [m]
     rows: FloatArray  # linear constraints A c <= 1 as stencils, Shape (3, rows, M)
-    with_speed: FloatArray  # b c v <= 1 as stencils, Shape (3, rows, M); first two: v the largest speed in the cell
-    places: FloatArray  # v^2 of the others as stencils, Shape (3, rows - 2, M)
+    with_speed: FloatArray  # B c v <= 1 as stencils, Shape (3, rows, M); v in rows 0, 1: the largest in the cell
+    places: FloatArray  # v^2 for the other rows as stencils, Shape (3, rows - 2, M)
     right_share: FloatArray  # weight of c_{i+1} in the value at knot i, Shape (M + 1,)
-    quadratic: FloatArray  # upper bands of Q, Shape (4, M + 2), LAPACK's storage
+    quadratic: FloatArray  # upper bands of Q in LAPACK's storage, Shape (4, M + 2)
 
 
 def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[FloatArray, int]:
@@ -61,7 +61,7 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
 
     Args:
         program: The program.
-        c: First iterate, positive inside, exact in the two coefficients at each end, Shape (M + 2,).
+        c: First iterate, positive, with the given values of the two coefficients at each end, Shape (M + 2,).
         look: Called in every iteration; it may raise.
     """
     iterate = _Iterate(program, c)
@@ -96,7 +96,7 @@ def solve(program: Program, c: FloatArray, look: Callable[[], None]) -> tuple[Fl
 
 
 class _Iterate:
-    """The program at the current coefficients: constraint values, their stencils, Newton's normal equations."""
+    """Program at the current coefficients: values of the constraints, their stencils, Newton's normal equations."""
 
     def __init__(self, program: Program, c: FloatArray) -> None:
         self.program = program
@@ -109,7 +109,7 @@ class _Iterate:
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
         """Evaluate all values at `c`; `frozen` keeps f unchanged. Rows B are in units of 1 / sqrt(c)."""
         program, linear = self.program, self.linear
-        if not frozen:  # f: sqrt(c) over the speed of each row in the cell
+        if not frozen:  # f is sqrt(c) divided by the speed of each row in the cell
             knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
             largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
             self.share: FloatArray = np.sqrt(c[1:-1] / largest)
@@ -126,7 +126,7 @@ class _Iterate:
 
     @property
     def objective(self) -> float:
-        """Time [s]."""
+        """Duration of the reference [s]."""
         return float(np.dot(self.program.steps, 1.0 / self.root))
 
     def newton_change(self, weight: FloatArray, target: FloatArray) -> FloatArray:
@@ -162,19 +162,19 @@ def _products(stencil: FloatArray) -> FloatArray:
 
 
 def _fraction_to_boundary(values: FloatArray, change: FloatArray, share: float) -> float:
-    """Return the longest step, at most 1, along which no value decreases by more than `share` of itself."""
+    """Return the largest step, at most 1, for which no value decreases by more than `share` of itself."""
     worst = float((change / values).min())
     return min(1.0, -share / worst) if worst < 0.0 else 1.0
 
 
 def load_lapack() -> None:
-    """Import LAPACK now."""
+    """Import LAPACK in advance."""
     _lapack()
 
 
 @cache
 def _lapack() -> tuple[Callable[..., tuple[object, FloatArray, int]], Callable[..., FloatArray]]:
-    """Return the solver of a banded positive definite system, and the product of a banded symmetric matrix."""
+    """Return LAPACK's solver for banded positive definite systems and BLAS's banded symmetric matrix product."""
     from scipy.linalg.blas import dsbmv
     from scipy.linalg.lapack import dpbsv
 

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 __all__ = ["DriveBounds", "Motion", "MotionState", "Phases", "braking_slack", "duration_of", "state_after", "stretched"]
 
-_MOST_SAMPLES = 40_000  # of one motion, 320 kB a column: longer motions are sampled more coarsely
+_MOST_SAMPLES = 40_000  # per motion, 320 kB per column: longer motions are sampled more coarsely
 
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
 
 
 class MotionState(NamedTuple):
-    """Distance [m], speed [m/s], acceleration [m/s^2] along the travel."""
+    """Distance [m], speed [m/s], acceleration [m/s^2] in the direction of travel."""
 
     s: float = 0.0
     v: float = 0.0
@@ -30,7 +30,7 @@ class MotionState(NamedTuple):
 
 
 class DriveBounds(NamedTuple):
-    """Constant bounds of one motion, all > 0: speed [m/s], acceleration, deceleration [m/s^2], jerk [m/s^3]."""
+    """Constant bounds on one motion, all > 0: speed [m/s], acceleration, deceleration [m/s^2], jerk [m/s^3]."""
 
     speed: float
     acceleration: float
@@ -51,27 +51,27 @@ def duration_of(phases: Phases) -> float:
 def stretched(phases: Phases, factor: float) -> Phases:
     """Return the same motion from rest, slowed down by `factor` >= 1; every limit that was kept is still kept.
 
-    Speeds fall with the factor, accelerations with its square, jerk with its cube.
+    Speeds are divided by the factor, accelerations by its square, jerk by its cube.
     """
     return tuple((duration * factor, jerk / factor**3) for duration, jerk in phases)
 
 
 def braking_slack(state: MotionState, jerk: float) -> float:
-    """Return the speed once a deceleration is reduced to 0 [m/s]; < 0: the robot cannot avoid rolling backwards."""
+    """Return the speed when a deceleration has been reduced to 0 [m/s]; if < 0, rolling backwards is unavoidable."""
     return state.v - 0.5 * state.a * state.a / jerk if state.a < 0.0 else state.v
 
 
 class Motion(NamedTuple):
-    """A start state and phases, with the states at all phase borders."""
+    """A start state and phases, with the states at all phase boundaries."""
 
     durations: FloatArray  # Shape (n,) [s]
     jerks: FloatArray  # Shape (n,) [m/s^3]
-    times: FloatArray  # borders, Shape (n + 1,) [s]
-    states: FloatArray  # distance, speed, acceleration at the borders, Shape (3, n + 1)
+    times: FloatArray  # phase boundaries, Shape (n + 1,) [s]
+    states: FloatArray  # distance, speed, acceleration at the boundaries, Shape (3, n + 1)
 
     @classmethod
     def of(cls, start: MotionState, phases: Iterable[tuple[float, float]]) -> Motion:
-        """Return the motion from a start state; phases of no duration are left out."""
+        """Return the motion from a start state; phases of zero duration are omitted."""
         table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
         durations, jerks = table[:, 0], table[:, 1]
         times = np.concatenate(([0.0], np.cumsum(durations)))
@@ -79,17 +79,17 @@ class Motion(NamedTuple):
 
     @property
     def start(self) -> MotionState:
-        """The state at the start."""
+        """State at the start."""
         return MotionState(*(float(value) for value in self.states[:, 0]))
 
     @property
     def end(self) -> MotionState:
-        """The state at the end."""
+        """State at the end."""
         return MotionState(*(float(value) for value in self.states[:, -1]))
 
     @property
     def phases(self) -> Phases:
-        """Durations and jerks."""
+        """Durations and jerks of the phases."""
         return tuple(zip(self.durations.tolist(), self.jerks.tolist(), strict=True))
 
     @property
@@ -99,21 +99,21 @@ class Motion(NamedTuple):
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
-        if not self.durations.size:  # underflow for an acceleration so small that its square is 0
+        if not self.durations.size:  # if an acceleration is so small that its square is 0
             return np.repeat(self.states, t.size, axis=1)
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
         s, v, a = self.states[:, phase]
         return np.stack(constant_jerk(t - self.times[phase], s, v, a, self.jerks[phase]))
 
     def sample_times(self, period: float) -> FloatArray:
-        """Return all phase borders, and times at most `period` [s] apart; further apart in very long motions."""
+        """Return all phase boundaries, and times at most `period` [s] apart, or further apart in very long motions."""
         count = int(min(self.duration / period, _MOST_SAMPLES)) + 1
         return np.union1d(self.times, np.minimum(np.arange(count) * max(period, self.duration / count), self.duration))
 
     def crossing_times(self, s: FloatArray) -> FloatArray:
         """Return the times at which the distances `s`, Shape (n,) [m], are reached; speeds >= 0. Shape (n,) [s].
 
-        Linear interpolation on a 10 ms grid, then two Newton steps.
+        The times are found by linear interpolation on a 10 ms grid and two Newton steps.
         """
         grid = self.sample_times(0.01)
         t = np.interp(s, np.maximum.accumulate(self.at(grid)[0]), grid)
@@ -124,7 +124,7 @@ class Motion(NamedTuple):
         return t
 
     def cut(self, t: float) -> tuple[Phases, MotionState]:
-        """Return the phases before time `t` [s], and the state then."""
+        """Return the phases before time `t` [s], and the state at that time."""
         kept: list[tuple[float, float]] = []
         state, left = self.start, t
         for duration, jerk in self.phases:

@@ -1,15 +1,15 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Plans of one segment (`near_optimal_plans`), each made only when the one before was rejected:
+Plans of one segment (`near_optimal_plans`), each made only if the previous plan was rejected:
 
-1. One ruckig move over the whole segment, if that is sufficient; slower moves on a tiny segment.
-2. The reference and the moves along it.
-3. From rest, the same motion slightly stretched in time: exact, and always possible.
+1. One ruckig move over the whole segment, if it keeps the limits; slower moves on a tiny segment.
+2. A reference and the moves along it.
+3. From rest, the same motion slightly stretched in time, which is exact and always possible.
 4. Steps 2 and 3 again with reduced speeds around violations, at most twice.
-5. From rest, the best of these motions stretched until it keeps every limit, and the windowed method; the faster one
-first.
+5. From rest, the best of these motions, stretched until it keeps every limit, and the windowed method; the faster
+   result first.
 
-For a moving start whose plans are all rejected, `retry_strategy` brakes to rest and plans from there; it also makes the
+If all plans of a moving start are rejected, `retry_strategy` brakes to rest and plans from there; it also makes the
 final proof.
 """
 
@@ -50,27 +50,27 @@ if TYPE_CHECKING:
 
 __all__ = ["NearOptimal", "NearOptimalParameters", "ReferenceMotion", "near_optimal_plans", "reference_motion"]
 
-_SINGLE_MOVE_BELOW = 1.0  # [m]: longer segments are not tried with one move
-_TINY = 0.08  # [m]: segments too short for a reference, tried with slower single moves
-_SLOWER_MOVES = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))  # shares of the speed and of the drive
-_SINGLE_MOVE_SPARE = 1.0005  # additional stretch of these, because the check uses samples
-_LONGEST_REFERENCE = 150.0  # [s]: the knots grow with the duration, the gain over windows does not
+_SINGLE_MOVE_BELOW = 1.0  # [m]: longer segments are not tried with a single move
+_TINY = 0.08  # [m]: segments too short for a reference, which are tried with slower single moves
+_SLOWER_MOVES = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))  # shares of speed and drive limits
+_SINGLE_MOVE_SPARE = 1.0005  # additional stretch of the slower moves, because the check uses samples
+_LONGEST_REFERENCE = 150.0  # [s]: the number of knots grows with the duration, the gain over `Windowed` does not
 _MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
-_RELIEF = 3.0  # margins: a moving start whose braking is closer to the limits has no margins there
-_TIGHT_YAW = 0.95  # share of a turning limit: a start beyond it has no margins until it is below
-_STRETCH_AT_ONCE = 1.012  # up to this factor stretching time is better than another attempt
-_STRETCH_AT_LAST = 1.1  # beyond this factor the windowed method may be better
-_RETRIES = 2  # with reduced speeds
+_RELIEF = 3.0  # margins: while the braking of a moving start is closer to the limits, no margins are applied
+_TIGHT_YAW = 0.95  # share of a turning limit: while the braking of a moving start is above it, no margins are applied
+_STRETCH_AT_ONCE = 1.012  # up to this factor, stretching time is better than another attempt
+_STRETCH_AT_LAST = 1.1  # beyond this factor, the windowed method may be better
+_RETRIES = 2  # number of attempts with reduced speeds
 _LONGEST_RETRIED = 60.0  # [s]: longer motions take 0.3 s and more for every attempt
-_AROUND, _MORE = 0.06, 0.006  # [m] around a violation, and beyond the excess: reduction of the speeds
-_LEAST_FACTOR = 0.3  # on the speeds
+_AROUND, _MORE = 0.06, 0.006  # [m] around a violation; reduction of the speeds in addition to the excess
+_LEAST_FACTOR = 0.3  # least factor on the speeds
 
 
 class NearOptimalParameters(PluginParameters):
     """Parameters of `NearOptimal`."""
 
     step: float = Field(default=KNOT_STEP, gt=0.01, le=0.5, description="knot spacing of the reference [s]")
-    smooth: bool = Field(default=False, description="jerk that hardly changes between knots, instead of +-max_jerk")
+    smooth: bool = Field(default=False, description="nearly continuous jerk between knots, instead of +-max_jerk")
 
 
 class NearOptimal(SegmentTimeParameterizer):
@@ -80,7 +80,7 @@ class NearOptimal(SegmentTimeParameterizer):
     parameters: NearOptimalParameters
 
     def on_configure(self) -> None:
-        """Import the libraries of the first call.
+        """Import the libraries before the first call.
 
         Raises:
             PluginError: If the package ruckig is not installed.
@@ -96,19 +96,19 @@ class NearOptimal(SegmentTimeParameterizer):
 def near_optimal_plans(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, step: float = KNOT_STEP, *, smooth: bool = False
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment by every method in order, from a state from which the speed caps can be kept.
+    """Yield plans of one segment by every method in order; the speed caps can be kept from the start state.
 
-    A plan is made only when the one before was rejected. The status of the plan of the windowed method may be FAIL.
+    A plan is made only if the previous plan was rejected. The status of the windowed method's plan may be FAIL.
 
     Args:
         limits: Limits along the segment.
-        start: State at its start.
-        deadlines: Wall-clock time.
+        start: State at the start of the segment.
+        deadlines: Deadlines in wall-clock time.
         step: Knot spacing of the reference [s].
         smooth: Whether the reference itself is the motion.
 
     Raises:
-        OutOfTime: If time is up and the remaining methods need time.
+        OutOfTime: If the time is up and the remaining methods need time.
     """
     tried: list[_Tried] = []
     longest = min(_LONGEST_REFERENCE, _MOST_KNOTS * step)
@@ -130,7 +130,7 @@ def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
 
 
 def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPlan]:
-    """Yield one move over a short segment, or over a tiny one the shortest of several, stretched to the limits."""
+    """Yield one move over a short segment; over a tiny one, the fastest of several moves stretched to the limits."""
     if limits.length >= _SINGLE_MOVE_BELOW:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
@@ -159,7 +159,7 @@ class ReferenceMotion(NamedTuple):
     """A motion over a segment along a reference."""
 
     phases: Phases  # the motion
-    moves: tuple[Move, ...] = ()  # its moves; empty if the reference itself is the motion
+    moves: tuple[Move, ...] = ()  # moves of the motion; empty if the reference itself is the motion
 
     @property
     def bad(self) -> tuple[Move, ...]:
@@ -168,14 +168,14 @@ class ReferenceMotion(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether every move was found within the checked limits; the reference itself is not checked."""
+        """Whether every move is within the checked limits; False if the reference itself is the motion."""
         return bool(self.moves) and not self.bad
 
 
 def reference_motion(
     bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> ReferenceMotion | None:
-    """Return the motion under `bounds` from `start` along a reference; None without a reference.
+    """Return the motion under `bounds` from `start` along a reference, or None if there is no reference.
 
     Raises:
         OutOfTime: If the deadline passed.
@@ -200,7 +200,7 @@ class _Tried(NamedTuple):
 def _references(
     limits: PathLimits, start: MotionState, deadline: Deadline, options: tuple[float, bool, float], tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """Yield references, each slower than the last, unchanged or slightly stretched; `tried` holds rejected ones."""
+    """Yield references, each slower than the last, unchanged or slightly stretched; add rejected motions to `tried`."""
     tightenings: tuple[Tightening, ...] = ()
     for retry in range(_RETRIES + 1 if limits.duration_estimate <= _LONGEST_RETRIED else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"
@@ -217,7 +217,7 @@ def _references(
 
 
 def _repaired(limits: PathLimits, motion: Motion, tried: _Tried, how: str) -> Iterator[SegmentPlan]:
-    """Yield plans that pass the dense check, as they are or slightly stretched in time."""
+    """Yield plans that pass the dense check, unchanged or slightly stretched in time."""
     worst, rests = tried.worst, motion.start == MotionState()
     if not tried.motion.sound:
         if worst.ratio <= KEPT and worst.path <= 1.0 - 0.5 * CHECK_MARGIN:
@@ -235,7 +235,7 @@ def _stretched_plan(limits: PathLimits, tried: _Tried, how: str) -> SegmentPlan:
 
 
 def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
-    """Return the stretch and the factor by which the next reference must be slower."""
+    """Return the intervals in which the next reference must be slower, and the factors."""
     worst = tried.worst
     bad = [(one.left, one.right, one.excess) for one in tried.motion.bad] or [(worst.s, worst.s, worst.stretch)]
     return tuple(
@@ -247,7 +247,7 @@ def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
 def _last_resort(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, tried: list[_Tried]
 ) -> Iterator[SegmentPlan]:
-    """Yield the best reference stretched in time, which needs a start at rest, and windows; the faster one first."""
+    """Yield the best reference stretched in time (only from rest) and the windowed plan, the faster first."""
     best = min(tried, key=lambda one: one.worst.stretch, default=None) if start == MotionState() else None
     slow = _stretched_plan(limits, best, "reference") if best is not None else None
     if best is None or slow is None or slow.status is not TimingStatus.OK:

@@ -1,17 +1,17 @@
-"""Path limits: the bounds on the motion along one segment of a path by curvature and drive.
+"""Path limits: bounds on the motion along one segment of a path, from the curvature and the limits of the drive.
 
 Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
 
     v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
-    v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
+    v <= steering rate (1 + (L k)^2) / (L |k'|)                                           the cap of steered wheels,
     |d/dt (v^n k)| <= its bound                                                           the turning limits.
 
-`turning_limits` defines the last. The steering angle atan(L k), L the wheelbase, changes at the rate L k' v / (1 + (L
-k)^2); the cap jumps at jumps of k'.
+The turning limits are defined in `turning_limits`. The steering angle atan(L k), L the wheelbase, changes at the rate L
+k' v / (1 + (L k)^2); the cap is discontinuous where k' is.
 
-The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds beyond which no motion
+The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds above which no motion
 at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are stored as their
-reciprocals, `slowness`: the largest one is the limit, and an infinite limit is zero.
+reciprocals, `slowness`: the largest reciprocal is the limit, and an infinite limit is zero.
 """
 
 from __future__ import annotations
@@ -48,22 +48,22 @@ __all__ = [
 ]
 
 NO_LENGTH = 1e-11  # [m]: a shorter segment has no limits
-_CLOTHOID_SPACING = 0.005  # [m], between nodes: a clothoid is exact between them
-_POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline, whose curvature is that between its poses
-_MOST_NODES = 6000  # of one segment
-_LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is evaluated
+_CLOTHOID_SPACING = 0.005  # [m], between nodes: clothoids are represented exactly between them
+_POLYLINE_SPACING = 0.002  # [m], between nodes of a polyline
+_MOST_NODES = 6000  # per segment
+_LEFT_OF_NODE = 1e-7  # share of a cell: place where the curvature rate to the left of a node is evaluated
 
-KNOT_STEP = 0.08  # [s], of the reference
-# Shares of the limits that the near-optimal method leaves unused. These constants, and those of the other modules
-# without another reason, were tuned with `python -m experiments.benchmarks timing`, for the duration over the optimum,
-# the CPU time and the paths beyond a limit.
-SPEED_MARGIN = 0.003  # of the speed caps, in the reference: room for the corners that ruckig cuts
-_YAW_MARGIN = 0.02  # of the yaw acceleration; of other turning limits in powers of the speed
+KNOT_STEP = 0.08  # [s]: knot spacing of the reference
+# Shares of the limits that the near-optimal method does not use. These constants, and constants in other modules for
+# which no reason is given, were tuned with `python -m experiments.benchmarks timing`, for duration over optimum, the
+# CPU time and the number of paths that violate a limit.
+SPEED_MARGIN = 0.003  # share of the speed caps, in the reference: allows for the corners that ruckig cuts
+_YAW_MARGIN = 0.02  # share of the yaw acceleration; for other turning limits in powers of the speed
 _JERK_MARGIN = 0.015
-CHECK_MARGIN = 0.001  # of the speed caps, when moves are accepted; twice that of the yaw acceleration
-_RELIEVED_SPEED, _RELIEVED_YAW = 1e-4, 1e-3  # where full braking from a moving start leaves no room for the margins
-_JUMP = 0.004  # of the yaw acceleration: the margins cover smaller jumps of v^2 * rate
-_CAP_JUMP = 0.001  # of a speed cap: the margins cover smaller jumps of the steering cap
+CHECK_MARGIN = 0.001  # share of the speed caps when moves are accepted; for the yaw acceleration twice this share
+_RELIEVED_SPEED, _RELIEVED_YAW = 1e-4, 1e-3  # used where full braking from a moving start permits no margins
+_JUMP = 0.004  # share of the yaw acceleration: the margins cover smaller jumps of v^2 * rate
+_CAP_JUMP = 0.001  # share of a speed cap: the margins cover smaller jumps of the steering cap
 
 
 class LimitPoints(NamedTuple):
@@ -83,13 +83,13 @@ class SpeedCaps:
 
     @property
     def max_speed(self) -> float:
-        """The speed limit of the gear [m/s]."""
+        """Speed limit of the gear [m/s]."""
         return self.drive.max_speed if self.direction > 0 else self.drive.max_reverse_speed
 
     def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
-        """Return 1 / the cap of speed, yaw rate, lateral acceleration and wheels, at |curvature| + excess. Shape (n,).
+        """Return the reciprocal of the lowest speed cap at |curvature| + excess, without the steering cap. Shape (n,).
 
-        Both wheels: |v +- (b/2) v k| <= v_wheel  <=>  v (1 + b |k| / 2) <= v_wheel.
+        Limit of both wheels: |v +- (b/2) v k| <= v_wheel  <=>  v (1 + b |k| / 2) <= v_wheel.
         """
         bend, drive = np.abs(curvature) + excess, self.drive
         slowness = np.maximum(1.0 / self.max_speed, bend * (1.0 / drive.max_yaw_rate))
@@ -112,7 +112,7 @@ class SpeedCaps:
         return self.drive.steering_per_metre(curvature, rate) / self.drive.max_steering_rate
 
     def tightest(self, bend: float, rate: float) -> str:
-        """Return the name of the lowest cap, at a |curvature| [1/m] and a curvature rate [1/m^2]."""
+        """Return the name of the lowest cap at a |curvature| [1/m] and a curvature rate [1/m^2]."""
         drive = self.drive
         table = (
             (1.0 / self.max_speed, "max_speed" if self.direction > 0 else "max_reverse_speed"),
@@ -126,26 +126,27 @@ class SpeedCaps:
 
 @dataclass(eq=False)
 class PathLimits:
-    """Limits along one segment: the curvature is linear between nodes; its rate linear in a cell, jumping at nodes.
+    """Limits along one segment. The curvature is linear between nodes; its rate is linear in a cell and jumps at nodes.
 
     Attributes:
-        slowness_left: 1 / speed cap just right of every cell's left node, without the zone, Shape (n - 1,) [s/m].
-        slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
+        slowness_left: 1 / speed cap just to the right of every cell's left node, without the zone, Shape (n - 1,)
+        [s/m].
+        slowness_right: The same just to the left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
-        turning: The drive's turning limits.
-        length: [m].
-        duration_estimate: The longest of three lower bounds, up to a fraction: along the maximum velocity curve, and
-            from rest to rest under acceleration or jerk alone [s].
+        turning: Turning limits of the drive.
+        length: Length of the segment [m].
+        duration_estimate: Longest of three approximate lower bounds: along the maximum velocity curve, and
+            from rest to rest under only the acceleration or only the jerk limit [s].
     """
 
     s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start
     curvature: FloatArray  # at the nodes, Shape (n,) [1/m]
-    rate_left: FloatArray  # d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2]
-    rate_right: FloatArray  # just left of every cell's right node, Shape (n - 1,) [1/m^2]
+    rate_left: FloatArray  # d curvature / ds just to the right of every cell's left node, Shape (n - 1,) [1/m^2]
+    rate_right: FloatArray  # the same just to the left of every cell's right node, Shape (n - 1,) [1/m^2]
     caps: SpeedCaps
-    zone_start: float  # start of the speed zone, exactly a node; `length` without a zone [m]
+    zone_start: float  # start of the speed zone, exactly a node; `length` if there is no zone [m]
     zone_speed: float  # speed limit in the zone [m/s]
-    excess: FloatArray | None = None  # addition of the caps to |curvature| at the nodes, Shape (n,) [1/m]; None: zero
+    excess: FloatArray | None = None  # addition to |curvature| at the nodes, for the caps, Shape (n,) [1/m]; None: zero
     begin: float = 0.0  # start of this segment on the whole path, for messages [m]
 
     def __post_init__(self) -> None:
@@ -173,18 +174,18 @@ class PathLimits:
 
     @property
     def drive_bounds(self) -> DriveBounds:
-        """The drive's own bounds."""
+        """Bounds of the drive, independent of the path."""
         drive = self.drive
         return DriveBounds(self.caps.max_speed, drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
 
     @property
     def fastest(self) -> float:
-        """The largest speed cap [m/s]."""
+        """Largest speed cap [m/s]."""
         return 1.0 / min(float(self.slowness_left.min()), float(self.slowness_right.min()))
 
     @property
     def has_zone(self) -> bool:
-        """Whether the speed zone reaches into this segment."""
+        """Whether the speed zone begins in this segment."""
         return self.zone_start < self.length
 
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
@@ -207,7 +208,7 @@ class PathLimits:
         return cells
 
     def points_at(self, s: FloatArray) -> LimitPoints:
-        """Return the limits at arc lengths `s`, Shape (n,) [m], with the zone; at nodes those of the right side."""
+        """Return the limits at arc lengths `s`, Shape (n,) [m], with the zone; at nodes, the right-hand limits."""
         cell = self.cells_at(s)
         left = self.s[cell]
         share = (s - left) / (self.s[cell + 1] - left)
@@ -222,7 +223,7 @@ class PathLimits:
         return LimitPoints(curvature, rate, slowness)
 
     def cap_at(self, s: float) -> tuple[str, str]:
-        """Return the lowest speed cap at `s` [m]: the name of its limit, and the name with the value."""
+        """Return the name of the limit with the lowest speed cap at `s` [m], and the name with the value."""
         point = self.points_at(np.array([s]))
         if self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed:
             return "approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s"
@@ -258,7 +259,7 @@ class PathLimits:
 
 
 def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
-    """Return the limits of every segment of a path; None for a segment of no length, and for a turn in place."""
+    """Return the limits of every segment of a path; None for a segment of zero length and for a turn in place."""
     zone_start = (
         place_before_end(path, zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
     )
@@ -279,15 +280,15 @@ def segment_limits(
 
     Args:
         segment: Clothoid spline or polyline.
-        caps: Speed caps by curvature.
-        zone_start: Start of the speed zone in this segment; no zone if it is at or beyond the length [m].
+        caps: Speed caps as a function of curvature.
+        zone_start: Start of the speed zone in this segment [m]; if it is at or beyond the length, there is no zone.
         zone_speed: Speed limit in the zone [m/s].
         begin: Start of the segment on the whole path [m].
     """
     spacing = _CLOTHOID_SPACING if isinstance(segment, ClothoidSegment) else _POLYLINE_SPACING
     zone_start = min(max(zone_start, 0.0), segment.length)
     s = _nodes(segment, max(spacing, segment.length / _MOST_NODES), zone_start)
-    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # a knot within rounding of the zone start replaces it
+    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # the nearest node replaces the zone start
     cells = np.diff(s)
     return PathLimits(
         s=readonly(s),
@@ -303,7 +304,7 @@ def segment_limits(
 
 
 def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
-    """Return the curvature rates at `s`, of a polyline at least the swing of its steps, Shape (n,) [1/m^2]."""
+    """Return the curvature rates at `s`; for a polyline at least the rate of its oscillation. Shape (n,) [1/m^2]."""
     rates = segment.curvature_rate_at(s)
     if not isinstance(segment, PolylineSegment):
         return rates
@@ -315,7 +316,7 @@ def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
 
 
 def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
-    """Return the excess of the steps' curvature, as in `certify_trajectory`, over the mean between the poses [1/m]."""
+    """Return the steps' curvature, as in `certify_trajectory`, minus the mean between the poses [1/m]."""
     steps = np.abs(segment.step_curvature)
     at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
     excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
@@ -335,7 +336,7 @@ def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
 
 
 class Tightening(NamedTuple):
-    """A stretch [m] in which speeds must be smaller by `factor` than the limits allow."""
+    """Interval [m] in which speeds must be smaller by `factor` than the limits allow."""
 
     left: float
     right: float
@@ -344,20 +345,20 @@ class Tightening(NamedTuple):
 
 @dataclass(eq=False)
 class ReferenceBounds:
-    """The limits of a segment less margins: bounds of the reference per cell, and of the moves along it.
+    """Limits of a segment less margins: bounds for the reference per cell, and for the moves along it.
 
     Attributes:
-        speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
-        turning: Bounds of the turning limits in each cell, for the reference, Shape (n - 1,) each.
+        speed_squared: Bound on v^2 in each cell for the reference, Shape (n - 1,) [m^2/s^2].
+        turning: Turning limits in each cell for the reference, Shape (n - 1,) each.
         cap_squared: v^2 of the speed caps of a cell, without margin, Shape (n - 1,) [m^2/s^2].
-        jumps: Indices of the inner nodes with a large jump of the curvature rate, for the yaw acceleration or the cap
-            of the steering rate.
+        jumps: Indices of the inner nodes where a jump of the curvature rate is large for the yaw acceleration or the
+            cap of the steering rate.
     """
 
     limits: PathLimits
     step: float = KNOT_STEP  # knot spacing of the reference [s]
     smooth: bool = False  # whether the reference itself is the motion, with nearly continuous jerk between knots
-    relief: float = 0.0  # distance in which full braking from a moving start leaves no margins [m]
+    relief: float = 0.0  # distance over which full braking from a moving start permits no margins [m]
     tightenings: tuple[Tightening, ...] = ()
 
     def __post_init__(self) -> None:
@@ -405,13 +406,13 @@ class ReferenceBounds:
         return values
 
     def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the factor on time that keeps the checked limits at `s`; > 1 is too fast. Shape (n,)."""
+        """Return the factor on time for which the checked limits are kept at `s`; > 1 means too fast. Shape (n,)."""
         curvature, rate, slowness = self.curve_at(s)
         turning = turning_ratio(self.limits.turning, curvature, rate, v, a)
         return self._checked(s, np.maximum(v * slowness, np.sqrt(turning)))
 
     def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return `excess_at` of `nodes`, for the limits that depend on the rates on both sides. Shape (n,)."""
+        """Return `excess_at` at `nodes` for the limits that depend on the curvature rates on both sides. Shape (n,)."""
         limits, curvature = self.limits, self.limits.curvature[nodes]
         sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
         left, right = (turning_ratio(limits.turning, curvature, rate, v, a) for rate in sides)

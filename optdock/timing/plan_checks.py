@@ -31,36 +31,37 @@ __all__ = [
     "worst_ratio",
 ]
 
-KEPT = 1.0 + 1e-9  # rounding of a ratio that should be at most 1
-_PERIOD = 0.008  # [s], of the check
-_REFINEMENT = 16  # times finer where a limit is nearly used up
-_REACHED = 1e-7  # [m, m/s, m/s^2]: rounding over kilometres and hours; `certify_trajectory` accepts 1e-6
-_REACHED_SHARE = 1e-3  # of a segment shorter than that
+KEPT = 1.0 + 1e-9  # largest ratio that counts as 1, because of rounding
+_PERIOD = 0.008  # [s]: sampling period of the check
+_REFINEMENT = 16  # factor on the sampling rate where a limit is nearly reached
+_REACHED = 1e-7  # [m, m/s, m/s^2]: tolerance for rounding over kilometres and hours; `certify_trajectory` accepts 1e-6
+_REACHED_SHARE = 1e-3  # share of the length of very short segments, if smaller
 
 
 class Worst(NamedTuple):
-    """The largest ratio of a quantity and its limit along a motion."""
+    """Largest ratio of a quantity to its limit along a motion."""
 
     ratio: float  # largest ratio
-    s: float  # its place [m]
-    path: float  # factor on time that keeps speeds and turning limits, which depend on the path
-    drive: float  # factor on time that keeps acceleration and jerk
-    limit: str = ""  # name of the limit if the ratio is above 1; else empty
+    s: float  # place of the largest ratio [m]
+    path: float  # factor on time for which speeds and turning limits, which depend on the path, are kept
+    drive: float  # factor on time for which acceleration and jerk limits are kept
+    limit: str = ""  # name of the limit if the ratio is above 1; otherwise empty
 
     @property
     def stretch(self) -> float:
-        """Factor on time that keeps every limit."""
+        """Factor on time for which every limit is kept."""
         return max(self.path, self.drive)
 
     def words(self, begin: float) -> str:
-        """Describe the violation, in a segment that begins at `begin` [m] of the path."""
+        """Describe the violation; the segment begins at `begin` [m] of the path."""
         return f"{self.ratio:.6g} times {self.limit or 'a limit'} at s = {begin + self.s:.4f} m"
 
 
 class _Ratios(NamedTuple):
-    """Ratios of speeds (lateral acceleration: its square root) and turning limits at distances `s`, Shape (n,).
+    """Ratios of speeds (for the lateral acceleration its square root) and turning limits at distances `s`, Shape (n,).
 
-    `drive`, of the acceleration, exists only at the first of these, because the acceleration is linear between them.
+    `drive`, the ratio of the acceleration, exists only for the first of these distances, which are those of the time
+    samples, because the acceleration is linear between them.
     """
 
     s: FloatArray
@@ -70,10 +71,10 @@ class _Ratios(NamedTuple):
 
 
 def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> _Ratios:
-    """Return the ratios of all limits but the jerk at time samples, phase borders, and both sides of every node.
+    """Return the ratios of all limits except the jerk at time samples, phase boundaries, and both sides of every node.
 
-    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima are at the nodes up to the
-    time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
+    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima are at the nodes, up to the
+    time sampling; time samples alone would miss narrow peaks. At the nodes speed and acceleration are interpolated
     between time samples, with an error of at most period^2 * jerk / 8.
     """
     t = motion.sample_times(_PERIOD) if times is None else times
@@ -118,7 +119,7 @@ def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = N
 
 
 def _limit_name(limits: PathLimits, motion: Motion, ratios: _Ratios, k: int) -> str:
-    """Return the limit of the k-th ratios, the largest of all."""
+    """Return the name of the limit with the largest of the k-th ratios."""
     if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.turning[k]):
         rising = float(motion.states[2].max()) / limits.drive.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
         return "max_acceleration" if rising else "max_deceleration"
@@ -133,13 +134,13 @@ class SegmentPlan(NamedTuple):
     """Result of a method for one segment."""
 
     status: TimingStatus  # status of the timing
-    phases: Phases = ()  # the motion; empty without one
-    ratio: float = 0.0  # largest ratio of a quantity and its limit along the motion; 0 where it was not computed
+    phases: Phases = ()  # the motion; empty if there is none
+    ratio: float = 0.0  # largest ratio of a quantity to its limit along the motion; 0 if it was not computed
     overshoot: float = 0.0  # distance that full braking needs beyond the end [m]
     how: str = ""  # the method, for the report
     reason: str = ""  # why the status is not OK
-    limit: str = ""  # the violated limit; else empty
-    s: float | None = None  # place of the violation [m]; None without one
+    limit: str = ""  # name of the violated limit, or empty
+    s: float | None = None  # place of the violation [m], or None
     arrives: bool = True  # whether the motion ends at rest at the end of the segment
 
 
@@ -149,7 +150,7 @@ def end_slack(limits: PathLimits) -> float:
 
 
 def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
-    """Return the plan of a motion, OK if it ends at rest at the end of the segment; the limits are not checked."""
+    """Return the plan of a motion, OK if the motion ends at rest at the end of the segment; limits are not checked."""
     off = abs(motion.end.s - limits.length)
     if off <= end_slack(limits) and max(abs(motion.end.v), abs(motion.end.a)) <= _REACHED:
         return SegmentPlan(TimingStatus.OK, motion.phases, how=how)
@@ -158,7 +159,7 @@ def arrived_plan(limits: PathLimits, motion: Motion, how: str) -> SegmentPlan:
 
 
 def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> SegmentPlan:
-    """Return the plan of a motion, OK if it arrives and `worst`, the result of the dense check, keeps every limit."""
+    """Return the plan of a motion, OK if it ends as required and `worst` of the dense check keeps every limit."""
     plan = arrived_plan(limits, motion, how)._replace(ratio=worst.ratio)
     if plan.status is not TimingStatus.OK or worst.ratio <= KEPT:
         return plan
@@ -167,13 +168,13 @@ def judged_plan(limits: PathLimits, motion: Motion, worst: Worst, how: str) -> S
 
 
 def checked_plan(limits: PathLimits, start: MotionState, phases: Phases, how: str) -> SegmentPlan:
-    """Return `judged_plan` after the dense check."""
+    """Run the dense check of a motion and return its plan; see `judged_plan`."""
     motion = Motion.of(start, phases)
     return judged_plan(limits, motion, worst_ratio(limits, motion) if phases else Worst(0.0, 0.0, 0.0, 0.0), how)
 
 
 def refined_times(limits: PathLimits, motion: Motion, close: float) -> FloatArray:
-    """Return the times of the check, half a millisecond apart if a ratio of the path is above `close`."""
+    """Return the times of the check, half a millisecond apart where a ratio of the path is above `close`."""
     t = motion.sample_times(_PERIOD)
     ratios = motion_ratios(limits, motion, t)
     near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.turning)) > close]

@@ -1,19 +1,19 @@
-"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex except for jerk.
+"""The reference program: a quadratic C1 spline of x = v^2 over arc length, convex except for jerk.
 
-With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
-integral of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not, and a turning limit of order 2 has
-the same form: linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move
-exists between the states at any two of its knots.
+With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time integral
+of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not linear. A turning limit of order 2 has the
+same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move exists
+between the states at any two of its knots.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
     subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
-At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope and zero
-value never moves. Therefore arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+At v = 0 the formulation in x is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope
+and zero value never moves. Therefore arcs of constant jerk, launch and stop, lead from rest to the reference and back.
 
-In order: the forward-backward pass, the arcs, the knots and their limits, the spline's linear maps, the constraints,
-the initial guess, the solution, its own motion.
+Order of this module: the arcs, the knots and their limits, the linear maps of the spline, the constraints,
+the initial guess, the solution, and its motion.
 """
 
 from __future__ import annotations
@@ -54,44 +54,45 @@ __all__ = [
 
 
 _ARC_DRIVE = 0.7  # share of the acceleration and of the yaw acceleration for an arc
-_ARC_SPEED = 0.6  # share of the local cap that an arc and its mirror image reach
-_ARC_LENGTH = 0.1  # share of the segment for an arc
-_SLOW = 0.25  # share of the local cap below which a moving start is launched too
-_HOLD = 0.1  # [s], for which a start with v = 0, a > 0 first holds its acceleration
-_LEAST_REST = 0.1  # share of the segment that both arcs must leave to the reference
+_ARC_SPEED = 0.6  # share of the local speed cap that an arc and its mirror image reach
+_ARC_LENGTH = 0.1  # largest length of an arc as a share of the segment
+_SLOW = 0.25  # share of the local speed cap below which a moving start also has a launch arc
+_HOLD = 0.1  # [s]: time for which the acceleration of a start with v = 0, a > 0 is held first
+_LEAST_REST = 0.1  # share of the segment that must remain between both arcs
 
 _KNOT_JUMP = 0.02  # share of the yaw acceleration: smaller jumps of v^2 * rate, or of a speed cap, need no knot
-_CROWDED = 0.5  # jumps per shortest step beyond which no knot is put on any of them
+_CROWDED = 0.5  # number of jumps per shortest step above which no jump gets a knot
 _LEAST_STEP = 0.4  # share of the step: jumps closer together share a cell
 _LEAST_CELLS = 8
-_CRUISE_DENSITY = 0.5  # of the knots where the profile is level
-_CRUISE_LEVEL = 0.96  # least over largest v^2 of a level stretch
-_CRUISE_YAW = 0.6  # share of the yaw acceleration above which a stretch is not level
-_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s], spacing of the samples, and their number to either side
+_CRUISE_DENSITY = 0.5  # factor on the number of knots where the profile is level
+_CRUISE_LEVEL = 0.96  # smallest over largest v^2 where the profile is level
+_CRUISE_YAW = 0.6  # share of the yaw acceleration above which the profile is not level
+_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s]: spacing of the samples; their number on either side
 
-_GUESS_SAMPLE = 0.02  # [s], of the filter
+_GUESS_SAMPLE = 0.02  # [s]: sampling period of the filter
 _GUESS_SHARE = 0.9  # factor on the filtered v^2, to stay inside the limits
-_GUESS_BLEND = 0.6  # [s], from the speed of a moving start
+_GUESS_BLEND = 0.6  # [s]: time over which the guess changes from the speed of a moving start
 
-_DRIVE_MARGIN = 0.003  # of acceleration and deceleration: ruckig refuses a state beyond them
+_DRIVE_MARGIN = 0.003  # share of acceleration and deceleration, because ruckig refuses a state beyond them
 _JERK_STEP_PRICE = (
-    0.002  # [s], of a full swing of the jerk between cells: saves a sixth of the moves for 0.01 % of time
+    0.002  # [s]: price of a full swing of the jerk between cells; it saves a sixth of the moves for 0.01 % of time
 )
-_SMOOTH_JERK_STEP_PRICE = 0.1  # [s], where the reference itself is the motion
-# A reference slower than the bounds by this factor is not a solution: if no spline keeps the limits, the last iterate
-# is arbitrary, and the samples of a motion of weeks would exhaust the memory. The factor of solutions is below 4.
+_SMOOTH_JERK_STEP_PRICE = 0.1  # [s]: the same if the reference itself is the motion
+# A reference that is slower than the bounds by this factor is not a solution. If no spline keeps the limits, the last
+# iterate is arbitrary, and the samples of a motion of weeks would exhaust the memory. For solutions the factor is below
+# 4.
 _HOPELESS = 10.0
 
 
 class Arc(NamedTuple):
-    """Phases at one end of the reference, and the state where it meets the reference."""
+    """Phases at one end of the reference, and the state at which they join it."""
 
     phases: Phases
     state: MotionState
 
 
 def stop_arc(bounds: ReferenceBounds) -> Arc:
-    """Return the arc of constant +J into rest at the end: length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
+    """Return the arc of constant +J to rest at the end, with length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_deceleration, 0.0, 0.0, at_end=True)
     time = a / jerk
@@ -99,7 +100,7 @@ def stop_arc(bounds: ReferenceBounds) -> Arc:
 
 
 def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
-    """Return the arc of constant +J from rest or a low speed; without phases for a faster start."""
+    """Return the arc of constant +J from rest or a low speed; an arc without phases for a faster start."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
     if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
@@ -114,7 +115,7 @@ def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
 
 
 def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float, *, at_end: bool) -> float:
-    """Return the end acceleration of an arc of jerk J that keeps its mirror image below the caps."""
+    """Return the end acceleration of an arc of jerk J for which the arc and its mirror image stay below the caps."""
     limits, jerk = bounds.limits, bounds.jerk
     top = max(_ARC_DRIVE * drive, a)
     reach = max(state_after(MotionState(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
@@ -133,22 +134,22 @@ def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float,
 
 
 class Grid(NamedTuple):
-    """Knots of the reference and their limits."""
+    """Knots of the reference and limits there."""
 
     knots: FloatArray  # Shape (M + 1,) [m]
     steps: FloatArray  # Shape (M,) [m]
     bound: FloatArray  # largest v^2 at the knots, the minimum over both half cells around, Shape (M + 1,) [m^2/s^2]
     curvature: FloatArray  # at the knots, Shape (M + 1,) [1/m]
     rate: FloatArray  # largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2]
-    turning: tuple[FloatArray, ...]  # bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each
+    turning: tuple[FloatArray, ...]  # turning limits for the reference at the knots, Shape (M + 1,) each
     centre_curvature: FloatArray  # at the cell centres, Shape (M,) [1/m]
     centre_rate: FloatArray  # as `rate`, at the cell centres, Shape (2, M) [1/m^2]
-    zone: int  # index of the knot at the zone start; 0 without one inside
+    zone: int  # index of the knot at the zone start; 0 if there is none inside
     time: FloatArray  # pseudo time of the knots, Shape (M + 1,) [s]
 
 
 def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, last: MotionState) -> Grid:
-    """Return knots from `first` to `last`, one step of profile time apart (constant speed: two), and at large jumps."""
+    """Return knots from `first` to `last` at large jumps and one step of profile time apart, two at constant speed."""
     limits, step = bounds.limits, bounds.step
     clock = _cruise_clock(bounds, profile)
     jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > _KNOT_JUMP]
@@ -164,7 +165,7 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: MotionState, 
 
 
 def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
-    """Return the pseudo time at the nodes, slower in level parts of the profile, which need few knots."""
+    """Return the pseudo time at the nodes, slowed down where the profile is level and needs few knots."""
     limits = bounds.limits
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
@@ -184,7 +185,7 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
 def _breaks(
     bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[MotionState, MotionState], jumps: IntArray
 ) -> FloatArray:
-    """Return the required knots: both ends, the zone start, the largest jumps of the rate that are far enough apart."""
+    """Return the required knots: both ends, the zone start, and the largest jumps that are far enough apart."""
     limits, (first, last) = bounds.limits, ends
     gap = _LEAST_STEP * bounds.step
     fixed = [first.s, last.s]
@@ -197,7 +198,7 @@ def _breaks(
     size = _jump_sizes(bounds, profile, found)
     for i in found[np.argsort(-size, kind="stable")].tolist():
         time = float(profile.time[i])
-        place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are taken
+        place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are already in the list
         if taken[place] - time > gap and time - taken[place - 1] > gap:
             taken.insert(place, time)
             fixed.append(float(limits.s[i]))
@@ -209,7 +210,7 @@ def _breaks(
 
 
 def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """Return the jumps of the curvature rate as ratios of the turning limits; v times the jump of 1 / speed cap."""
+    """Return the jump at each node: ratio to the turning limits, or v times the jump of 1 / speed cap if larger."""
     limits, x = bounds.limits, profile.speed_squared[nodes]
     jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
     sizes: FloatArray = np.zeros(nodes.size)
@@ -249,7 +250,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
 
 
 def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
-    """Whether each cell of the grid contains a jump without a knot on it, Shape (M,)."""
+    """Whether each cell of the grid contains a jump that has no knot, Shape (M,)."""
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -260,7 +261,7 @@ def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
 def _extremes(
     limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the extreme rates at knots and centres, over the half cell around each if cells hide jumps."""
+    """Return the extreme rates at knots and centres, over the half cells around them if a cell hides a jump."""
     quarter = 0.25 * np.diff(knots)
     borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
     cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
@@ -279,7 +280,7 @@ def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> Float
 
 
 class Spline(NamedTuple):
-    """Linear maps from the coefficients, as stencils on c_m, c_{m+1}, c_{m+2} of cell m; Shape (3, M) each.
+    """Linear maps of the coefficients, as stencils on c_m, c_{m+1}, c_{m+2} of cell m; Shape (3, M) each.
 
     Knot i: x_i = wl c_i + wr c_{i+1}, wr = h_{i-1} / (h_{i-1} + h_i), a_i = (c_{i+1} - c_i) / (h_{i-1} + h_i).
     Cell m: x'' = 2 (a_{m+1} - a_m) / h_m, centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
@@ -309,7 +310,7 @@ def spline_of(steps: FloatArray) -> Spline:
 
 
 def coefficients_of(steps: FloatArray, guess: FloatArray, first: MotionState, last: MotionState) -> FloatArray:
-    """Return coefficients near `guess`, v^2 at the knots; the two at each end are exact: c = x -+ a h."""
+    """Return coefficients near `guess`, v^2 at the knots; the two coefficients at each end are exact: c = x -+ a h."""
     middle = 0.5 * (guess[:-1] + guess[1:])
     c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
     x0, x1 = first.v * first.v, last.v * last.v
@@ -322,15 +323,15 @@ class LimitRows(NamedTuple):
     """Constraints on the coefficients c as stencils, Shape (3, rows, M); see `applied` for the products A c."""
 
     linear: FloatArray  # A c <= 1
-    with_speed: FloatArray  # A c v <= 1, v the speed at one place of the cell
-    places: FloatArray  # stencils of v^2 there, for each of `with_speed`
+    with_speed: FloatArray  # A c v <= 1 with the speed v at one place of the cell
+    places: FloatArray  # stencils of v^2 at this place, for each of `with_speed`
 
 
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
-    """Return the constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
+    """Return the constraints of speed, acceleration, deceleration and turning limits at knots and centres.
 
-    At a knot the turning rows use the largest and the least of the rates on both sides, because x >= 0. The rows of the
-    last knot, whose state is given, are zero.
+    At a knot the rows of turning limits use the largest and the least rate of both sides, because x >= 0. The rows of
+    the last knot, whose state is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
     drive, share = bounds.limits.drive, 1.0 - _DRIVE_MARGIN
@@ -354,7 +355,7 @@ def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows
 
 
 def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: FloatArray) -> list[FloatArray]:
-    """Return both signs of the quantity of a turning limit, without powers of the speed, over its bounds."""
+    """Return both signs of the quantity of a turning limit, without powers of the speed, divided by its bounds."""
     return [(turn + rate[0] * value) / most, -(turn + rate[1] * value) / most]
 
 
@@ -377,8 +378,8 @@ def initial_guess(
 ) -> FloatArray:
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
-    It is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration from one
-    limit to the other, below the launch and the stop. This guess halves the number of iterations to about 10.
+    The guess is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration
+    from one limit to the other, and limited by launch and stop. This guess halves the number of iterations to about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])
@@ -403,7 +404,7 @@ def initial_guess(
 
 
 class ReferenceStates(NamedTuple):
-    """States at the knots of the spline, and the arcs on both its sides."""
+    """States at the knots of the spline, and the arcs on both sides of it."""
 
     s: FloatArray  # Shape (M + 1,) [m]
     v: FloatArray  # Shape (M + 1,) [m/s]
@@ -411,7 +412,7 @@ class ReferenceStates(NamedTuple):
     curve: FloatArray  # x'' of the cells, Shape (M,) [1/s^2]
     grid: Grid  # the knots
     launch: Arc  # arc before the spline, possibly without phases
-    stop: Arc  # arc after it
+    stop: Arc  # arc after the spline
     iterations: int  # iterations of the interior point method
 
     @property
@@ -426,7 +427,7 @@ def solve_reference(
 ) -> ReferenceStates | None:
     """Return the fastest spline under `bounds` from a start state to rest, with its arcs.
 
-    Return None if the arcs of launch and stop are too long for the segment, or no spline keeps the limits.
+    Return None if the launch and stop arcs are too long for the segment, or if no spline keeps the limits.
 
     Raises:
         OutOfTime: If the deadline passed.
@@ -459,10 +460,10 @@ def solve_reference(
 
 
 def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:
-    """Return the reference as a motion: two phases of equal duration h for every cell, exact at the knots.
+    """Return the reference as a motion with two phases of equal duration h per cell, exact at the knots.
 
-    From the gains of speed and acceleration over a cell, j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h,
-    Q = (dv - 2 a h) / h^2. The distance is then (2 v + dv) h - da h^2 / 3, which gives h. Shapes (n,).
+    The gains dv and da of speed and acceleration over a cell give j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h,
+    Q = (dv - 2 a h) / h^2. The distance (2 v + dv) h - da h^2 / 3 then determines h. Shapes (n,).
     """
     ds, dv, da = np.diff(s), np.diff(v), np.diff(a)
     both = v[:-1] + v[1:]

@@ -1,20 +1,20 @@
-"""The strategy: from a path to a proven time law, with all retries.
+"""Strategy that leads from a path to a proven time law, with all retries.
 
-At a cusp and at the end the robot rests, so each segment is planned separately. If the wheels must be turned, between
-two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other segments
-the first of these cases that applies to the start state is used (`segment_plans`, `judge_start`):
+The robot is at rest at cusps and at the end, so each segment is planned separately. If the wheels must be steered
+between two segments or at the start, the robot waits at rest. A turn in place is one move (`turn_plans`). For other
+segments, the first of these cases that applies to the start state is used (`segment_plans`, `judge_start`):
 
-1. At rest: the plans of the method, best first; the next one is made only when the one before was rejected.
+1. At rest: the plans of the method, best first; a plan is made only if the previous plan was rejected.
 2. The robot cannot avoid rolling backwards: BAD_START.
 3. Full braking needs more distance than the segment has: CANNOT_STOP, with the braking.
-4. Full braking and thus every motion violates a limit: START_INFEASIBLE, with braking past the last violation and then
-   a plan, or braking to rest and then a plan from rest.
-5. Otherwise the plans of the method; then stop and go, full braking to rest and a plan from there.
+4. Full braking, and thus every motion, violates a limit: START_INFEASIBLE, with braking past the last violation and
+   then a plan, or braking to rest and then a plan from rest.
+5. Otherwise: the plans of the method, then stop and go, which is full braking to rest and a plan from there.
 
-The near-optimal method has its own list in `near_optimal`; the windowed method has one plan. The plans of all segments
-make a motion (`time_path`), which `certify_trajectory` proves or rejects; for a rejected segment the next plan is
-tried. The search ends when the remaining time is just enough for the windowed method and its proof; later no motion is
-started.
+The near-optimal method has several plans, listed in `near_optimal`; the windowed method has one plan. The plans of all
+segments give a motion (`time_path`), which `certify_trajectory` proves or rejects; for a rejected segment the next plan
+is tried. The search ends when the remaining time is just enough for the windowed method and its proof. After that no
+motion is started.
 """
 
 from __future__ import annotations
@@ -65,45 +65,45 @@ __all__ = [
 ]
 
 LONGEST_MOTION = 3600.0  # [s]: longer motions are rejected, because memory and time grow with them
-_NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are left out
-# Reserves of a deadline, as multiples of the time for looking up the curvature of the path, which depends on path and
-# machine: over the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the quickest
+_NO_WAIT = 0.5 * TOLERANCE  # [s]: shorter waits are omitted
+# Reserves of a deadline, as multiples of the time for evaluating the curvature of the path, which depends on path and
+# machine: on the paths of the benchmark the windowed method takes 3 and the proof 7 in the median, the fastest
 # proof 4. Tuned with `experiments/benchmarks/timing_proofs.py`.
 _WINDOWS_AND_PROOF = 10.0  # with less time left the search for a faster motion ends
 _PROOF = 4.0  # with less time left no motion is started
-_REFUSAL = 0.02  # [s], for a refusal of an impossible request
+_REFUSAL = 0.02  # [s]: time for the refusal of an impossible request
 
 
 class Deadlines(NamedTuple):
     """Deadlines of the stages of a call."""
 
-    search: Deadline = ENDLESS  # for all methods but the last
+    search: Deadline = ENDLESS  # for all methods except the last
     last: Deadline = ENDLESS  # for the last method
 
     @classmethod
     def of(cls, whole: Deadline, lookup: float) -> Deadlines:
-        """Return the shares of a whole call's deadline; `lookup` is the duration of the path look-up [s]."""
+        """Return the shares of the deadline of a whole call; `lookup` is the time for evaluating the path [s]."""
         search = whole.shortened(_WINDOWS_AND_PROOF * lookup)
         return cls(search, whole.shortened(_PROOF * lookup))
 
     @property
     def refused(self) -> Deadlines:
-        """Deadlines after an impossible start."""
+        """Deadlines that apply after an impossible start."""
         return self._replace(search=self.search.shortened(at_most=_REFUSAL))
 
 
 NO_DEADLINES = Deadlines()
 
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
-"""A method: plans one segment from a state whose full braking keeps the speed caps.
+"""A method that plans one segment from a state from which full braking keeps the speed caps.
 
-Yields plans of status OK, best first, the next one made only when the one before was rejected; the last plan may have
+It yields plans of status OK, best first, each made only if the previous plan was rejected; the last plan may have
 status FAIL, with the reason.
 """
 
 
 class TimingStart(NamedTuple):
-    """Start of a motion: speed [m/s], acceleration [m/s^2], and the wait at rest before it while wheels turn [s]."""
+    """Start of a motion: speed [m/s], acceleration [m/s^2], and the wait at rest before it for steering [s]."""
 
     speed: float
     acceleration: float
@@ -111,10 +111,10 @@ class TimingStart(NamedTuple):
 
 
 class SegmentTimeParameterizer(TimeParameterizer):
-    """A time parameterizer that plans segment by segment with one method."""
+    """Time parameterizer that plans segment by segment with one method."""
 
     def on_configure(self) -> None:
-        """Import the libraries of the first call.
+        """Import the libraries before the first call.
 
         Raises:
             PluginError: If the package ruckig is not installed.
@@ -146,11 +146,11 @@ class SegmentTimeParameterizer(TimeParameterizer):
 
     @abstractmethod
     def segment_plans(self, limits: PathLimits, start: MotionState, deadlines: Deadlines) -> Iterator[SegmentPlan]:
-        """Yield plans of one segment; a `SegmentPlanner`."""
+        """Yield plans of one segment; implements `SegmentPlanner`."""
 
 
 class _Request(NamedTuple):
-    """Limits and start of the motion; see `time_path`."""
+    """Limits and start of a motion; see `time_path`."""
 
     drive: MotionLimits
     zone: SpeedZone
@@ -170,7 +170,7 @@ def time_path(
     Args:
         path: Path to drive.
         drive: Limits of the drive.
-        zone: Slow stretch at the end of the path.
+        zone: Speed zone at the end of the path.
         start: Start of the motion.
         method: Planner of one segment.
         deadline: Deadline of the whole call; None: no deadline.
@@ -203,7 +203,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
     began = whole.elapsed, time.thread_time()
     segments = limits_along(path, drive, zone)
-    # The smaller time of two clocks: one includes the time of other processes, the other may be coarse.
+    # The smaller time of two clocks is used: one includes the time of other processes, the other may be coarse.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting: list[Iterator[SegmentPlan]] = []
     plans: list[SegmentPlan] = []
@@ -224,7 +224,7 @@ def _timed(path: Path, request: _Request, method: SegmentPlanner, whole: Deadlin
 def _proven(
     path: Path, request: _Request, plans: list[SegmentPlan], waiting: list[Iterator[SegmentPlan]], whole: Deadline
 ) -> TimingResult:
-    """Return the proven result, with other plans for rejected segments, or the failure of a segment without one."""
+    """Return the proven result, with other plans for rejected segments, or the failure of a segment."""
     drive, zone, start = request
     while True:
         result = _result(path, request, plans)
@@ -250,11 +250,11 @@ def _proven(
 
 
 def _undrivable(path: Path) -> str:
-    """Return the place of a turn in place, which has no time law over arc length; empty if there is none."""
+    """Return a description of a turn in place in a polyline, which has no time law; empty if there is none."""
     for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True):
         if not isinstance(segment, PolylineSegment):
             continue
-        first = int(np.argmin(np.isfinite(segment.step_curvature)))  # the first step without length, or 0
+        first = int(np.argmin(np.isfinite(segment.step_curvature)))  # index of the first step of zero length, or 0
         turn = float(segment.poses[first + 1, 2] - segment.poses[first, 2])
         if not math.isfinite(segment.step_curvature[first]) and turn != 0.0:
             where = f"by {turn:.6g} rad at s = {begin + float(segment.knots[first]):.6g} m"
@@ -284,7 +284,7 @@ def _result(path: Path, request: _Request, plans: list[SegmentPlan]) -> TimingRe
 
 
 def _waits(path: Path, request: _Request) -> dict[int, Phases]:
-    """Return the phases at rest before the segments for which the wheels must be turned."""
+    """Return the phases at rest before the segments for which the wheels must be steered."""
     times = [request.start.wait]
     if len(path.segments) > 1 and math.isfinite(request.drive.max_steering_rate):
         times += request.drive.steering_times(joint_curvatures(path)).tolist()
@@ -295,12 +295,12 @@ def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
     """Return the failure of a segment whose last plan is rejected by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
     named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
-    limit = named[0] if len(named) == 1 else ""  # a speed may be that of either gear, or of the zone
+    limit = named[0] if len(named) == 1 else ""  # a speed limit may be that of either gear, or of the zone
     return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, limit=limit, s=violation.s, arrives=False)
 
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
-    """Return the next plan that is not FAIL, or the last one; TIMED_OUT if time is up."""
+    """Return the next plan whose status is not FAIL, or the last plan; TIMED_OUT if the time is up."""
     last = SegmentPlan(TimingStatus.FAIL, how="none", reason="no method found a motion for this gear", arrives=False)
     try:
         for last in plans:
@@ -314,13 +314,13 @@ def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:
 def segment_plans(
     limits: PathLimits | None, start: MotionState, method: SegmentPlanner, deadlines: Deadlines = NO_DEADLINES
 ) -> Iterator[SegmentPlan]:
-    """Yield plans of one segment from any start state, best first; impossible starts are rejected with a reason.
+    """Yield plans of one segment from any start state, best first; reject impossible starts with a reason.
 
     Args:
         limits: Limits along the segment; None if it has no length.
         start: State at s = 0.
         method: Planner from a state from which the limits can be kept.
-        deadlines: Wall-clock time.
+        deadlines: Deadlines in wall-clock time.
 
     Raises:
         OutOfTime: If a deadline passed between two plans.
@@ -346,7 +346,7 @@ def segment_plans(
 
 
 def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin: float) -> Iterator[SegmentPlan]:
-    """Yield the plan of a turn in place: one move from rest to rest, the fastest under the limits of turning.
+    """Yield the plan of a turn in place, which is the fastest move from rest to rest under the limits of turning.
 
     Args:
         turn: The segment.
@@ -373,7 +373,7 @@ def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin
 def _braked_plan(
     limits: PathLimits, start: MotionState, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines
 ) -> SegmentPlan:
-    """Return braking followed by a plan: always drivable, with violations only during the braking."""
+    """Return a plan that brakes and then continues; limits are violated only while braking, if at all."""
     phases = _resumed(limits, verdict, method, deadlines if verdict.refusal is None else deadlines.refused)
     motion = Motion.of(start, phases)
     worst, arrives = worst_ratio(limits, motion), motion.end.s >= limits.length - end_slack(limits)
@@ -391,7 +391,7 @@ def _braked_plan(
 
 
 def _resumed(limits: PathLimits, verdict: StartVerdict, method: SegmentPlanner, deadlines: Deadlines) -> Phases:
-    """Return braking and the first plan of the rest of the segment; braking to rest if no plan is found in time."""
+    """Return braking and the first plan for the remaining segment, or braking to rest if no plan is found in time."""
     for phases, state in verdict.ways_on:
         if limits.length - state.s < NO_DISTANCE:
             continue

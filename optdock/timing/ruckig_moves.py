@@ -1,10 +1,10 @@
-"""Moves by ruckig [Berscheid2021]: from state to state, and as few as possible along the reference.
+"""Moves computed by ruckig [Berscheid2021] between two states, and as few as possible along the reference.
 
-ruckig's community edition runs offline. It may drive backwards and accepts start states beyond its limits; both are
-checked here. Intermediate positions are never passed, because with them ruckig calls a cloud service.
+ruckig's community edition runs offline. Its moves may go backwards, and it accepts start states beyond its limits; both
+are checked here. Intermediate positions are never passed, because ruckig would then call a cloud service.
 
-Along the reference, level by level, every open piece is tried as one move; a piece whose move violates a limit is split
-at the knot nearest to the worst place. Between two neighbouring knots a move exists, that of the reference itself.
+Every piece of the reference is first tried as one move; a piece whose move violates a limit is split
+at the knot nearest to the worst place. Between two neighbouring knots, the motion of the reference is a move.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ if TYPE_CHECKING:
 
 __all__ = ["Move", "load_ruckig", "move", "split_into_moves"]
 
-_ABOVE = 1.0 + 1e-9  # ruckig refuses a target exactly at its speed limit
-_STILL = 1e-9  # [m/s]: rounding below zero that does not count as driving backwards
-_CRAWL = 1e-3  # [m/s]: lower speeds violate no limit
+_ABOVE = 1.0 + 1e-9  # factor on the speed limit, because ruckig refuses a target exactly at the limit
+_STILL = 1e-9  # [m/s]: a negative speed of this size is a rounding error, not a motion backwards
+_CRAWL = 1e-3  # [m/s]: lower speeds do not violate a limit
 
-_SAMPLE = 0.02  # [s], of the check of a move
-_LONGEST_FACTOR, _LONGEST_MORE = 1.2, 0.05  # bound on the duration of a move: a factor on the reference's, and [s]
-_GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried first with little more than the jerk of the reference
+_SAMPLE = 0.02  # [s]: sampling period of the check of a move
+_LONGEST_FACTOR, _LONGEST_MORE = 1.2, 0.05  # bound on the duration: factor on the reference's, addition [s]
+_GENTLE_BELOW = 1.5  # [s]: shorter pieces are first tried with a jerk slightly above that of the reference
 _GENTLE_JERK = (1.05, 0.01)  # factor on the largest jerk of the reference, and share of the limit added to it
 _GENTLE_MOST_JERK = 0.95  # share of the limit above which a gentle move has no advantage
 _GENTLE_DRIVE = (1.04, 0.04)  # factor on the reference's range of accelerations, and share of the limit added to it
 _GENTLE_LEAST_DRIVE = 0.01  # least share of the acceleration for a gentle move
-_LEVEL = 0.8  # share of the largest v^2: if the cap stays above it, one move is tried for any length
-_MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut into parts of at most 16, those above 6 into four, others in two
+_LEVEL = 0.8  # share of the largest v^2: where the cap stays above it, a single move is tried for any length
+_MIDDLE, _SHORT = 16, 6  # cells: longer pieces are split into parts of at most 16, above 6 into four, others into two
 
 
 def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: float = math.inf) -> Phases | None:
-    """Return the time-optimal motion between two states; None if there is none without driving backwards.
+    """Return the time-optimal motion between two states, or None if every motion drives backwards.
 
-    The speed bound is raised to the speeds that the two states imply; the caller checks the result.
+    The speed bound is raised to the speeds that follow from the two states; the caller checks the result.
 
     Args:
         start: First state.
@@ -65,7 +65,7 @@ def move(start: MotionState, target: MotionState, bounds: DriveBounds, longest: 
         start.v + (0.5 * start.a * start.a / bounds.jerk if start.a > 0.0 else 0.0),
     )
     tool = _tool()
-    given = tool.input  # ruckig copies its inputs, so lists are assigned, never changed
+    given = tool.input  # ruckig copies its inputs, so lists are assigned, not modified
     given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
     given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
     given.max_velocity, given.max_jerk = [max(bounds.speed, rise * _ABOVE)], [bounds.jerk]
@@ -98,17 +98,17 @@ def _drives_forward(start: MotionState, phases: Phases) -> bool:
 
 
 class _Tool:
-    """One set of ruckig's objects, overwritten by every calculation."""
+    """Set of ruckig objects, which every calculation overwrites."""
 
     def __init__(self, ruckig: ModuleType) -> None:
-        self.otg: Any = ruckig.Ruckig(1)  # ruckig ships no types
+        self.otg: Any = ruckig.Ruckig(1)  # ruckig has no type annotations
         self.input: Any = ruckig.InputParameter(1)
         self.output: Any = ruckig.Trajectory(1)
         self.error: type[Exception] = ruckig.RuckigError
 
 
 def load_ruckig() -> None:
-    """Import ruckig now, for this thread.
+    """Import ruckig in advance, for this thread.
 
     Raises:
         PluginError: If ruckig is not installed.
@@ -135,9 +135,10 @@ def _ruckig() -> ModuleType:
 
 
 class _Nodes(NamedTuple):
-    """States between which moves are made: both ends of the segment and the knots between.
+    """States between which moves are computed: both ends of the segment and the knots between them.
 
-    `time`: of the reference [s]; `jerk`: its largest |jerk| per cell [m/s^3]; `zone`: index of the zone start, or 0.
+    `time`: times of the reference [s]; `jerk`: largest |jerk| in each cell [m/s^3]; `zone`: index of the zone start, or
+    0.
     """
 
     s: list[float]
@@ -148,7 +149,7 @@ class _Nodes(NamedTuple):
     zone: int
 
     def state(self, i: int) -> MotionState:
-        """The state at node `i`."""
+        """Return the state at node `i`."""
         return MotionState(self.s[i], self.v[i], self.a[i])
 
 
@@ -158,20 +159,20 @@ class Move(NamedTuple):
     left: float  # start [m]
     right: float  # end [m]
     phases: Phases  # the motion
-    excess: float  # factor on time that keeps the checked limits; at most 1 if they are kept
-    worst: float  # place that decides the excess [m]
+    excess: float  # factor on time for which the checked limits are kept; at most 1 if the move keeps them
+    worst: float  # place of the largest excess [m]
 
 
 def split_into_moves(
     reference: ReferenceStates, bounds: ReferenceBounds, start: MotionState, deadline: Deadline = ENDLESS
 ) -> list[Move]:
-    """Return moves along the reference, in driving order over the whole segment, within the limits if possible.
+    """Return moves along the reference over the whole segment, in driving order, within the limits if possible.
 
     Args:
         reference: The reference.
-        bounds: The bounds of the reference.
+        bounds: Bounds of the reference.
         start: State at the start of the segment; the end is at rest.
-        deadline: Checked before every move.
+        deadline: Deadline, checked before every move.
 
     Raises:
         OutOfTime: If the deadline passed.
@@ -204,7 +205,7 @@ def _nodes_of(reference: ReferenceStates, start: MotionState, end: MotionState) 
 
 
 def _first_pieces(nodes: _Nodes, bounds: ReferenceBounds) -> list[tuple[int, int]]:
-    """Return the pieces before and after the zone start, divided further if the speed cap is not level."""
+    """Return the pieces before and after the zone start, split further if the speed cap is not level."""
     last = len(nodes.s) - 1
     halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
     pieces: list[tuple[int, int]] = []
@@ -221,7 +222,7 @@ def _equal_parts(i: int, j: int, count: int) -> list[tuple[int, int]]:
 
 
 def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tuple[int, int]]:
-    """Split a long piece in equal parts, a short one in two at the knot nearest to the worst place."""
+    """Split a long piece into equal parts, and a short piece into two at the knot nearest to the worst place."""
     i, j = ends
     cells = j - i
     if cells > _SHORT or tried is None:
@@ -235,9 +236,10 @@ def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tup
 def _try_pieces(
     nodes: _Nodes, bounds: ReferenceBounds, active: list[tuple[int, int]], deadline: Deadline
 ) -> dict[tuple[int, int], Move | None]:
-    """Return the best move of every piece; the time-optimal one only if there is no gentle one, or for a single cell.
+    """Return the best move over every piece: a gentle move if there is one, otherwise the time-optimal move.
 
-    For a single cell in which rounding prevents a move, the motion of the reference is used.
+    The time-optimal move over a single cell is tried in any case. If rounding prevents a move, the motion of the
+    reference is used.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
@@ -265,7 +267,7 @@ def _full_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases
 
 
 def _gentle_move(nodes: _Nodes, bounds: ReferenceBounds, i: int, j: int) -> Phases | None:
-    """Return a move with little more jerk and acceleration than the reference, which stays close to its speeds."""
+    """Return a move with slightly more jerk and acceleration than the reference, which stays close to its speeds."""
     drive = bounds.limits.drive
     if i == 0 or j == len(nodes.s) - 1 or nodes.time[j] - nodes.time[i] > _GENTLE_BELOW:
         return None
@@ -288,7 +290,7 @@ def _short_enough(nodes: _Nodes, ends: tuple[int, int], box: DriveBounds) -> Pha
 
 
 class _Samples(NamedTuple):
-    """States along some moves, one after the other; `begins` holds the index of the first of each."""
+    """States along several moves, one after the other; `begins` contains the index of the first state of each move."""
 
     s: FloatArray
     v: FloatArray
@@ -298,11 +300,11 @@ class _Samples(NamedTuple):
 
     @property
     def owners(self) -> IntArray:
-        """Index of the move of each sample."""
+        """Index of the move to which each sample belongs."""
         return np.repeat(np.arange(self.begins.size), np.diff(np.append(self.begins, self.s.size)))
 
     def reached(self, before: IntArray, s: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-        """Return speed and acceleration at distances `s` at most `period` [s] after the samples `before`."""
+        """Return speed and acceleration at distances `s`, reached at most `period` [s] after the samples `before`."""
         v, a, jerk = self.v[before], self.a[before], self.jerk[before]
         behind = self.s[before] - s
         t = -behind / np.maximum(v, _CRAWL)
@@ -356,7 +358,7 @@ def _add_jumps(bounds: ReferenceBounds, samples: _Samples, excess: FloatArray) -
     count = np.maximum(np.searchsorted(places, samples.s[ends], side="right") - first, 0)
     owner = np.repeat(np.arange(count.size), count)
     index = first[owner] + np.arange(owner.size) - (np.cumsum(count) - count)[owner]
-    stride = 2.0 * bounds.limits.length  # moves overlap; shifted apart they are one increasing sequence
+    stride = 2.0 * bounds.limits.length  # moves overlap; after a shift they form one increasing sequence
     key = samples.s + stride * samples.owners
     before = np.maximum(np.searchsorted(key, places[index] + stride * owner) - 1, samples.begins[owner])
     v, a = samples.reached(before, places[index], _SAMPLE)

@@ -1,8 +1,8 @@
-"""Start states: full braking decides in closed form whether (v0, a0) is feasible.
+"""Start states: full braking shows in closed form whether (v0, a0) is feasible.
 
-Viability: among all controls from a start state full braking (jerk -J to -D, hold, +J to rest) gives the least speed at
-every distance: compare da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve stays
-below them; otherwise no other motion violates them less.
+Viability: among all controls from a start state, full braking (jerk -J to -D, hold, +J to rest) gives the least speed
+at every distance, because da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve
+stays below them; otherwise no other motion violates them less.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]
 
-NO_DISTANCE = 1e-9  # [m]: a shorter rest of a segment needs no plan
-_PERIOD = 0.004  # [s], of the samples of full braking
+NO_DISTANCE = 1e-9  # [m]: a shorter remainder of a segment needs no plan
+_PERIOD = 0.004  # [s]: sampling period of full braking
 
 
 def full_stop(start: MotionState, bounds: DriveBounds) -> Phases:
@@ -39,18 +39,18 @@ class Braking:
 
     Args:
         limits: The segment's limits.
-        start: Moving forward, or at rest with acceleration > 0.
+        start: Start state, moving forward or at rest with acceleration > 0.
 
     Attributes:
         motion: The braking motion; it may end beyond the segment.
-        times: Sample times: phase borders, a grid, every node of the limits, Shape (n,) [s].
-        states: Distance, speed, acceleration there, Shape (3, n).
-        path_ratios: Ratios of the limits of the path, which are larger for any other motion from this start, Shape
-            (n,): the speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' >
-            0, else with A; the turning limits at the start itself.
-        cap_ratios: The speed caps alone, Shape (n,).
-        inevitable: The turning limits alone, Shape (n,) each.
-        turning_ratios: Those of `turning_ratio`, Shape (n,).
+        times: Sample times: phase boundaries, a grid, and every node of the limits, Shape (n,) [s].
+        states: Distance, speed, acceleration at these times, Shape (3, n).
+        path_ratios: Ratios of the limits that depend on the path, which no other motion from this start can reduce,
+            Shape (n,): the speed caps; the speed above which no acceleration keeps a turning limit, with D if k k' > 0,
+            otherwise with A; the turning limits at the start itself.
+        cap_ratios: Ratios of the speed caps, Shape (n,).
+        inevitable: Ratios of the turning limits, Shape (n,) each.
+        turning_ratios: Result of `turning_ratio`, Shape (n,).
         drive_ratios: Ratios of the acceleration, which full braking reduces as fast as possible.
         ratios: The larger of `path_ratios` and `drive_ratios`, Shape (n,).
     """
@@ -73,11 +73,11 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """Return the distance from the start in which braking leaves no margins [m].
+        """Return the distance from the start over which braking permits no margins [m].
 
         Args:
-            slack: Relative distance from the limits that is sufficient for margins.
-            turning_share: Ratio of a turning limit that is sufficient for margins.
+            slack: Relative distance from the limits at which margins are possible.
+            turning_share: Ratio of a turning limit at which margins are possible.
         """
         tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
         turning = np.flatnonzero(self.turning_ratios <= turning_share)
@@ -86,11 +86,11 @@ class Braking:
 
 
 class StartVerdict(NamedTuple):
-    """Result of full braking for a moving start; true without a refusal.
+    """Result of full braking for a moving start; true if there is no refusal.
 
     Args:
-        refusal: Reason why no motion keeps every limit; None if a motion may.
-        ways_on: Phases after which a plan may continue, and the state then, best first.
+        refusal: Reason why no motion keeps every limit, or None if a motion may keep them.
+        ways_on: Phases after which a plan may continue, and the state after them, best first.
     """
 
     refusal: SegmentPlan | None
@@ -101,7 +101,7 @@ class StartVerdict(NamedTuple):
 
 
 def judge_start(limits: PathLimits, start: MotionState) -> StartVerdict:
-    """Return the verdict whether the limits of a segment can be kept from a moving start, with the reason if not."""
+    """Return whether the limits of a segment can be kept from a moving start, with the reason if not."""
     begin = limits.begin
     if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot cannot avoid rolling backwards"

@@ -5,8 +5,8 @@ With the acceleration a and the curvature's rate r per metre
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity decreases with c^(n +
-1), so ratios of quantity and limit are raised to the power 2 / (n + 1): all then decrease with the square of c.
+second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity is divided by c^(n +
+1), so ratios of quantity to limit are raised to the power 2 / (n + 1); all ratios are then divided by the square of c.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ _HUGE = 1e12  # replaces a larger bound, so that products with it do not overflo
 
 
 class TurningLimit(NamedTuple):
-    """A bound on d/dt (v^order k)."""
+    """Bound on d/dt (v^order k)."""
 
-    name: str  # in `MotionLimits`
+    name: str  # name in `MotionLimits`
     order: int  # power of the speed, 1 or 2
-    bound: float  # its value, > 0 and finite
+    bound: float  # value of the bound, > 0 and finite
 
     def ratio(self, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the quantity over its bound, to the power 2 / (order + 1). Shape (n,), as for all arguments."""
+        """Return the ratio of quantity to bound, to the power 2 / (order + 1). Shape (n,), as for all arguments."""
         ratio: FloatArray = np.abs(self.order * a * curvature + v * v * rate) * (1.0 / self.bound)
         return ratio if self.order == 1 else np.cbrt(v * ratio) ** 2
 
     def slowness(self, rate: FloatArray, share: float = 1.0) -> FloatArray:
-        """Return 1 / the constant speed that uses a share of the bound, at curvature rates >= 0. Shape (n,) [s/m]."""
+        """Return the reciprocal of the constant speed at a share of the bound, for rates >= 0. Shape (n,) [s/m]."""
         return self._root(rate * (1.0 / (share * self.bound)))
 
     def fastest(self, rate: float) -> float:
-        """Return the constant speed that uses up the bound at a curvature rate >= 0 [m/s]."""
+        """Return the constant speed at which the bound is reached at a curvature rate >= 0 [m/s]."""
         if rate <= 0.0:
             return math.inf
         return math.sqrt(self.bound / rate) if self.order == 1 else math.pow(self.bound / rate, 1.0 / 3.0)
@@ -55,7 +55,7 @@ class TurningLimit(NamedTuple):
         return quantity
 
     def most_squared(self, bounds: FloatArray, rate: FloatArray) -> FloatArray:
-        """Return v^2 of the constant speeds that use up the given bounds at rates > 0. Shape (n,) [m^2/s^2]."""
+        """Return v^2 of the constant speeds that reach the given bounds at rates > 0. Shape (n,) [m^2/s^2]."""
         return bounds / rate if self.order == 1 else np.cbrt(bounds / rate) ** 2
 
     def bounds(self, shares: FloatArray) -> FloatArray:
@@ -64,9 +64,9 @@ class TurningLimit(NamedTuple):
         return bounds
 
     def acceleration_beside(self, v: FloatArray, bend: FloatArray, rate: FloatArray, share: float) -> FloatArray:
-        """Return the acceleration that speeds up to v allow, at curvatures and rates >= 0. Shape (n,) [m/s^2].
+        """Return the acceleration that is possible at speeds up to v, at curvatures and rates >= 0. Shape (n,) [m/s^2].
 
-        It uses a share of the bound less v^2 rate; infinite on a straight line.
+        The acceleration uses a share of the bound less v^2 rate; it is infinite on a straight line.
         """
         power, factor = (1.0, bend) if self.order == 1 else (v, 2.0 * v * bend)
         spare = (self.bound - power * (v * v) * rate) * share
@@ -86,9 +86,10 @@ class TurningLimit(NamedTuple):
         return min(half / (2.0 * v * bend) if v > 0.0 else math.inf, math.pow(half * jerk / bend, 1.0 / 3.0))
 
     def inevitable(self, v: FloatArray, curvature: FloatArray, rate: FloatArray, relief: FloatArray) -> FloatArray:
-        """Return v over the largest speed at which an acceleration of size `relief` keeps the limit. Shape (n,).
+        """Return v divided by the largest speed at which an acceleration of size `relief` keeps the limit. Shape (n,).
 
-        The sign of the acceleration is the favourable one. Above 1 the limit cannot be kept at v or any larger speed.
+        The acceleration has the favourable sign. If the ratio is above 1, the limit cannot be kept at v or any larger
+        speed.
         """
         bend = np.abs(curvature) if self.order == 1 else 2.0 * v * np.abs(curvature)
         ratio: FloatArray = v * self._root(np.abs(rate) / (self.bound + bend * relief))
@@ -108,7 +109,7 @@ def turning_limits(drive: MotionLimits) -> tuple[TurningLimit, ...]:
 def turning_ratio(
     limits: tuple[TurningLimit, ...], curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray
 ) -> FloatArray:
-    """Return the largest ratio of all limits; 0 without limits. Shape (n,), as for all arguments."""
+    """Return the largest ratio of all limits, or 0 if there are none. Shape (n,), as for all arguments."""
     largest: FloatArray = np.zeros(v.shape)
     for limit in limits:
         largest = np.maximum(largest, limit.ratio(curvature, rate, v, a))

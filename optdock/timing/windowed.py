@@ -1,7 +1,7 @@
-"""The windowed method: constant limits in windows of little variation, one ruckig motion per window.
+"""The windowed method: constant limits in windows in which they vary little, one ruckig motion per window.
 
-The method is simple, and within every limit by construction: a window uses the strictest value of every limit, the
-acceleration is zero at every window border, and the border speeds can be reached in the windows on both sides.
+The method is simple and keeps every limit by construction: a window uses the strictest value of every limit, the
+acceleration is zero at every window boundary, and the speeds there can be reached in the windows on both sides.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Window", "Windowed", "WindowedParameters", "reachable_speed", "s_curve_length", "windowed_plans"]
 
-_MARGIN = 1e-3  # share of the speed caps left unused, for the curvature between the nodes of a polyline
-_LOOK_EVERY = 500  # nodes of a path, half a millisecond, between two checks of the deadline
+_MARGIN = 1e-3  # share of the speed caps that is not used, because of the curvature between the nodes of a polyline
+_LOOK_EVERY = 500  # number of nodes (half a millisecond) between two checks of the deadline
 
 
 class WindowedParameters(PluginParameters):
     """Parameters of `Windowed`."""
 
     max_window: float = Field(default=1.0, gt=0.0, description="longest window [m]")
-    cap_ratio: float = Field(default=1.2, gt=1.0, description="largest quotient of two speed caps in a window")
+    cap_ratio: float = Field(default=1.2, gt=1.0, description="largest ratio of two speed caps in a window")
     yaw_share: float = Field(
         default=0.8, gt=0.0, lt=1.0, description="share of yaw acceleration and lateral jerk for the curvature rate"
     )
 
 
 class Windowed(SegmentTimeParameterizer):
-    """Time laws from constant limits in windows: robust, and 3 % (easy paths) to 17 % slower than necessary."""
+    """Time laws from constant limits in windows; robust, but 3 % (easy paths) to 17 % slower than the optimum."""
 
     Parameters = WindowedParameters
     parameters: WindowedParameters
@@ -55,7 +55,7 @@ class Windowed(SegmentTimeParameterizer):
 
 
 class Window(NamedTuple):
-    """A stretch [m] with constant limits that imply all others."""
+    """Interval [m] with constant limits that are at least as strict as all limits in it."""
 
     left: float
     right: float
@@ -65,7 +65,7 @@ class Window(NamedTuple):
 def windowed_plans(
     limits: PathLimits, start: MotionState, deadlines: Deadlines, settings: WindowedParameters | None = None
 ) -> Iterator[SegmentPlan]:
-    """Yield one plan of a segment: FAIL if the first window cannot be reached from the start state.
+    """Yield one plan of a segment; its status is FAIL if the first window cannot be reached from the start state.
 
     Raises:
         OutOfTime: If the deadline passed.
@@ -73,7 +73,7 @@ def windowed_plans(
     jerk = limits.drive.max_jerk
     head: Phases = ((abs(start.a) / jerk, -math.copysign(jerk, start.a)),) if start.a else ()
     level = state_after(start, *head[0]) if head else start
-    level = level._replace(v=max(level.v, 0.0))  # negative only by rounding
+    level = level._replace(v=max(level.v, 0.0))  # negative only because of rounding
     if level.s >= limits.length:
         reason = "the path is too short to end the start acceleration"
         yield SegmentPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=limits.begin)
@@ -89,7 +89,7 @@ def windowed_plans(
         deadlines.last.look()
         length = window.right - window.left
         found = move(MotionState(0.0, v0), MotionState(length, v1), window.bounds)
-        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre
+        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over one micrometre
             found = ((length / v0, 0.0),)
         if found is None:
             break  # the motion ends before the end of the segment
@@ -121,7 +121,7 @@ def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedParameters
     """Return the indices of the nodes between windows, by the ratio of the caps, the length and the zone."""
     zone = int(np.searchsorted(limits.s, limits.zone_start - 1e-12)) if limits.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
-    longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
+    longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the boundaries
     for i, (value, s) in enumerate(zip(slowness.tolist(), limits.s[1:].tolist(), strict=True)):
         if i % _LOOK_EVERY == 0:
             deadline.look()
@@ -134,7 +134,7 @@ def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedParameters
 
 
 def _border_speeds(windows: list[Window], start_speed: float, deadline: Deadline) -> list[float]:
-    """Return the speeds at the window borders, by a backward pass from rest and a forward pass from `start_speed`."""
+    """Return the speeds at window boundaries, by a backward pass from rest and a forward pass from `start_speed`."""
     caps = [window.bounds.speed for window in windows]
     speeds = [caps[0], *map(min, caps[:-1], caps[1:]), 0.0]
     for i in range(len(windows) - 1, -1, -1):
@@ -163,7 +163,7 @@ def reachable_speed(window: Window, slow: float, acceleration: float, wanted: fl
         # (2 v0 + g) sqrt(g / J) = length with g = v1 - v0: u^3 + p u = q with u = sqrt(g)
         root = _cubic_root(2.0 * slow, length * math.sqrt(jerk))
         found = slow + root * root
-    while found > slow and s_curve_length(slow, found, acceleration, jerk) > length:  # rounding of a small gain
+    while found > slow and s_curve_length(slow, found, acceleration, jerk) > length:  # a small gain is rounded
         found = math.nextafter(found, slow)
     return found
 
@@ -171,13 +171,13 @@ def reachable_speed(window: Window, slow: float, acceleration: float, wanted: fl
 def _cubic_root(p: float, q: float) -> float:
     """Return the real solution of u^3 + p u = q for p >= 0, q > 0."""
     scale = math.sqrt(p / 3.0)
-    if 2.0 * scale**3 <= 1e-12 * q:  # p changes the cube root by less than rounding
+    if 2.0 * scale**3 <= 1e-12 * q:  # p changes the cube root by less than a rounding error
         return math.exp(math.log(q) / 3.0) * (1.0 - 1e-8)
     return 2.0 * scale * math.sinh(math.asinh(0.5 * q / scale**3) / 3.0)
 
 
 def s_curve_length(slow: float, fast: float, acceleration: float, jerk: float) -> float:
-    """Return the length of the S-curve between two speeds with zero acceleration at both ends: mean speed * time."""
+    """Return the length of the S-curve between two speeds with zero acceleration at both ends."""
     gain = fast - slow
     full = acceleration * acceleration / jerk
     time = gain / acceleration + acceleration / jerk if gain >= full else 2.0 * math.sqrt(gain / jerk)

@@ -289,8 +289,8 @@ def test_a_path_that_only_says_it_is_certified_is_named(planned):
     moved = write(SCENARIO, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, 0], [2.2, 0], [2.2, 1], [2, 1]]")
     result = run("certify", folder / "plan.json", moved)
     assert result.exit_code == 3
-    assert "false claim: status is 'certified', the path is not\n" in result.stderr
-    assert "false claim: certificate.certified is true, the path is not certified\n" in result.stderr
+    assert "false claim: status is 'certified', but the path is not certified\n" in result.stderr
+    assert "false claim: certificate.certified is true, but the path is not certified\n" in result.stderr
 
 
 def test_certify_says_that_a_file_holds_no_motion(planned):
@@ -300,7 +300,7 @@ def test_certify_says_that_a_file_holds_no_motion(planned):
     pathlib.Path("path.json").write_text(json.dumps(document))
     result = run("certify", "path.json", folder / "bay.yaml")
     assert result.exit_code == 0
-    assert result.stdout.splitlines()[-1].split(maxsplit=1) == ["motion", "none in the file, only the path is checked"]
+    assert result.stdout.splitlines()[-1].split(maxsplit=1) == ["motion", "none in the file; only the path is checked"]
 
 
 def test_certify_judges_a_path_that_optdock_did_not_make(planned):
@@ -327,7 +327,7 @@ def test_certify_refuses_a_plan_of_another_frame(planned):
     pathlib.Path("odom.json").write_text(json.dumps({**document, "frame": "odom"}))
     result = run("certify", "odom.json", folder / "bay.yaml")
     assert result.exit_code == 3
-    assert "not certified: the frame of the plan is 'odom', that of the scenario 'map'" in result.stderr
+    assert "not certified: the plan is in frame 'odom', the scenario in frame 'map'" in result.stderr
     pathlib.Path("unnamed.json").write_text(json.dumps({**document, "frame": ""}))
     assert run("certify", "unnamed.json", folder / "bay.yaml").exit_code == 0
 
@@ -374,7 +374,7 @@ def test_certify_refuses_a_file_without_a_path(planned):
     result = run("certify", "empty.json", folder / "bay.yaml")
     assert (result.exit_code, result.stderr) == (
         3,
-        "not certified: the file has no path, its status is GoalOccupied\n",
+        "not certified: the file has no path; its status is GoalOccupied\n",
     )
 
 
@@ -574,7 +574,7 @@ def test_no_command_writes_over_its_scenario(command):
     pathlib.Path("bay.yaml").replace(name)
     result = run(command[0], name, command[1], f"./{name}")
     assert result.exit_code == 2
-    assert result.stderr == f"{name}: is the file to read, and would be overwritten; choose another name\n"
+    assert result.stderr == f"{name}: is the input file and would be overwritten; choose another name\n"
     assert pathlib.Path(name).read_text() == SCENARIO
 
 
@@ -583,7 +583,7 @@ def test_no_result_overwrites_another(other):
     write()
     result = run("plan", "bay.yaml", "--out", "plan.json", "--csv", other)
     assert result.exit_code == 2
-    assert result.stderr.endswith("is given twice, and one result would overwrite the other\n")
+    assert result.stderr.endswith("is given twice, so one result would overwrite the other\n")
     assert not pathlib.Path("plan.json").exists()
     assert run("plan", "bay.yaml", "--out", "/dev/null", "--csv", "/dev/null").exit_code == 0
 
@@ -722,7 +722,7 @@ def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
     pathlib.Path("folder").mkdir()
     result = run("compare", "bay.yaml", "map.yaml", "notes.txt", "folder", "--out", "cmp")
     assert result.exit_code == 0
-    why = "skipped, it has no line 'format: optdock-scenario/1'"
+    why = "skipped, because it has no line 'format: optdock-scenario/1'"
     assert result.stderr.splitlines() == [f"{name}: {why}" for name in ("map.yaml", "notes.txt", "folder")]
     rows = list(csv.DictReader((tmp_path / "cmp" / "comparison.csv").read_text().splitlines()))
     assert [row["scenario"] for row in rows] == ["bay", "bay"]
@@ -838,6 +838,6 @@ def test_certify_refuses_a_proof_that_does_not_hold(impossible):
     wider = write((impossible / "walled.yaml").read_text(), "[2.4, 1.3], [2.6, 1.3]", "[2.4, 2.1], [2.6, 2.1]")
     result = run("certify", impossible / "plan.json", wider)
     assert result.exit_code == 3
-    assert "does not hold" in result.stderr
+    assert "is not valid" in result.stderr
     assert re.search(r"verdict +not certified", result.stdout)
     assert "another problem: obstacles differ" in " ".join(result.stdout.split())

@@ -288,10 +288,10 @@ def test_wrong_choice_of_timing_is_not_replaced(choice, error, message):
     ("ask", "message"),
     [
         (lambda: plan_dock(None), "problem: must be a DockingProblem, got NoneType"),
-        (lambda: plan_dock(problem(), planner=3), "planner: must be a GlobalPlanner or the name of one, got int"),
+        (lambda: plan_dock(problem(), planner=3), "planner: must be a GlobalPlanner or its name, got int"),
         (
             lambda: plan_dock(problem(), timing=Liar()),
-            "timing: must be a TimeParameterizer or the name of one, got Liar",
+            "timing: must be a TimeParameterizer or its name, got Liar",
         ),
         (lambda: plan_dock(problem(), smoother=Liar), r"got the class Liar; write Liar\(\)"),
         (lambda: plan_dock(problem(), warm_start="plan.json"), "warm_start: must be a Path, got str"),

@@ -135,7 +135,10 @@ def test_every_ratio_must_be_proven(problems):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda d: d["certificate"].update(certified=False), "certificate.certified is false, the path is certified"),
+        (
+            lambda d: d["certificate"].update(certified=False),
+            "certificate.certified is false, but the path is certified",
+        ),
         (lambda d: d["certificate"].update(violations=[{"kind": "clearance"}]), "certificate.violations is not empty"),
         (lambda d: d["certificate"].update(nearest="the moon"), "no obstacle has this name"),
         (lambda d: d["certificate"].update(nearest=""), "certificate.nearest is empty"),
@@ -144,7 +147,7 @@ def test_every_ratio_must_be_proven(problems):
         (lambda d: d["tried"][0].update(price=1.0), "tried: the lowest price is 1 s"),
         (lambda d: d.update(raw_path=document_of("straight")["raw_path"]), "raw_path begins"),
         (lambda d: d.update(status="FailedToSmoothPath", trajectory=None), "the file is a refusal"),
-        (lambda d: d.update(frame="odom"), "the frame of the plan is 'odom'"),
+        (lambda d: d.update(frame="odom"), "the plan is in frame 'odom'"),
     ],
 )
 def test_false_claims_refute_a_file(problems, change, said):

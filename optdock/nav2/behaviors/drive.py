@@ -68,9 +68,9 @@ class _Motion:
 
 
 class _StraightBehavior(Behavior, ABC):
-    """Common part of both behaviors.
+    """Base class of both behaviors.
 
-    Unlike in Nav2, which checks the edges of the footprint on a grid at single poses, the whole footprint is swept
+    Nav2 checks the edges of the footprint on a grid at single poses; here the whole footprint is swept
     continuously in the collision check.
     """
 
@@ -84,7 +84,7 @@ class _StraightBehavior(Behavior, ABC):
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """The local costmap."""
+        """The local costmap is used."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod
@@ -134,7 +134,7 @@ class _StraightBehavior(Behavior, ABC):
             return _SUCCEEDED, Twist2()
         motion.speed = self._next_speed(motion, remaining)
         twist = Twist2(math.copysign(motion.speed, motion.command.speed))
-        # One cycle beyond the target, because the command holds until the next cycle.
+        # The check covers one cycle beyond the target, because the command is executed until the next cycle.
         ahead = min(p.simulate_ahead_time, remaining / motion.speed + 1.0 / p.cycle_frequency)
         refusal = "" if motion.command.disable_collision_checks else self._collision(pose, twist, ahead)
         if refusal:
@@ -142,7 +142,7 @@ class _StraightBehavior(Behavior, ABC):
         return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, motion: _Motion, remaining: float) -> float:
-        """Next speed towards the commanded one that allows a stop within the remaining distance [m/s]."""
+        """Return the next speed towards the commanded speed that allows a stop within the remaining distance [m/s]."""
         p, highest = self.parameters, abs(motion.command.speed)
         faster = motion.speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)
@@ -150,7 +150,7 @@ class _StraightBehavior(Behavior, ABC):
         return max(min(highest, faster, braking, arriving), min(p.minimum_speed, highest))
 
     def _collision(self, pose: Pose2, twist: Twist2, duration: float) -> str:
-        """Description of a collision within `duration` [s]; empty if there is none."""
+        """Return the description of a collision within `duration` [s], or an empty string."""
         footprint, clearance = self.context.footprint, self.parameters.clearance
         assert footprint is not None
         reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance
@@ -174,7 +174,7 @@ class DriveOnHeading(_StraightBehavior):
     codes = Codes(unknown=720, timeout=721, collision_ahead=723, invalid_input=724)
 
     def directed(self, command: DriveCommand) -> DriveCommand:
-        """Return the command unchanged; the sign of target and speed is the direction of travel.
+        """Return the command unchanged; the sign of target and speed gives the direction of travel.
 
         Raises:
             InvalidValue: If the signs differ, or one of the two is 0.

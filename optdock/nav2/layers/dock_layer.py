@@ -1,4 +1,4 @@
-"""DockLayer: the dock as an obstacle, with the docked robot's cells free."""
+"""DockLayer: marks the dock as an obstacle and frees the cells of the docked robot."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class DockLayerParameters(LayerParameters):
 
 
 class DockLayer(Nav2Layer):
-    """Clear the mapped cells around the docked robot, mark the dock, and free the docked robot's own cells.
+    """Clear the mapped cells around the docked robot, mark the dock, and free the cells of the docked robot.
 
     The dock is one or two cells too large in a map built from scans, so the docked robot appears to collide. The layer
-    belongs above the map's layer and below those of sensors. Parts that need a dock or the robot's footprint are
-    skipped without one.
+    belongs above the map's layer and below the sensor layers. Steps that need the dock or the robot's footprint are
+    skipped if it is unknown.
 
     Args:
         **parameters: Fields of `DockLayerParameters`.
@@ -51,7 +51,7 @@ class DockLayer(Nav2Layer):
         self._dock: Dock | None = None
 
     def on_configure(self) -> None:
-        """Use the dock of the context's problem unless one was set before."""
+        """Use the dock of the context's problem unless a dock was set before."""
         if self._dock is None and self.context.problem is not None:
             self.set_dock(self.context.problem.dock)
 
@@ -59,14 +59,14 @@ class DockLayer(Nav2Layer):
         """Replace the dock.
 
         Raises:
-            InvalidValue: If `dock` is neither a Dock nor None; the previous one is kept.
+            InvalidValue: If `dock` is neither a Dock nor None; the previous dock is kept.
         """
         if not (dock is None or isinstance(dock, Dock)):
             raise InvalidValue(f"{self.context.name}: a dock must be a Dock or None, got {dock!r}")
         self._dock = dock
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:  # noqa: ARG002 - the interface's
-        """Return `bounds` grown to the dock and the cleared cells."""
+        """Return `bounds` extended by the dock and the cleared cells."""
         if self._dock is not None:
             for outline, _ in self._outlines(self._dock):
                 bounds = joined(bounds, outline_bounds(outline, self._dock.pose))
@@ -84,7 +84,7 @@ class DockLayer(Nav2Layer):
                 fill_footprint(master, outline, self._dock.pose, cost, window)
 
     def _outlines(self, dock: Dock) -> list[tuple[Footprint, int]]:
-        """Outlines at the docked pose and their costs, in the order of writing."""
+        """Return the outlines at the docked pose and their costs, in the order in which they are written."""
         robot, margin = self.context.footprint, self.parameters.contact_margin
         outlines = []
         if robot is not None:

@@ -1,4 +1,4 @@
-"""Base of the layers: common parameters, boxes in metres and windows of cells."""
+"""Base class of the layers, with common parameters, boxes in metres and windows of cells."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ CellWindow = tuple[slice, slice]
 
 
 class LayerParameters(PluginParameters):
-    """Base of the layers' parameters.
+    """Base class of the layers' parameters.
 
-    Names with a meaning on a ROS graph only (topics, transforms) are accepted and dropped, so that a block of a Nav2
+    Parameters that only matter in a ROS graph (topics, transforms) are accepted and ignored, so that a block of a Nav2
     parameter file can be used unchanged.
     """
 
@@ -46,7 +46,7 @@ class LayerParameters(PluginParameters):
 
 
 class Nav2Layer(Layer):
-    """A layer with the parameter `enabled` and without observations, written completely in every update."""
+    """Layer that has the parameter `enabled`, has no observations, and is written completely in every update."""
 
     Parameters = LayerParameters
     parameters: LayerParameters

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 __all__ = ["CellList", "cells_of_lines", "cells_of_polygon", "fill_footprint"]
 
-_SLACK = 1e-9  # in cells: polygons that touch a cell up to rounding meet it
+_SLACK = 1e-9  # [cells]: a polygon within this distance of a cell counts as touching it
 
 
 class CellList(NamedTuple):
-    """Cells (i, j), Shape (m, 2), and the index of the line of each, ascending, Shape (m,)."""
+    """Cells (i, j), Shape (m, 2), and for each cell the index of its line, ascending, Shape (m,)."""
 
     cells: IntArray
     owner: IntArray
@@ -47,10 +47,10 @@ def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
 
 
 def cells_of_polygon(vertices: FloatArray) -> IntArray:
-    """Return the cells (i, j) that a convex polygon or its interior meets, Shape (m, 2).
+    """Return the cells (i, j) that a convex polygon overlaps or touches, Shape (m, 2).
 
-    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: a square and a convex polygon are
-    separated only along a side of either.
+    Cell i spans [i, i + 1), as in `floor`. The test is exact, by separating axes: if a square and a convex polygon are
+    separated, then along a side of one of them.
 
     Args:
         vertices: Shape (k, 2), counter-clockwise, in cells from the grid's origin.
@@ -59,7 +59,8 @@ def cells_of_polygon(vertices: FloatArray) -> IntArray:
     x, y = (np.arange(first, last + 1.0) + 0.5 for first, last in zip(low, high, strict=True))
     meets: BoolArray = np.ones((len(y), len(x)), dtype=np.bool_)
     for start, edge in zip(vertices, np.roll(vertices, -1, axis=0) - vertices, strict=True):
-        # Outward normal (dy, -dx); the lowest point of a square along it is half a cell per axis below the centre.
+        # Outward normal (dy, -dx); the lowest point of a square along the normal is half a cell per axis below the
+        # centre.
         reach = 0.5 * np.abs(edge).sum() + _SLACK * np.hypot(*edge)
         meets &= edge[1] * (x - start[0]) - edge[0] * (y[:, None] - start[1]) <= reach
     rows, columns = np.nonzero(meets)
@@ -70,7 +71,7 @@ def cells_of_polygon(vertices: FloatArray) -> IntArray:
 def fill_footprint(
     grid: Costmap, footprint: Footprint, pose: Pose2, cost: int, window: tuple[slice, slice] | None = None
 ) -> None:
-    """Write `cost` into every cell of a writable grid that the footprint meets.
+    """Write `cost` into every cell of a writable grid that the footprint overlaps or touches.
 
     Args:
         grid: Modified in place.

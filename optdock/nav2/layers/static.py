@@ -44,9 +44,9 @@ class StaticLayerParameters(LayerParameters):
 
 
 class StaticLayer(Nav2Layer):
-    """Write a map into the master grid: each master cell takes the cost of the map's cell at its centre.
+    """Write a map into the master grid: each master cell gets the cost of the map's cell at its centre.
 
-    Master cells outside of the map are unchanged. The layer is not current before `set_map`.
+    Master cells outside the map are not changed. The layer is not current before `set_map`.
 
     Args:
         **parameters: Fields of `StaticLayerParameters`.
@@ -74,11 +74,11 @@ class StaticLayer(Nav2Layer):
         self._map = grid
 
     def is_current(self) -> bool:
-        """Whether there is a map that was not declared out of date."""
+        """Whether a map is set and was not declared out of date."""
         return super().is_current() and self._map is not None
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:
-        """Return `bounds` grown to the map and to the footprint that is cleared."""
+        """Return `bounds` extended by the map and by the footprint that is cleared."""
         self._robot = robot
         if self._map is None:
             return bounds

@@ -1,6 +1,6 @@
 """Contract suites: the rules that a plugin must keep, as tests that its author runs.
 
-There is one suite per interface, a plain class with methods `test_...`; pytest collects a subclass that builds the
+There is one suite per interface, a plain class with methods `test_...`. pytest collects a subclass that constructs the
 plugin. No test runner is imported here.
 
     from optdock.testing.contracts import GoalCheckerContract
@@ -9,8 +9,8 @@ plugin. No test runner is imported here.
         def make_plugin(self):
             return MyChecker(tolerance=0.1)
 
-Class attributes and methods adapt a suite to a plugin. `installed_suites` makes a suite for every installed plugin;
-`failures` runs one without a test runner.
+Class attributes and methods adapt a suite to a plugin. `installed_suites` returns a suite for every installed plugin;
+`failures` runs a suite without a test runner.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ CONTRACTS: Mapping[str, type] = {
     "layers": LayerContract,
     "docks": DockTypeContract,
 }
-"""The suite of every kind of plugin in `optdock.plugins.registry.INTERFACES`."""
+"""Suite for every kind of plugin in `optdock.plugins.registry.INTERFACES`."""
 
 
 def installed_suites(samples: Mapping[str, Mapping[str, object]] | None = None) -> dict[str, type]:
@@ -75,7 +75,7 @@ def installed_suites(samples: Mapping[str, Mapping[str, object]] | None = None) 
 
     Args:
         samples: Attributes and methods of the suite by `kind.name` of the plugin, such as `layers.StaticLayer`:
-            `plugin_parameters` for its construction, `needs_context`, `feed` and others.
+            `plugin_parameters` for constructing the plugin, `needs_context`, `feed` and others.
 
     Raises:
         InvalidValue: If a sample has an attribute that its suite does not have.
@@ -101,7 +101,7 @@ def failures(suite: type) -> dict[str, str]:
     """Return the messages of the failing tests of a suite, by test name.
 
     Args:
-        suite: A subclass of a contract that can be built without arguments.
+        suite: A subclass of a contract that can be constructed without arguments.
     """
     broken: dict[str, str] = {}
     for name in sorted(name for name in dir(suite) if name.startswith("test_")):

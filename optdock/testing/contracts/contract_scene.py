@@ -43,7 +43,7 @@ _FREE = Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-
 
 
 def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: ObstacleSet | None = None) -> DockingProblem:
-    """Return a problem from `start` into a dock whose station begins 5 cm before the docked robot's front."""
+    """Return a problem from `start` into a dock whose station begins 5 cm in front of the docked robot."""
     return DockingProblem(start, Dock(goal, _DOCK), ROBOT, obstacles or ObstacleSet.empty())
 
 
@@ -68,14 +68,14 @@ def room_costmap() -> Costmap:
 
 
 def room() -> ObstacleSet:
-    """Return walls around the robot at the origin, too narrow to turn and too short to drive a metre."""
+    """Return walls around the robot at the origin, too close for the robot to turn or to drive a metre."""
     low = np.array([(-3.0, 0.3), (-3.0, -0.6), (0.7, -0.3), (-1.2, -0.3)])
     high = np.array([(3.0, 0.6), (3.0, -0.3), (1.4, 0.3), (-0.6, 0.3)])
     return ObstacleSet.from_rectangles(low, high, "wall")
 
 
 def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
-    """Return a polyline from `start` to a `goal` ahead of it: an S with 1 cm of zigzag, in steps of 5 cm."""
+    """Return a polyline from `start` to a `goal` ahead of it, an S with a zigzag of 1 cm, in steps of 5 cm."""
     end = goal.in_frame_of(start)
     x = np.linspace(0.0, end.x, 1 + round(abs(end.x) / 0.05))
     share = x / end.x
@@ -96,7 +96,7 @@ def bent_path() -> Path:
 
 
 def post_inside_the_bend() -> ObstacleSet:
-    """Return a post of 20 cm inside the corner of `bent_path`, which the robot passes by less than 1 mm."""
+    """Return a post of 20 cm inside the corner of `bent_path`, which the robot passes at less than 1 mm."""
     return ObstacleSet.from_rectangles(np.array([[1.2, 0.469]]), np.array([[1.4, 0.669]]), "post")
 
 
@@ -106,5 +106,5 @@ def cusp_path() -> Path:
 
 
 def moved_path(path: Path, motion: Pose2) -> Path:
-    """Return the poses of a path, every 5 cm, moved by a rigid motion."""
+    """Return a polyline through the poses of a path, every 5 cm, moved by a rigid motion."""
     return Path.from_poses([motion @ Pose2.from_sequence(row) for row in path.sample(0.05).poses])

@@ -1,4 +1,4 @@
-"""The contracts of controllers, goal checkers, behaviors and dock types."""
+"""Contracts of controllers, goal checkers, behaviors and dock types."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ __all__ = ["BehaviorContract", "ControllerContract", "DockTypeContract", "GoalCh
 _REST = Twist2()
 _FAR = 100.0  # [m]
 _FAR_DOCK = Pose2(50.0, 0.0, 0.0)  # far from every drive of this module
-_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 60, 100, 20  # [s], and commands
+_COMMAND_PERIOD, _CYCLES, _LIMITED_CYCLES, _STOP_CYCLES, _SETTLING = 0.05, 240, 60, 100, 20  # [s]; numbers of commands
 _SLACK = 1.0 + 1e-6
-_LIMIT_SLACK = 1.05  # of a speed limit: feedback may add to a reference that was slowed down
-_BEHAVIOR_PERIOD, _BEHAVIOR_CYCLES = 0.1, 400  # [s], and cycles within which a behavior ends
+_LIMIT_SLACK = 1.05  # factor on a speed limit: feedback may add to a reference that was slowed down
+_BEHAVIOR_PERIOD, _BEHAVIOR_CYCLES = 0.1, 400  # [s]; number of cycles within which a behavior ends
 _DOCK_PERIOD = 0.02  # [s]
-_DISTANCES = (0.7, 1.5)  # [m]: Nav2's staging distance, and one for a robot with wide turns
-_FARTHEST = 20.0  # [m] from the dock, of a staging pose
+_DISTANCES = (0.7, 1.5)  # [m]: Nav2's staging distance, and a distance for a robot with wide turns
+_FARTHEST = 20.0  # [m]: largest distance of a staging pose from the dock
 _DETECTION = Detection(0.0, Pose2(0.8, 0.05, 0.02), 0.003, 0.005)
 
 
 class _UnreachedGoal(GoalChecker):
-    """A goal checker with given tolerances that never reports arrival."""
+    """Goal checker with given tolerances that never reports arrival."""
 
     tolerances = Tolerances()
 
@@ -72,10 +72,10 @@ class _UnreachedGoal(GoalChecker):
 
 
 class ControllerContract(PluginContract[Controller]):
-    """The rules of `optdock.plugins.interfaces.Controller`, with perfect actuation at 20 Hz.
+    """Rules of `optdock.plugins.interfaces.Controller`, with perfect actuation at 20 Hz.
 
     Attributes:
-        arrival_tolerance: Largest distance from the end without a goal checker [m].
+        arrival_tolerance: Largest accepted distance from the end of the path if there is no goal checker [m].
     """
 
     interface: ClassVar[type[Controller]] = Controller
@@ -86,7 +86,7 @@ class ControllerContract(PluginContract[Controller]):
         return scene_context(scene_problem(goal=_FAR_DOCK))
 
     def exercise(self, plugin: Controller) -> object:
-        """Return the first commands along an S, after a reset."""
+        """Return the first commands along an S-shaped path, after a reset."""
         plugin.reset()
         plugin.set_path(s_curve_drive(ORIGIN))
         commands, _ = self._drive(plugin, 10)
@@ -98,13 +98,13 @@ class ControllerContract(PluginContract[Controller]):
         controller = self.ready_plugin()
         call = partial(controller.compute_velocity_commands, ORIGIN, _REST, None)
         for _ in range(2):
-            refused(call, ControllerException, "without a path there is no command")
+            refused(call, ControllerException, "there is no command without a path")
             controller.set_path(s_curve_drive(ORIGIN))
             self._drive(controller, 3)
             controller.reset()
 
     def test_it_drives_to_the_end_within_the_limits(self) -> None:
-        """`compute_velocity_commands`: a trajectory or a path, with or without the tolerances of a goal checker."""
+        """`compute_velocity_commands`: a trajectory or a path is driven to its end, with or without a goal checker."""
         task = s_curve_drive(ORIGIN)
         accepted = _UnreachedGoal(Tolerances()), _UnreachedGoal(Tolerances(x=0.02, y=0.02, yaw=0.05))
         runs: list[tuple[Path | Trajectory, GoalChecker | None]] = [(task, None), (task.path, accepted[0])]
@@ -112,7 +112,7 @@ class ControllerContract(PluginContract[Controller]):
             self._require_arrival(self._drive(self._following(follow), _CYCLES, checker), task.path.end)
 
     def test_a_reverse_gear_is_driven_or_refused(self) -> None:
-        """`set_path`: ControllerInvalidPath with a reason, or commands of negative speed to the end."""
+        """`set_path`: ControllerInvalidPath with a reason, or commands with negative speed up to the end."""
         for task in (straight_drive(ORIGIN, Direction.REVERSE), cusp_drive(ORIGIN)):
             controller = attempted(partial(self._following, task), ControllerInvalidPath)
             if controller is not None:
@@ -121,7 +121,7 @@ class ControllerContract(PluginContract[Controller]):
                 self._require_arrival(run, task.path.end)
 
     def test_a_speed_limit_holds_until_it_is_removed(self) -> None:
-        """`set_speed_limit`: percent or m/s, by position or by name; 0 removes the limit; InvalidValue otherwise."""
+        """`set_speed_limit`: the limit is in percent or m/s; 0 removes it; wrong values raise InvalidValue."""
         free, top = self._peak_after(lambda _: None), ROBOT.limits.max_speed
         slow = 0.4 * free
         by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, False))  # noqa: FBT003 - as in Nav2
@@ -141,7 +141,7 @@ class ControllerContract(PluginContract[Controller]):
             refused(call, InvalidValue, f"set_speed_limit({limit}, {percentage!r}) is refused")
 
     def test_cancelling_ends_in_a_stop(self) -> None:
-        """`cancel`: False while ever slower commands follow, True when stopped; then a new path can be driven."""
+        """`cancel`: False while the commands become slower, True at rest; then a new path can be driven."""
         controller = self._following(s_curve_drive(ORIGIN))
         commands, pose = self._drive(controller, 40)
         twist, asked = commands[-1], 0
@@ -151,12 +151,15 @@ class ControllerContract(PluginContract[Controller]):
             stamp = (39 + asked) * _COMMAND_PERIOD
             command = controller.compute_velocity_commands(pose, twist, None, stamp=stamp)
             slower = abs(command.linear) <= max(abs(twist.linear), 0.02) * _SLACK
-            require(slower, f"a cancelled drive becomes slower, got {twist.linear} then {command.linear} m/s")
+            require(slower, f"a cancelled drive becomes slower, got {twist.linear}, then {command.linear} m/s")
             pose, twist = pose.moved(command, _COMMAND_PERIOD), command
         still = asked == 0 or (abs(twist.linear) <= 1e-3 and abs(twist.angular) <= 1e-2)
-        require(still, f"cancel returns True when stopped, the last command was {twist}")
+        require(still, f"cancel returns True at rest, but the last command was {twist}")
         controller.reset()
-        require(self.exercise(controller) == self.exercise(self.ready_plugin()), "a new path is followed as before")
+        require(
+            self.exercise(controller) == self.exercise(self.ready_plugin()),
+            "a new path is followed as by a new controller",
+        )
 
     def test_a_robot_far_from_its_path_gets_an_error_or_a_command(self) -> None:
         """`compute_velocity_commands`: a ControllerException with a reason, or a command within the limits."""
@@ -175,7 +178,7 @@ class ControllerContract(PluginContract[Controller]):
     def _drive(
         controller: Controller, cycles: int = _CYCLES, checker: GoalChecker | None = None
     ) -> tuple[list[Twist2], Pose2]:
-        """Commands and last pose of a run from the origin."""
+        """Return commands and last pose of a run from the origin."""
         pose, twist, commands = ORIGIN, _REST, []
         for k in range(cycles):
             twist = controller.compute_velocity_commands(pose, twist, checker, stamp=k * _COMMAND_PERIOD)
@@ -192,7 +195,9 @@ class ControllerContract(PluginContract[Controller]):
         commands, pose = run
         _require_within_limits(commands)
         missed = pose.distance_to(end)
-        require(missed <= self.arrival_tolerance, f"it arrives within {self.arrival_tolerance} m, missed by {missed} m")
+        require(
+            missed <= self.arrival_tolerance, f"the robot arrives within {self.arrival_tolerance} m, got {missed} m"
+        )
 
 
 def _require_within_limits(commands: list[Twist2]) -> None:
@@ -208,12 +213,12 @@ def _require_within_limits(commands: list[Twist2]) -> None:
 
 
 def _remaining(length: float, goal: Pose2 = GOAL) -> list[Pose2]:
-    """A straight remaining path of `length` [m] that ends at the goal."""
+    """Return a straight remaining path of `length` [m] that ends at the goal."""
     return [goal @ Pose2(-length * share, 0.0, 0.0) for share in (1.0, 0.5, 0.0)]
 
 
 class GoalCheckerContract(PluginContract[GoalChecker]):
-    """The rules of `optdock.plugins.interfaces.GoalChecker`."""
+    """Rules of `optdock.plugins.interfaces.GoalChecker`."""
 
     interface: ClassVar[type[GoalChecker]] = GoalChecker
 
@@ -223,7 +228,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         return tuple(plugin.is_goal_reached(*query) for query in self.queries())
 
     def queries(self, motion: Pose2 | None = None) -> Iterator[tuple[Pose2, Pose2, Twist2, list[Pose2]]]:
-        """Yield 60 random query poses near the goal, with goal, velocity and path, all moved by `motion`."""
+        """Yield 60 random query poses near the goal, with goal, velocity and path, all transformed by `motion`."""
         draw, goal = np.random.default_rng(5), (motion or Pose2(0.0, 0.0, 0.0)) @ GOAL
         for _ in range(60):
             dx, dy, turn = draw.normal(size=3) * (0.2, 0.2, 0.3)
@@ -231,15 +236,17 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
             yield goal @ Pose2(dx, dy, turn), goal, Twist2(v, w), _remaining(length, goal) if length else []
 
     def test_a_robot_at_rest_at_the_goal_has_arrived(self) -> None:
-        """`is_goal_reached`: True at the goal for any sequence of poses: empty, single, or repeated ones."""
+        """`is_goal_reached`: True at the goal for any path: empty, a single pose, or repeated poses."""
         paths: list[Sequence[Pose2]] = [[GOAL] * count for count in (0, 1, 5)]
         paths += [[GOAL @ Pose2(1e-12, 0.0, 0.0), GOAL], _remaining(1e-9), _remaining(0.05), tuple(_remaining(0.05))]
         for path in paths:
             reached = self.ready_plugin().is_goal_reached(GOAL, GOAL, _REST, path)
-            require(reached is True, f"at the goal, at rest, it is reached (path of {len(path)} poses), got {reached}")
+            require(
+                reached is True, f"a robot at rest at the goal has arrived (path of {len(path)} poses), got {reached}"
+            )
 
     def test_a_robot_elsewhere_has_not_arrived(self) -> None:
-        """`is_goal_reached`, `Tolerances`: False 100 m away, with a longer path left, or turned by 90 degrees."""
+        """`is_goal_reached`, `Tolerances`: False at 100 m, with a longer remaining path, or turned by 90 degrees."""
         accepted = self.ready_plugin().tolerances
         for angle in np.arange(8) * math.pi / 4.0:
             query = GOAL @ Pose2(_FAR * math.cos(angle), _FAR * math.sin(angle), 0.0)
@@ -253,28 +260,28 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
                 self._require_not_reached(GOAL @ Pose2(0.0, 0.0, turn), [], f"turned by {turn:.2f} rad")
 
     def test_tolerances_are_numbers_or_none(self) -> None:
-        """`tolerances`: finite and not negative, or None if the quantity is not measured."""
+        """`tolerances`: finite and not negative, or None if the quantity is not checked."""
         found = self.ready_plugin().tolerances
         require(isinstance(found, Tolerances), f"tolerances are Tolerances, got {type(found).__name__}")
         for name, value in found._asdict().items():
             require(value is None or (math.isfinite(value) and value >= 0.0), f"tolerances.{name}, got {value}")
-        require((found.x is None) == (found.y is None), "a position is measured along both axes or not at all")
+        require((found.x is None) == (found.y is None), "a position is checked along both axes or not at all")
 
     def test_verdicts_are_booleans_and_inputs_stay(self) -> None:
-        """`is_goal_reached`, `is_goal_xy_reached`: bool; the position counts as reached on arrival."""
+        """`is_goal_reached`, `is_goal_xy_reached`: the results are bool; on arrival, the position is reached too."""
         checker = self.ready_plugin()
         for query, goal, velocity, path in self.queries():
             checker.reset()
             given = list(path)
             reached = checker.is_goal_reached(query, goal, velocity, path)
-            require(path == given, "the path is left unchanged")
+            require(path == given, "the path is not changed")
             in_position = checker.is_goal_xy_reached(query, goal, velocity, path)
             for verdict in (reached, in_position):
                 require(isinstance(verdict, bool), f"the verdict is a bool, got {type(verdict).__name__}")
             require(in_position or not reached, f"a robot that has arrived is in position, at {query}")
 
     def test_reset_clears_every_latch(self) -> None:
-        """`reset`: the verdicts are those of a new checker."""
+        """`reset`: after a reset, the verdicts are those of a new checker."""
         checker, verdicts = self.ready_plugin(), self.exercise(self.ready_plugin())
         checker.is_goal_reached(GOAL, GOAL, _REST, [])
         checker.reset()
@@ -283,12 +290,14 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require(self.exercise(checker) == verdicts, "after a reset the verdicts are those of a new checker")
 
     def test_the_origin_of_the_frame_has_no_influence(self) -> None:
-        """`is_goal_reached`: the same verdicts if all poses are moved together."""
+        """`is_goal_reached`: equal verdicts if the same rigid motion is applied to all poses."""
         for motion in (Pose2(2.0, -1.0, 0.7), Pose2(0.0, 0.0, 2.0 * math.pi)):
             here, there = self.ready_plugin(), self.ready_plugin()
             for query, moved in zip(self.queries(), self.queries(motion), strict=True):
                 verdicts = here.is_goal_reached(*query), there.is_goal_reached(*moved)
-                require(verdicts[0] == verdicts[1], f"the verdict of {query[0]} stays under the motion {motion}")
+                require(
+                    verdicts[0] == verdicts[1], f"the verdict of {query[0]} does not change under the motion {motion}"
+                )
 
     def _require_not_reached(self, query: Pose2, path: Sequence[Pose2], why: str) -> None:
         reached = self.ready_plugin().is_goal_reached(query, GOAL, _REST, path)
@@ -296,7 +305,7 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
 
 
 class _ScriptedRobot:
-    """A clock and a robot that follows its commands exactly, or stays in place if it is `stuck`."""
+    """Clock and robot; the robot follows its commands exactly, or does not move if it is `stuck`."""
 
     def __init__(self, context: PluginContext, *, stuck: bool = False) -> None:
         self.time, self.pose, self.twist, self.stuck = 100.0, ORIGIN, _REST, stuck
@@ -304,7 +313,7 @@ class _ScriptedRobot:
         self.commands: list[Twist2] = []
 
     def step(self, behavior: Behavior) -> BehaviorResult:
-        """Run one cycle of the behavior and drive its command."""
+        """Run one cycle of the behavior and execute its command."""
         result, command = behavior.on_cycle_update(self.pose, self.twist)
         self.commands.append(command)
         self.time += _BEHAVIOR_PERIOD
@@ -314,13 +323,13 @@ class _ScriptedRobot:
 
 
 class BehaviorContract(PluginContract[Behavior]):
-    """The rules of `optdock.plugins.interfaces.Behavior`.
+    """Rules of `optdock.plugins.interfaces.Behavior`.
 
     Attributes:
-        command: A command that succeeds in open space.
-        bad_commands: Commands that break a rule.
+        command: Command that succeeds in open space.
+        bad_commands: Commands that violate a rule.
         invalid_code: Nav2's error code for bad commands.
-        timed_command: `command` with a time allowance that a stuck robot exceeds; None: there is no allowance.
+        timed_command: `command` with a time allowance that a stuck robot exceeds; None: the behavior has no allowance.
         timeout_code: Nav2's error code for an exceeded allowance.
         blocked_code: Nav2's error code in the narrow `room`; None: the behavior does not check collisions.
     """
@@ -334,10 +343,10 @@ class BehaviorContract(PluginContract[Behavior]):
     blocked_code: ClassVar[int | None] = None
 
     def exercise(self, plugin: Behavior) -> object:
-        """Return the result of `on_run`, and of the first cycle.
+        """Return the results of `on_run` and of the first cycle.
 
         Raises:
-            BehaviorException: If the behavior does not begin.
+            BehaviorException: If `on_run` fails.
         """
         begun = plugin.on_run(self.command)
         if begun.status is not BehaviorStatus.SUCCEEDED:
@@ -346,25 +355,28 @@ class BehaviorContract(PluginContract[Behavior]):
         return begun, result, (twist.linear, twist.angular)
 
     def test_it_names_its_costmaps_and_needs_on_run(self) -> None:
-        """`resource_info`, `on_run`: the costmaps are known before `configure`; no cycle runs before SUCCEEDED."""
+        """`resource_info`, `on_run`: the costmaps are known before `configure`; no cycle without a started run."""
         found = self.make_plugin().resource_info
         require(isinstance(found, CostmapInfoType), f"resource_info is a CostmapInfoType, got {found!r}")
         self._require_no_cycle(self.ready_plugin(), "there is no cycle before on_run")
 
     def test_it_runs_and_ends_at_rest(self) -> None:
-        """`on_cycle_update`: RUNNING until SUCCEEDED with a stop; a second run has the same commands."""
+        """`on_cycle_update`: RUNNING, then SUCCEEDED with a stop; a second run has the same commands."""
         behavior, world = self._begun(self.make_context())
         result = self._run(behavior, world)
-        require(result.status is BehaviorStatus.SUCCEEDED, f"it succeeds in open space, got {result}")
+        require(result.status is BehaviorStatus.SUCCEEDED, f"the command succeeds in open space, got {result}")
         require((result.error_code, result.error_msg) == (0, ""), f"a success has no error, got {result}")
         require(world.commands[-1] == _REST, f"the last command is a stop, got {world.commands[-1]}")
         first, world.commands, world.pose, world.twist = world.commands, [], ORIGIN, _REST
-        require(behavior.on_run(self.command).status is BehaviorStatus.SUCCEEDED, "it begins a second time")
+        require(
+            behavior.on_run(self.command).status is BehaviorStatus.SUCCEEDED,
+            "the behavior can be started a second time",
+        )
         self._run(behavior, world)
-        require(world.commands == first, "the second run is like the first")
+        require(world.commands == first, "the second run has the same commands as the first")
 
     def test_a_bad_command_is_refused_with_its_code(self) -> None:
-        """`on_run`: FAILED with code and message, without an exception; it also ends an earlier run."""
+        """`on_run`: FAILED with code and message, without an exception; an earlier run is ended too."""
         numbers = [name for name, value in self.command.items() if isinstance(value, float)]
         not_finite = [{**self.command, name: bad} for name in numbers for bad in (math.nan, math.inf, -math.inf)]
         for bad in (*self.bad_commands, {**self.command, "no such thing": 1}, *not_finite):
@@ -375,28 +387,30 @@ class BehaviorContract(PluginContract[Behavior]):
             self._require_failure(self.ready_plugin().on_run(bad), self.invalid_code, f"the first command {bad}")
 
     def test_it_gives_up_after_its_time_allowance(self) -> None:
-        """`on_cycle_update`: a stuck robot makes a timed behavior fail with its code, at rest."""
+        """`on_cycle_update`: if the robot is stuck, a timed behavior fails with its code, at rest."""
         if self.timed_command is not None:
             behavior, world = self._begun(self.make_context(), self.timed_command, stuck=True)
             self._require_failure(self._run(behavior, world), self.timeout_code, "a stuck robot")
             require(world.commands[-1] == _REST, f"the last command is a stop, got {world.commands[-1]}")
 
     def test_it_does_not_drive_into_obstacles(self) -> None:
-        """`on_cycle_update`: a behavior that checks collisions stops before obstacles or does not begin."""
+        """`on_cycle_update`: a behavior that checks collisions stops before obstacles or does not start."""
         if self.blocked_code is not None:
             result, world = self._tried(scene_context(scene_problem(goal=_FAR_DOCK, obstacles=room())))
             self._require_failure(result, self.blocked_code, "a blocked motion")
             require(world.commands[-1:] in ([], [_REST]), f"the last command is a stop, got {world.twist}")
 
     def test_it_reads_the_costmap_that_it_names(self) -> None:
-        """`resource_info`: LOCAL reads the local costmap alone, GLOBAL the global one, BOTH both, NONE neither."""
+        """`resource_info`: the behavior reads the named costmaps (LOCAL, GLOBAL, BOTH, NONE) and no others."""
         if self.blocked_code is None:
             return
         needs, walls, free = self.make_plugin().resource_info, room_costmap(), free_costmap()
         for asked, local, around in ((CostmapInfoType.LOCAL, walls, free), (CostmapInfoType.GLOBAL, free, walls)):
             result, _ = self._tried(PluginContext("contract", around, ROBOT.footprint, local_costmap=local))
             stopped = result.status is BehaviorStatus.FAILED
-            require(stopped == bool(needs & asked), f"{needs.name}, with walls in the {asked.name} one: got {result}")
+            require(
+                stopped == bool(needs & asked), f"{needs.name}, with walls in the {asked.name} costmap: got {result}"
+            )
 
     def _begun(
         self, context: PluginContext, command: Mapping[str, object] | None = None, *, stuck: bool = False
@@ -409,7 +423,7 @@ class BehaviorContract(PluginContract[Behavior]):
         return behavior, world
 
     def _tried(self, context: PluginContext) -> tuple[BehaviorResult, _ScriptedRobot]:
-        """The last result of `command` in a context, from `on_run` or from a cycle."""
+        """Return the last result of `command` in a context, from `on_run` or from a cycle."""
         behavior, world = self.make_plugin(), _ScriptedRobot(context)
         behavior.configure(world.context)
         begun = behavior.on_run(self.command)
@@ -418,10 +432,12 @@ class BehaviorContract(PluginContract[Behavior]):
     def _run(self, behavior: Behavior, world: _ScriptedRobot) -> BehaviorResult:
         for _ in range(_BEHAVIOR_CYCLES):
             result = world.step(behavior)
-            require(isinstance(result, BehaviorResult), f"a BehaviorResult, got {type(result).__name__}")
+            require(
+                isinstance(result, BehaviorResult), f"a cycle returns a BehaviorResult, got {type(result).__name__}"
+            )
             if result.status is not BehaviorStatus.RUNNING:
                 return result
-        require(holds=False, rule=f"it ends within {_BEHAVIOR_CYCLES} cycles")
+        require(holds=False, rule=f"the behavior ends within {_BEHAVIOR_CYCLES} cycles")
         raise AssertionError
 
     @staticmethod
@@ -435,12 +451,12 @@ class BehaviorContract(PluginContract[Behavior]):
 
 
 class DockTypeContract(PluginContract[DockType]):
-    """The rules of `optdock.plugins.interfaces.DockType`; `CheckedDockType` checks the types of all results."""
+    """Rules of `optdock.plugins.interfaces.DockType`; the types of all results are checked by `CheckedDockType`."""
 
     interface: ClassVar[type[DockType]] = DockType
 
     def exercise(self, plugin: DockType) -> object:
-        """Return every result over an approach that ends in contact, after a reset."""
+        """Return all results of an approach that ends in contact, after a reset."""
         plugin.reset()
         contacts = tuple((plugin.contact(now), plugin.is_charging(now.measurements)) for now in self.approach())
         detections = tuple(tuple(plugin.detections(measurements)) for measurements in self.sightings())
@@ -448,7 +464,7 @@ class DockTypeContract(PluginContract[DockType]):
         return contacts, detections, staging, plugin.is_pressed_on, plugin.waits_for_charge, plugin.back_out_distance
 
     def approach(self) -> Iterator[AtDock]:
-        """Yield the cycles of an approach: half a metre, a second of pressing, then at rest with a contact signal.
+        """Yield the cycles of an approach: half a metre, pressing for a second, then a contact signal at rest.
 
         Override this method if contact is detected in another way.
         """
@@ -464,18 +480,18 @@ class DockTypeContract(PluginContract[DockType]):
             yield AtDock(stamp, measurements, commanded, Pose2(x, 0.0, 0.0), -x <= 0.05)
 
     def sightings(self) -> Iterator[Measurements]:
-        """Yield measurements with no detection, with one, and with two out of order."""
+        """Yield measurements with no detection, one detection, and two detections out of order."""
         for found in ((), (_DETECTION,), (_DETECTION._replace(stamp=0.1), _DETECTION)):
             yield Measurements(0.2, GOAL @ Pose2(-0.8, 0.0, 0.0), Twist2(0.1), found)
 
     def test_results_have_the_right_types_in_every_cycle(self) -> None:
-        """`contact`, `is_charging` and the properties: for all sensor values, and for repeated stamps."""
+        """`contact`, `is_charging` and the properties: right types for all sensor values and repeated stamps."""
         checked, far = CheckedDockType(self.ready_plugin()), Pose2(-3.0, 0.2, 0.1)
         for now in self.approach():
             checked.contact(now)
             checked.contact(now)
             flags = checked.is_pressed_on, checked.waits_for_charge, checked.is_charging(now.measurements)
-            require(checked.back_out_distance > 0.0, f"the distance out of the dock is positive, with {flags}")
+            require(checked.back_out_distance > 0.0, f"back_out_distance is positive, with {flags}")
         for signal in (None, False, True):
             for current in (None, -1.0, 0.0, 30.0):
                 for commanded in (_REST, Twist2(-0.3, 0.5)):
@@ -484,17 +500,17 @@ class DockTypeContract(PluginContract[DockType]):
                     checked.is_charging(measurements)
 
     def test_a_robot_far_away_without_a_signal_has_no_contact(self) -> None:
-        """`contact`: None far away from the dock without a signal."""
+        """`contact`: None far from the dock without a signal."""
         plugin = self.ready_plugin()
         plugin.reset()
         for cycle in range(100):
             measurements = Measurements(cycle * _DOCK_PERIOD, Pose2(0.0, 0.0, 0.0))
             now = AtDock(cycle * _DOCK_PERIOD, measurements, _REST, Pose2(-3.0, 0.0, 0.0), is_near=False)
             found = plugin.contact(now)
-            require(found is None, f"at rest, 3 m before the dock, without a signal there is no contact, got {found}")
+            require(found is None, f"there is no contact at rest 3 m before the dock without a signal, got {found}")
 
     def test_a_reset_clears_the_contact(self) -> None:
-        """`reset`: the results of another approach do not depend on those before it."""
+        """`reset`: the results of an approach do not depend on earlier approaches."""
         plugin, whole = self.ready_plugin(), list(self.approach())
         plugin.reset()
         expected = [plugin.contact(now) for now in whole]
@@ -513,13 +529,19 @@ class DockTypeContract(PluginContract[DockType]):
             for distance in _DISTANCES:
                 for pose in checked.staging_poses(gear, distance):
                     far = math.hypot(pose.x, pose.y)
-                    require(0.0 < far <= _FARTHEST, f"outside the dock, at most {_FARTHEST} m away, got {pose}")
+                    require(
+                        0.0 < far <= _FARTHEST,
+                        f"staging poses are outside the dock, at most {_FARTHEST} m away, got {pose}",
+                    )
 
     def test_detections_come_from_detections(self) -> None:
-        """`detections`: not more than were measured, each with its stamp."""
+        """`detections`: at most as many as were measured, each with its stamp."""
         checked = CheckedDockType(self.ready_plugin())
         for measurements in self.sightings():
             given, found = measurements.detections, checked.detections(measurements)
-            require(len(found) <= len(given), f"of {len(given)} detections at most as many remain, got {len(found)}")
+            require(
+                len(found) <= len(given),
+                f"at most {len(given)} detections are returned, got {len(found)}",
+            )
             stamps = {one.stamp for one in given}
             require(all(one.stamp in stamps for one in found), f"a detection keeps its stamp, got {found}")

@@ -1,4 +1,4 @@
-"""The rules that all plugins share, and the assertions of the suites."""
+"""Rules that all plugins share, and assertions of the suites."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 P = TypeVar("P", bound=Plugin)
 T = TypeVar("T")
 
-_CANCEL_AT = (1, 2, 100)  # polls; numbers that a plugin never reaches are left out
+_CANCEL_AT = (1, 2, 100)  # numbers of polls; numbers that a plugin never reaches are skipped
 _SAME = 1e-6  # [m], [rad]
 
 
@@ -39,7 +39,7 @@ class ContractBroken(AssertionError):
 
 
 def require(holds: object, rule: str) -> None:
-    """Raise ContractBroken with the text of the rule unless `holds` is true.
+    """Raise ContractBroken with the text of the rule if `holds` is false.
 
     Raises:
         ContractBroken: If `holds` is false.
@@ -69,7 +69,7 @@ def refused(call: Callable[[], object], error: type[Exception], rule: str) -> Ex
 
 
 def attempted(call: Callable[[], T], error: type[Exception]) -> T | None:
-    """Return the result of a call; None if it raises `error`, which must have a message."""
+    """Return the result of a call, or None if it raises `error`, which must have a message."""
     try:
         return call()
     except error as refusal:
@@ -78,7 +78,7 @@ def attempted(call: Callable[[], T], error: type[Exception]) -> T | None:
 
 
 class _PollCounter:
-    """A cancel checker that returns True at poll number `cancel_at` and later; 0: never."""
+    """Cancel checker that returns True at poll number `cancel_at` and later; 0: never."""
 
     def __init__(self, cancel_at: int = 0) -> None:
         self.polls, self._cancel_at = 0, cancel_at
@@ -89,15 +89,15 @@ class _PollCounter:
 
 
 def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type[Exception]) -> None:
-    """Require that `run(cancel_checker)` polls, and ends with `error` at the first, second or hundredth poll."""
+    """Require that `run(cancel_checker)` polls, and raises `error` after the first, second or hundredth poll."""
     patient = _PollCounter()
     run(patient)
     require(patient.polls >= 1, "the cancel checker is polled at least once")
     for poll in _CANCEL_AT:
         if poll <= patient.polls:
             counter = _PollCounter(poll)
-            refused(partial(run, counter), error, f"a True at poll {poll} ends the work")
-            require(counter.polls == poll, f"no poll follows a True at poll {poll}, got {counter.polls} polls")
+            refused(partial(run, counter), error, f"if poll {poll} returns True, the call ends")
+            require(counter.polls == poll, f"if poll {poll} returns True, no poll follows, got {counter.polls} polls")
 
 
 def require_same_ends(path: Path, start: Pose2, end: Pose2) -> None:
@@ -114,13 +114,13 @@ def sampled(path: Path) -> tuple[tuple[float, ...], ...]:
 
 
 class PluginContract(ABC, Generic[P]):
-    """The rules of `optdock.plugins.lifecycle.Plugin` and `optdock.plugins.parameters.PluginParameters`.
+    """Rules of `optdock.plugins.lifecycle.Plugin` and `optdock.plugins.parameters.PluginParameters`.
 
     Attributes:
         interface: Interface that the plugin implements.
-        needs_context: Whether the plugin works only once it is configured.
-        unitless: Parameters that are pure numbers, whose descriptions have no unit.
-        plugin_parameters: Parameters of the plugin in a suite of `installed_suites`.
+        needs_context: Whether the plugin works only after it is configured.
+        unitless: Names of parameters that are dimensionless, whose descriptions have no unit.
+        plugin_parameters: Parameters of the plugin in a suite from `installed_suites`.
     """
 
     interface: ClassVar[type[Plugin]]
@@ -137,7 +137,7 @@ class PluginContract(ABC, Generic[P]):
         """Use the plugin once and return its results, comparable with `==`."""
 
     def make_context(self) -> PluginContext:
-        """Return a new context for the plugin at every call."""
+        """Return a new context for the plugin in every call."""
         return scene_context()
 
     def ready_plugin(self) -> P:
@@ -147,25 +147,25 @@ class PluginContract(ABC, Generic[P]):
         return plugin
 
     def test_it_is_built_in_one_call(self) -> None:
-        """`Plugin`: an instance of its interface, unconfigured after construction; unknown parameters are rejected."""
+        """`Plugin`: an instance of its interface, unconfigured after construction, that rejects unknown parameters."""
         plugin = self.make_plugin()
         require(isinstance(plugin, self.interface), f"it is a {self.interface.__name__}")
         require(plugin.state is LifecycleState.UNCONFIGURED, "a new plugin is unconfigured")
-        require(self.make_plugin() is not plugin, "make_plugin makes a new one each time")
+        require(self.make_plugin() is not plugin, "make_plugin returns a new plugin in every call")
         refused(lambda: type(plugin)(no_such_parameter=1), InvalidValue, "an unknown parameter is refused")
 
     def test_every_parameter_is_described_with_its_unit(self) -> None:
-        """`PluginParameters`: every field has a description, with the unit in brackets."""
+        """`PluginParameters`: every field has a description with the unit in brackets."""
         plugin = self.make_plugin()
         values = plugin.parameters.model_dump(by_alias=True)
         for name, spec in type(plugin.parameters).model_fields.items():
             known, text = spec.alias or name, spec.description or ""
             require(text, f"parameter {known} has a description")
             has_unit = ("[" in text and "]" in text) or known in self.unitless or not isinstance(values[known], float)
-            require(has_unit, f"parameter {known}: the unit stands in brackets or `unitless` lists it; got {text!r}")
+            require(has_unit, f"parameter {known}: the unit is in brackets, or `unitless` has its name; got {text!r}")
 
     def test_a_change_has_the_effect_of_the_constructor(self) -> None:
-        """`Plugin.set_parameters`: values derived earlier from the parameters change with them."""
+        """`Plugin.set_parameters`: values that were derived from the parameters are updated."""
         for name, value in _accepted_changes(self.make_plugin).items():
             changed = self.ready_plugin()
             changed.set_parameters(**{name: value})
@@ -174,25 +174,25 @@ class PluginContract(ABC, Generic[P]):
             require(self._outcome(changed) == self._outcome(built), f"{name} = {value} takes effect")
 
     def test_it_works_at_every_stage(self) -> None:
-        """`Plugin`: the same results inactive, active and configured again; unconfigured, or an OptdockError."""
+        """`Plugin`: equal results when inactive, active and configured again; unconfigured, also an OptdockError."""
         plugin = self.make_plugin()
         if self.needs_context:
-            refused(lambda: self.exercise(plugin), OptdockError, "unconfigured, it fails by name")
+            refused(lambda: self.exercise(plugin), OptdockError, "an unconfigured plugin raises an OptdockError")
         else:
             self.exercise(plugin)
         context = self.make_context()
         plugin.configure(context)
-        require(plugin.context is context, "a configured plugin holds its context")
+        require(plugin.context is context, "a configured plugin has its context")
         inactive = self.exercise(plugin)
         plugin.activate()
-        require(self.exercise(plugin) == inactive, "the results are the same active and inactive")
+        require(self.exercise(plugin) == inactive, "an active plugin has the same results as an inactive plugin")
         self._walk(plugin, "deactivate", "cleanup")
         require(plugin.context is not context, "cleanup releases the context")
         plugin.configure(self.make_context())
-        require(self.exercise(plugin) == inactive, "configured again, the results are those of the first time")
+        require(self.exercise(plugin) == inactive, "a plugin configured again has the same results as before")
 
     def test_equal_calls_have_equal_results(self) -> None:
-        """`Plugin`: the same results in a second call and in another instance; instances share no state."""
+        """`Plugin`: equal results in a second call and in another instance; instances share no state."""
         plugin, other = self.ready_plugin(), self.ready_plugin()
         expected, defaults = self.exercise(plugin), other.parameters.model_dump()
         require(self.exercise(plugin) == expected, "a second call has the same result")
@@ -201,10 +201,10 @@ class PluginContract(ABC, Generic[P]):
             self.exercise(busy)
             busy.set_parameters(**{name: value})
             require(other.parameters.model_dump() == defaults, f"a change of {name} stays in its instance")
-        require(self.exercise(other) == expected, "other instances have no influence")
+        require(self.exercise(other) == expected, "other instances have no influence on the result")
 
     def _outcome(self, plugin: P) -> object:
-        """The result of the plugin, or the name of its error."""
+        """Return the result of the plugin, or the name of its error."""
         try:
             return self.exercise(plugin)
         except OptdockError as error:
@@ -219,7 +219,7 @@ class PluginContract(ABC, Generic[P]):
 
 
 def _accepted_changes(make_plugin: Callable[[], Plugin]) -> dict[str, object]:
-    """Another accepted value for every number and switch that can be changed alone."""
+    """Return another accepted value for every number and switch that can be changed separately."""
     found: dict[str, object] = {}
     for name, value in make_plugin().parameters.model_dump(by_alias=True).items():
         for candidate in _others(value):

@@ -67,8 +67,8 @@ FALSE, TRUE = "track_unknown_space: false", "track_unknown_space: true"
     [
         (TRUE, STATIC[:-1] + f", {FALSE}}}", 0, "free: track_unknown_space is false"),
         ("", STATIC[:-1] + f", {FALSE}}}", 0, "free: track_unknown_space is false"),
-        (FALSE, STATIC[:-1] + f", {TRUE}}}", 255, "obstacles: track_unknown_space is false, but not of the layer"),
-        (FALSE, INFLATION, 255, "obstacles: track_unknown_space is false, but not of the layer of the map"),
+        (FALSE, STATIC[:-1] + f", {TRUE}}}", 255, "obstacles: track_unknown_space is false, but not for the layer"),
+        (FALSE, INFLATION, 255, "obstacles: track_unknown_space is false, but not for the layer of the map"),
     ],
 )
 def test_the_report_on_unknown_cells_follows_the_layer_of_the_map(tmp_path, node, static, cost, said):
@@ -111,7 +111,7 @@ def test_skipped_parts_are_reported_with_their_reason(tmp_path):
     _, rows = built(
         params(tmp_path, STATIC, second, voxels, seen, INFLATION, clouds, node=keepout + rolling, local=True)
     )
-    assert rows[NAME].endswith("; it does not roll, as the whole map is known")
+    assert rows[NAME].endswith("; it does not roll, because the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
     assert rows["voxels"] == rows["seen"] == "skipped: there is no sensor data yet"
     assert (
@@ -120,7 +120,7 @@ def test_skipped_parts_are_reported_with_their_reason(tmp_path):
     )
     assert rows["static_layer"] == "used: StaticLayer(); not read: map_topic"
     assert rows["clouds"] == "skipped: optdock has no layer of this class"
-    assert rows["keepout"] == "skipped: optdock has no filters; its restrictions are not in the costmap"
+    assert rows["keepout"] == "skipped: optdock has no filters; the restrictions of this filter are not in the costmap"
     assert rows["local_costmap"].startswith("skipped: it contains only sensor data")
 
 

@@ -151,7 +151,7 @@ docking_server:
 
 
 def test_a_file_without_parameters_is_refused(tmp_path):
-    assert faults(tmp_path, "a: 1\n") == ["p.yaml: holds no ros__parameters and no costmap parameters"]
+    assert faults(tmp_path, "a: 1\n") == ["p.yaml: contains no ros__parameters and no costmap parameters"]
 
 
 WRONG_LISTS = [

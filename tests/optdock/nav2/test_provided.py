@@ -88,7 +88,7 @@ def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     assert built["general_goal_checker"].parameters.model_dump()["path_length_tolerance"] == 1.0
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
-    assert rows["FollowPath.diff_drive"][3] == "not provided: no list of plugins names it"
+    assert rows["FollowPath.diff_drive"][3] == "not provided: it is in no list of plugins"
     assert rows["inflation_layer"][3].startswith("not provided: the clearance is proven with the exact footprint")
     assert rows["obstacle_layer"][3] == "not provided: there is no sensor data yet"
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"

@@ -206,12 +206,15 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
             "folder: is an existing folder, which a recording does not replace; choose another name",
         ),
         (("plan.json", "plan.db3"), "plan.db3: must end in .mcap, or name a folder without a suffix, got .db3"),
-        (("plan.json", "plan.json"), "plan.json: is the file to read, and would be overwritten; choose another name"),
+        (("plan.json", "plan.json"), "plan.json: is the input file and would be overwritten; choose another name"),
         (("none.json", "a.mcap"), "none.json: cannot be read: No such file or directory"),
         (("plan.json", "a.mcap", "--start", "nan"), "--start: must be finite and >= 0 s, got nan"),
         (("plan.json", "a.mcap", "--base-frame", ""), "--base-frame: must be the name of a coordinate frame, got ''"),
         (("run.json", "a.mcap"), "run.json: columns.yaw: must have as many values as columns.t = 2, got 1"),
-        (("dock.log", "a.mcap", "--scenario", "bay.yaml"), "--scenario: is for plans and runs; the log of a docking"),
+        (
+            ("dock.log", "a.mcap", "--scenario", "bay.yaml"),
+            "--scenario: is only for plans and runs; the log of a docking",
+        ),
         (
             ("plan.json", "a.mcap", "--scenario", "odom.yaml"),
             "plan.json: the plan is in frame 'map', the scenario in",
