@@ -64,14 +64,14 @@ class AxisGoalChecker(GoalChecker):
     """Goal checker that accepts a robot within tolerance along and across the end of the path.
 
     With u the unit vector along the end of the path and g the vector from the robot to the goal, along = g . u
-    (positive before the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All comparisons
-    are strict. Yaw is not checked; the velocity is checked only if `stopped`.
+    (positive in front of the goal) and cross = g x u, which Nav2 writes as d cos(angle) and d sin(angle). All
+    comparisons are strict. Yaw is not checked; the velocity is checked only if `stopped`.
 
     The goal is not reached while the remaining path is longer than `path_length_tolerance`. Without an axis (a single
     pose) the distance must be below the radial fallback; otherwise along and cross must be within tolerance. With
-    `axis_end: goal`, as in every release of Nav2, a robot within 1e-6 m of the goal has reached it with any tolerances.
-    Poses that are equal to the last pose are skipped. `direction_estimation_distance` must be below
-    `path_length_tolerance`.
+    `axis_end: goal`, which is the behaviour of every release of Nav2, a robot within 1e-6 m of the goal is considered
+    to have reached it, whatever the tolerances. Poses that are equal to the last pose are skipped.
+    `direction_estimation_distance` must be below `path_length_tolerance`.
 
     >>> from optdock.geometry.pose import Pose2, Twist2
     >>> checker = AxisGoalChecker(along_path_tolerance=0.05, cross_track_tolerance=0.3)

@@ -90,7 +90,7 @@ def _swept(poses: FloatArray) -> shapely.Geometry:
 
 
 def draw_swept(axes: Axes, plan: od.DockPlan) -> None:
-    """Draw the swept areas of the raw path, which hits a box, and of the certified path, which does not."""
+    """Draw the swept areas of the raw path, which hits two boxes, and of the certified path, which hits none."""
     given = plan.problem
     blocks = shapely.union_all([shapely.Polygon(one) for one in _OBSTACLES])
     for shape in (*_OBSTACLES, transform_points(given.goal.as_array()[None, :], np.array(_STATION))[0]):

@@ -124,8 +124,8 @@ class ReadFile(NamedTuple):
 
     Attributes:
         recording: The drive.
-        deviation: Largest lateral deviation [m] and largest heading deviation [rad] from the path in a docking; None if
-            there is no completed docking along a path, or if a log could not be replayed exactly.
+        deviation: Largest lateral [m] and heading [rad] deviation from the path during the docking; None if the file
+            contains no completed docking along a path, or if the log could not be replayed exactly.
     """
 
     recording: Recording

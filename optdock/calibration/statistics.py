@@ -81,13 +81,13 @@ def student(freedom: float) -> float:
 
 
 def mean_of(values: FloatArray) -> tuple[float, float, float]:
-    """Return the mean of two or more independent values and the bounds of its Student's t interval."""
+    """Return the mean of two or more independent values and its 95 % confidence bounds by Student's t."""
     mean, half = float(np.mean(values)), student(len(values) - 1.0) * float(np.std(values, ddof=1)) / len(values) ** 0.5
     return mean, mean - half, mean + half
 
 
 def share_of(count: int, total: int) -> tuple[float, float, float]:
-    """Return the share `count / total` and its exact bounds according to [Clopper1934]."""
+    """Return the share `count / total` and its 95 % Clopper-Pearson confidence bounds ([Clopper1934])."""
     from scipy.stats import beta
 
     low = float(beta.ppf(_TAIL, count, total - count + 1)) if count > 0 else 0.0
@@ -96,7 +96,7 @@ def share_of(count: int, total: int) -> tuple[float, float, float]:
 
 
 def poisson_rate(count: int, exposure: float) -> tuple[float, float, float]:
-    """Return the number of events per unit of exposure and its exact bounds according to [Garwood1936]."""
+    """Return the number of events per unit of exposure and its exact 95 % confidence bounds ([Garwood1936])."""
     from scipy.stats import chi2
 
     low = 0.5 * float(chi2.ppf(_TAIL, 2 * count)) if count > 0 else 0.0

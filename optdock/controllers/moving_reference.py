@@ -140,8 +140,9 @@ class TrajectoryReference:
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
         """Schedule a takeover by `trajectory` in `lead` seconds, and cancel later takeovers.
 
-        The place of the change is determined by the present rate. If the rate changes later, the time of the takeover
-        changes, and the reference does not jump. A reference at rest changes at once and waits at the new start.
+        The point of the takeover on the trajectory is determined by the present rate. If the rate changes later, the
+        time of the takeover changes, and the reference does not jump. A reference at rest changes at once and waits at
+        the new start.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()
@@ -325,7 +326,7 @@ def _poses(trajectory: Trajectory, times: FloatArray) -> FloatArray:
 
 
 def _next_rest(trajectory: Trajectory, s: float) -> float:
-    """Return the place of the next cusp beyond `s`, or of the end [m]."""
+    """Return the arc length of the next cusp beyond `s`, or of the end [m]."""
     return next((cusp for cusp in trajectory.path.cusps if cusp > s + _BEYOND), trajectory.path.length)
 
 

@@ -107,9 +107,9 @@ class MpcController(TrackingController):
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
     it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go
-    accounts for the rest of the trajectory, so that errors are corrected before the dock if possible. Latency and lag,
-    given or identified, are part of the model. Lateral and heading errors are kept within the robot's tube,
-    `Robot.tracking`, if it is given and the limits allow it.
+    accounts for the rest of the trajectory, so that errors are corrected before the robot reaches the dock, if
+    possible. Latency and lag, given or identified, are part of the model. Lateral and heading errors are kept within
+    the robot's tube, `Robot.tracking`, if it is given and the limits allow it.
 
     `status` reports whether no commands keep the jerk limit because the reference has jumped, whether the robot is
     outside the tube, and whether the program has no solution. In the last case the commands of the previous cycle

@@ -124,7 +124,8 @@ class ProgressCheck:
             left: Accepted errors, once the reference is at its end; None before the end.
 
         Raises:
-            NoValidControl: If the reference has waited, or the error at the end has not decreased, for `patience`.
+            NoValidControl: If for longer than `patience` the reference has been held, or the error at the end of the
+                trajectory has not decreased.
         """
         where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
         if self._following.expired(2.0 if is_held else 0.0, period, patience):

@@ -162,7 +162,7 @@ class TrackingController(Controller):
             start_stamp: Time of the trajectory's start, on the clock of the stamps [s]. Until then the reference
                 continues on the previous trajectory, or waits at the start if there is none. The new trajectory should
                 begin at the state of the reference at that time. None: the trajectory starts with the next call, at the
-                place of the robot.
+                position of the robot.
 
         Raises:
             ControllerInvalidPath: If `path` is neither a path nor a trajectory, is not in the frame of the configured

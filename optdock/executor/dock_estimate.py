@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 # [m]: distance over which lateral errors decay: the convergence_distance of the TrackingController, and its shortest
-# value before the dock, at 0.1 m/s with a drive delay of 0.25 s.
+# value in front of the dock, at 0.1 m/s with a drive delay of 0.25 s.
 DECAY, SHORTEST_DECAY = 0.25, 0.08
 _LEAST_STAGING, _MOST_STAGING = 0.7, 3.0  # [m]: Nav2's staging_x_offset; more than 3 m of space is rarely free
 _STORED_OFFSET = 0.15  # [m]: lateral offset that an approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
@@ -41,8 +41,8 @@ _BLINK = 1.0  # [s]: shorter times without a detection have no effect
 _HIDDEN = 0.8  # [s] without a detection after which the dock counts as hidden: 1 gap in 250 at 10 Hz with half lost
 LONGEST_HIDDEN = 3.0  # [s] without a detection after which an uncertain robot stops
 _NEAR = 0.25  # [m]: distance of a detection from close by
-NO_ROOM = 0.03  # [m] before the dock in which no error can be corrected
-LAST_LOOK = 0.2  # [m] before the dock within which an uncertain robot continues, because a detection may follow
+NO_ROOM = 0.03  # [m] in front of the dock in which no error can be corrected
+LAST_LOOK = 0.2  # [m] in front of the dock within which an uncertain robot continues, because a detection may follow
 
 
 def reachable_offset(distance: float, limits: MotionLimits) -> float:

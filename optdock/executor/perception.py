@@ -302,7 +302,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """Return the distance from the place of the last detection, or the one before (`times=2`) [m]; may be inf."""
+        """Return the distance from the position of the last (`times=2`: last but one) detection [m]; may be inf."""
         seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
         if not seen >= self.filter.remembered_from:
             return math.inf

@@ -126,9 +126,9 @@ class PlanningScene:
         )
 
     def to(self, place: Pose2) -> DockingProblem:
-        """Return the problem from the pose of the robot to a place before the dock, with the station as an obstacle.
+        """Return the problem of driving from the robot's pose, at rest, to a pose in front of the dock.
 
-        The full clearance is required up to that place.
+        The station is an obstacle, and the full clearance is required up to the end of the path.
         """
         kept = self.problem.clearance.required
         return dataclasses.replace(
@@ -164,7 +164,7 @@ class StagingPoses:
         return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.poses())
 
     def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:
-        """Whether the marker may be visible from one of the places; True if camera or marker is unknown."""
+        """Whether the marker may be visible from one of the poses; True if the camera or the marker is unknown."""
         camera, marker = self.problem.robot.camera, self.scene.dock.marker_in_world
         if camera is None or marker is None:
             return True
@@ -172,6 +172,6 @@ class StagingPoses:
         return bool(np.any(camera.margins(seen).smallest > -3.0 * self.perception.sigma[0]))
 
     def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
-        """Whether the robot is at one of the places in the fixed frame."""
+        """Whether the robot is at one of the poses, given in the fixed frame."""
         gaps = [self.perception.robot.in_frame_of(place) for place in places]
         return any(math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1] for gap in gaps)

@@ -332,7 +332,7 @@ class Travel:
         return drive.docked
 
     def drive_to(self, places: Callable[[], tuple[Pose2, ...]], state: State, failure: EndingKind) -> Cycles:
-        """Drive to the first reachable place; plan again after interruptions.
+        """Drive to the first reachable pose; plan again after interruptions.
 
         Args:
             places: Function that returns poses in the fixed frame, the preferred one first, for the present estimate of

@@ -197,7 +197,7 @@ class NoWay(AttemptFailed):
 
 
 class Interrupted(Exception):
-    """The current motion cannot continue; another motion from the same place may succeed."""
+    """The current motion cannot continue; a different motion from the same pose may succeed."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(reason)

@@ -69,7 +69,7 @@ _PAUSE = 3.0  # factor on the usual pause between two plans
 
 # The tube.
 _WATCHED = 0.005  # [m]: leaving a narrower tube, such as at contact, does not start a plan, as noise may be the cause
-_LAST_REPLAN = 0.15  # [m] before the dock; closer, no path moves a robot sideways by more than a millimetre
+_LAST_REPLAN = 0.15  # [m] in front of the dock; closer, no path moves a robot sideways by more than a millimetre
 _LEAP = 0.25  # [m] from the reference in which the nearest pose of the path is searched
 _SAMPLES = 0.01  # [m] between two sampled poses of a path
 
@@ -245,7 +245,8 @@ class TrajectoryDrive:
     def _reference(self) -> tuple[float, float]:
         """Time of the reference on the clock of the trajectory [s], and its rate.
 
-        For a controller without a reference in time, this is the time at which the plan passes the place of the robot.
+        For a controller without a reference in time, this is the time at which the plan passes the position of the
+        robot.
         """
         progress = getattr(self._controller, "progress", None)
         return (self._place.time, 1.0) if progress is None else (float(progress.time), float(progress.rate))
@@ -420,11 +421,12 @@ class TrajectoryDrive:
 
 
 class TubeMonitor:
-    """Place of the robot on a path, and check that the robot is within the certified tube.
+    """Position of the robot along a path, and a check that the robot is within the certified tube.
 
     Attributes:
         deviation: Pose of the robot relative to the nearest pose of the path; None before the first update.
-        time: Time at which the plan passes the place of the robot, on the clock of the trajectory; non-decreasing [s].
+        time: Time at which the plan passes the position of the robot, on the clock of the trajectory; non-decreasing
+            [s].
     """
 
     def __init__(
@@ -441,14 +443,15 @@ class TubeMonitor:
         self._is_outside = False
 
     def time_at(self, s: float) -> float:
-        """Return the time at which the plan passes a place [m] of the path [s]."""
+        """Return the time at which the plan passes an arc length [m] of the path [s]."""
         return float(np.interp(s, *self._times_of_places))
 
     def update(self, robot: Pose2, time: float) -> bool:
-        """Update the place of the robot; `time` is the time of the reference on the trajectory's clock, >= 0 [s].
+        """Update the robot's position along the path from its pose.
 
-        Returns:
-            Whether the robot has just left the tube at a place where a new plan is useful.
+        `time` is the trajectory time of the current reference, >= 0 [s].
+
+        Returns: Whether the robot has just left the tube at a position where a new plan is useful.
         """
         path = self._trajectory.path
         begin = float(self._trajectory.time_law.at(time)[0, 0])
@@ -462,7 +465,7 @@ class TubeMonitor:
         radius = self._robot.footprint.circumscribed_radius
         moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
         width = float(self._tube.width_at(np.array([s]))[0])
-        if moved > width:  # relative to this place; another place may be nearer
+        if moved > width:  # relative to this pose; another pose of the path may be nearer
             found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
             moved, width = float(found.displacement[0]), float(found.width[0])
         is_outside = moved > width
@@ -556,7 +559,7 @@ class ShorterWay:
 
 
 def _has_gone(before: Costmap, now: Costmap, places: FloatArray, reach: float) -> bool:
-    """Whether an occupied cell has become free within `reach` [m] of the box of places, Shape (n, 2) [m]."""
+    """Whether an occupied cell has become free within `reach` [m] of the box around points, Shape (n, 2) [m]."""
     low, high = before.cell_of(np.stack((places.min(axis=0) - reach, places.max(axis=0) + reach)))
     (i, j), (i1, j1) = np.maximum(low, 0).tolist(), np.maximum(high + 1, 0).tolist()
     rows, columns = np.nonzero(before.data[j:j1, i:i1] == LETHAL)

@@ -56,7 +56,7 @@ def finite_number(value: object, name: str) -> float:
     """Return a finite number as a float.
 
     Raises:
-        InvalidValue: If the value is NaN, infinite or not a number.
+        InvalidValue: If the value is NaN, is infinite, or is not a number.
     """
     found = number(value, name)
     if not math.isfinite(found):

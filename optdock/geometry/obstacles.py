@@ -247,7 +247,10 @@ def without_repeated(obstacles: ObstacleSet) -> ObstacleSet:
 
 
 def box_distance(obstacles: ObstacleSet, points: FloatArray) -> FloatArray:
-    """Return the distance of every point, Shape (n, 2) [m], to every bounding box of a set. Shape (n, m) [m]."""
+    """Return the distance from each point to the bounding box of each obstacle, Shape (n, m) [m].
+
+    `points` has Shape (n, 2) [m].
+    """
     x, y = points[:, :1], points[:, 1:]
     across = np.maximum(np.maximum(obstacles.lower[:, 0] - x, x - obstacles.upper[:, 0]), 0.0)
     along = np.maximum(np.maximum(obstacles.lower[:, 1] - y, y - obstacles.upper[:, 1]), 0.0)

@@ -98,7 +98,7 @@ class Pose2:
         yaw: Counter-clockwise heading [rad], not normalized, within +-1e6.
 
     Raises:
-        InvalidValue: If a component is NaN, infinite, out of range or not a number.
+        InvalidValue: If a component is NaN, is infinite, is out of range, or is not a number.
 
     >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
     Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
@@ -183,7 +183,7 @@ class Twist2:
         lateral: Leftward speed [m/s].
 
     Raises:
-        InvalidValue: If a component is NaN, infinite or not a number.
+        InvalidValue: If a component is NaN, is infinite, or is not a number.
     """
 
     linear: float = 0.0

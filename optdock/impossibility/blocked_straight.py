@@ -47,7 +47,7 @@ class BlockedPose:
 
     Args:
         gear: Gear in which the dock is entered, 1 or -1.
-        before: Distance before the dock [m].
+        before: Distance from the docked pose, along the straight [m].
         x: Position of the robot's origin [m].
         y: Position of the robot's origin [m].
         yaw: Heading [rad].
@@ -190,7 +190,7 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
         body = outline if within > 0.0 else outline.buffer(within, join_style="mitre")
         met = tree.query(body, predicate="dwithin", distance=within) if within > 0.0 else tree.query(body, "intersects")
         if body.is_empty or met.size == 0:
-            reason = f"{blocked.before:.3f} m before the dock the robot is free"
+            reason = f"at {blocked.before:.3f} m from the dock the robot is free"
             return ImpossibilityVerdict(proven=False, reason=reason, cells=0)
     return ImpossibilityVerdict(proven=True, reason="", cells=len(proof.poses))
 
@@ -204,5 +204,5 @@ def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray
 
 
 def _slack(problem: DockingProblem) -> float:
-    """Return the largest accepted deviation [m] of a point of the robot from its place on the exact straight."""
+    """Return the largest accepted deviation [m] of a point of the robot from its position on the exact straight."""
     return STRAIGHT_TOLERANCE * (1.0 + problem.robot.footprint.circumscribed_radius) + SLACK

@@ -74,7 +74,10 @@ _SEEN_FROM = 30.0  # [m]: obstacles farther from start and goal do not enlarge t
 def prove_impossible(
     problem: DockingProblem, *, time_budget: float = 1.0, cancel_checker: Callable[[], bool] = never_late
 ) -> ImpossibilityProof | None:
-    """Try to prove that no motion of any kind joins start and goal, including reversing and turning in place.
+    """Try to prove that no motion of any kind connects the start to the goal.
+
+    Motions of any kind include reversing and turning in place.
+
 
     Args:
         problem: The planning problem.
@@ -335,7 +338,7 @@ class _Search:
         )
 
     def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
-        """Yield the narrowest place of the widest route of a disc, from cells refined until the place is accurate."""
+        """Yield the narrowest point of the widest route of a disc, from cells refined until the point is accurate."""
         graph, found = PlaceGraph(self.grid, self.ends, by_certainty(self.grid)), None
         graph.add([self.graph.tiles[key] for key in self.graph.present()])
         with contextlib.suppress(OutOfTime):
@@ -356,7 +359,7 @@ class _Search:
                 yield bottleneck
 
     def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """Return the bottleneck at a place of the disc, with the best heading of the body; None inside an obstacle."""
+        """Return the bottleneck at a position of the disc, with the best heading of the body; None in an obstacle."""
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
@@ -370,7 +373,7 @@ class _Search:
         return self._bottleneck((x, y, yaw), most, half)
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
-        """Yield the narrowest place of the widest route, from margins at the centres of successively finer cells."""
+        """Yield the narrowest point of the widest route, from margins at the centres of successively finer cells."""
         present, half = set(self.graph.present()), self.grid.cell
         tiles = [  # the examined ones of level 0, and all that were not examined
             tile

@@ -283,7 +283,10 @@ class PlaceGraph(ConnectivityGraph):
         self.joints[key, key] = _met_within(labels, kinds=2)
 
     def route(self) -> list[int]:
-        """Return the nodes of the route with the lowest maximum node cost, by a minimum spanning tree ([Hu1961])."""
+        """Return the nodes of the minimax route, which has the lowest maximum node cost.
+
+        It is found with a minimum spanning tree ([Hu1961]).
+        """
         from scipy import sparse
         from scipy.sparse import csgraph
 

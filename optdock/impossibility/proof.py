@@ -77,14 +77,15 @@ _Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 
 @dataclass(frozen=True)
 class Bottleneck:
-    """The narrowest place of the widest route.
+    """The narrowest point of the widest route.
 
     Args:
         x: Position of the robot's origin [m].
         y: Position of the robot's origin [m].
         yaw: Heading [rad].
-        missing_width: Width that is missing for the robot with the required clearance on both sides [m].
-        missing_without_clearance: Width that is missing for the body alone [m]; at most 0 if the body fits.
+        missing_width: Width by which the gap is too narrow for the robot with the required clearance on both sides [m].
+        missing_without_clearance: Width by which the gap is too narrow for the body alone [m]; at most 0 if the body
+            fits.
         accuracy: Largest error of the two widths [m].
         between: Names of the nearest obstacles on both sides, one or two.
     """
@@ -158,7 +159,7 @@ class ImpossibilityProof(FrozenArrays):
 
     @property
     def where(self) -> dict[str, object]:
-        """The details of the error: pose, missing width and obstacle of the bottleneck, if it is known."""
+        """The details of the error: pose, missing width and obstacle of the bottleneck, if the bottleneck is known."""
         found = self.bottleneck
         if found is None:
             return {}
@@ -259,16 +260,16 @@ class _ProofDocument(BaseModel):
 def least_required(
     problem: DockingProblem, x: FloatArray, y: FloatArray, reach: FloatArray | float, start_clearance: float
 ) -> FloatArray:
-    """Return the least clearance [m] that any certificate requires of a robot within `reach` of a place.
+    """Return the least clearance [m] that any certificate requires of a robot within `reach` of a position.
 
     The required clearance grows with the distance from the goal and from the start. For a start that is too close to an
     obstacle a certificate may use the weaker rule.
 
     Args:
         problem: The planning problem.
-        x: Places of the robot's origin, any shape [m].
-        y: Places of the robot's origin, same shape [m].
-        reach: Radius around each place [m].
+        x: Positions of the robot's origin, any shape [m].
+        y: Positions of the robot's origin, same shape [m].
+        reach: Radius around each position [m].
         start_clearance: Clearance of the start pose [m].
     """
     from_goal, from_start = (

@@ -255,7 +255,7 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
 
 
 def check_sampled_curvature(columns: PathColumns, name: str) -> None:
-    """Check the curvature of samples against the ratios of turn and chord of the steps around them.
+    """Check the curvature at each sample against the ratio of heading change to chord length in the neighbouring steps.
 
     The range of the ratios of the two steps before and the two steps after a sample is widened by its width and by the
     rounding. Samples near a turn in place are not checked. The check applies only to drivable paths, because raw paths

@@ -79,7 +79,7 @@ class TrajectoryColumns(SampledMotion):
 
 
 class PlanError(NamedTuple):
-    """Reason for a failed plan: error code of Nav2's action, message, and location data."""
+    """Reason why planning failed: the error code of the Nav2 action, a message, and data that locate the failure."""
 
     code: int
     message: str

@@ -91,8 +91,8 @@ def added_obstacles(
     Args:
         costmap: The new costmap.
         known: The earlier costmap. None, or a costmap with another grid, means that no obstacle was known.
-        places: Shape (n, 2) [m].
-        reach: Cells farther than this distance from all places are omitted [m].
+        places: The points, Shape (n, 2) [m].
+        reach: Cells farther than this distance from all points are omitted [m].
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles in both costmaps.
     """
     lower, upper = places.min(axis=0) - reach, places.max(axis=0) + reach

@@ -43,7 +43,7 @@ class FileCostmap(NamedTuple):
 def file_costmap(
     params: Nav2Params, described: CostmapParams, grid: OccupancyGrid, start: Pose2, dock: Dock
 ) -> FileCostmap:
-    """Return the costmap `described`, with the place and size of the map, without sensor data.
+    """Return the costmap `described`, with the position and size of the map, without sensor data.
 
     The layers that optdock provides are applied in the order of the file with their parameters. Layers of sensors are
     skipped because there is no data. Inflation layers are skipped because the clearance is proven with the exact
@@ -148,7 +148,7 @@ def layered_costmap(
     *,
     track_unknown_space: bool = True,
 ) -> Costmap:
-    """Return the costs that layers write into a grid with the place and size of a map.
+    """Return the costs that layers write into a grid with the position and size of a map.
 
     Args:
         place: The map; its occupancies are not used.

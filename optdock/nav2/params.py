@@ -206,7 +206,10 @@ def _with_nested_names(document: Document) -> Document:
 
 
 def _nested(value: object, old: Keys, new: Keys, lines: dict[Keys, int]) -> object:
-    """Return `value` with the names in parameter blocks split, and move its line numbers from `old` to `new`."""
+    """Return `value` with dotted names in parameter blocks split into nested blocks.
+
+    Line numbers found in `lines` under the key path `old` are added under `new`.
+    """
     if not isinstance(value, Mapping):
         return value
     result: dict[object, object] = {}

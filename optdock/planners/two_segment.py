@@ -153,7 +153,7 @@ class ApproachAxis(FrozenArrays):
 
     @property
     def point_c(self) -> FloatArray:
-        """The point before the dock, Shape (2,) [m]."""
+        """The point in front of the dock, Shape (2,) [m]."""
         return self._at(self.distance_min_c)
 
     @property
@@ -259,7 +259,7 @@ def plan_two_segment(
     """Compute the raw docking path from `start` to `goal`.
 
     The resolution of the costmap, or `parameters.resolution` without one, bounds the spacing of poses. With
-    `parameters.check_free_space` the cells under start, goal and curves must be free; places off the map are not free.
+    `parameters.check_free_space` the cells under start, goal and curves must be free; points off the map are not free.
     `cancel_checker` is polled at least every 5 ms.
 
     Raises:

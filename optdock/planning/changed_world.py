@@ -47,8 +47,8 @@ class StillHolds:
         holds: Whether the clearance is proven.
         changed: Names of the parts that differ from the world of the plan's proof, out of `obstacles`, `costmap`,
             `dock`, `clearance`, `footprint`, `limits`, `frame`.
-        at_s: Place of the first conflict on the plan's path [m]; None if there is no conflict.
-        at_time: Time of that place on the plan's trajectory [s].
+        at_s: Arc length of the first conflict on the plan's path [m]; None if there is no conflict.
+        at_time: Time at which the plan's trajectory reaches that arc length [s].
         obstacle: The obstacle that is too close; empty if the proof was not completed.
         clearance: Clearance to that obstacle [m].
         required: Required clearance there [m].
@@ -204,7 +204,7 @@ def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
 
 
 def _time_at(trajectory: Trajectory, s: float) -> float:
-    """Return the time at which a trajectory first reaches a place on its path [s]."""
+    """Return the time at which a trajectory first reaches an arc length of its path [s]."""
     law = trajectory.time_law
     phase = int(np.clip(np.searchsorted(law.states[:, 0], s) - 1, 0, law.durations.size - 1))
     low, high = 0.0, float(law.durations[phase])

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Push", "deformed", "push_off"]
 
-_ROOM = 0.005  # [m]: additional distance of a push, because the nearest place moves along the path
+_ROOM = 0.005  # [m]: additional distance of a push, because the nearest point moves along the path
 _CLOSED = 2e-7  # [m], [rad]: a fifth of the certificate's tolerance
 _FLAT = 1e-6  # [m]: tolerance of corners of an edge along an obstacle
 _PUSHED = 1e-4  # [m]: tolerance of pushes
@@ -97,11 +97,11 @@ class _GearPiece(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A required distance from an obstacle at a place of the path.
+    """A required distance from an obstacle at a point of the path.
 
     Attributes:
         gear: Index of the segment.
-        share: Place along the segment, 0 to 1.
+        share: Position along the segment as a share of its length, 0 to 1.
         body: The convex piece of the robot that comes too close.
         piece: The convex obstacle.
         distance: Required distance [m].

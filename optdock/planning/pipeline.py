@@ -129,8 +129,8 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
 
-    There are three possible results: a certified plan, a proof that no motion exists (`NoMotionExists`), or another
-    error, which is a time-out or gives the reason for the failure of the guess that came furthest.
+    There are three possible outcomes: a certified plan is returned; `NoMotionExists` is raised, with a proof; or
+    another error is raised, either a time-out or the reason why the most advanced guess failed.
 
     Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. A
     plugin object must not be configured, and it can be used by only one call at a time.
@@ -322,7 +322,7 @@ class _Portfolio:
         return ImpossibilitySearch(self.problem)
 
     def plan(self) -> DockPlan:
-        """Return the best plan; on failure, `so_far` receives the partial plan of the guess that came furthest."""
+        """Return the best plan; on failure, the partial plan of the most advanced guess is copied to `so_far`."""
         with self.work.timed("plan"):
             check_ends(self.problem)
             blocked = prove_straight_blocked(self.problem)
@@ -506,7 +506,7 @@ class _Portfolio:
         self.failures.append(failure)
 
     def _leave(self, left: PartialPlan | None = None) -> None:
-        """Copy the partial plan of a guess to `so_far`, by default the plan of the guess that came furthest."""
+        """Copy a partial plan to `so_far`, by default the partial plan of the most advanced guess."""
         left = left or (furthest(self.failures).left if self.failures else PartialPlan())
         self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
         self.so_far.tried = tuple(self.tried)

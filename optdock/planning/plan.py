@@ -225,7 +225,7 @@ class DockPlan:
         return cls(motion, raw_path, found.completed, found.timing_ms)
 
     def plot(self, target: str | FilePath, title: str = "") -> None:
-        """Draw map, obstacles, dock, paths, the swept footprint, and the place of least clearance.
+        """Draw map, obstacles, dock, paths, the swept footprint, and the position of least clearance.
 
         Args:
             target: File name; the suffix selects the format.

@@ -111,9 +111,9 @@ class Replanned:
         starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
         reason: Reason why there is no new plan; empty for NEW.
-        way: The proven clearance in the new world, from the current `pose` of the robot until `trajectory` takes over
-            or ends; None if it is not proven. For KEPT the station is assumed to be at the end of the plan, which is
-            within the dock's tolerances.
+        way: Proof of clearance in the new world, from the current pose of the robot to the takeover (NEW) or to the end
+            of the motion (KEPT, STOP); None if clearance could not be proven. For KEPT the station is assumed to be at
+            the end of the plan, which is within the dock's tolerances.
         motion: The certificate of the motion of a stop; None for NEW and KEPT, whose plan contains this certificate.
         tried: Every attempt and its result.
         timing_ms: Wall-clock milliseconds per stage.
@@ -192,7 +192,8 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        cancel_checker: As in `plan_dock`; after cancelling, the robot continues or stops, as after a time-out.
+        cancel_checker: Polled as in `plan_dock`. Cancelling does not raise an error; the outcome is KEPT or STOP, as
+            after a time-out.
 
     Raises:
         InvalidValue: If a value has the wrong class or is not finite, or the target is in another frame than the plan.

@@ -42,7 +42,7 @@ class DriveState(NamedTuple):
             the running path, the controller corrects the error and a new plan begins on that path. Otherwise a new plan
             begins at the pose of the robot.
         moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, because the dock
-            was detected at another place. None means identity.
+            was detected at a different pose. None means identity.
         is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
 
@@ -54,7 +54,7 @@ class DriveState(NamedTuple):
 
 
 class BranchPoint(NamedTuple):
-    """A place on the running trajectory, and the state of the robot there.
+    """A point on the running trajectory, and the state of the robot there.
 
     `time`: time on the clock of the trajectory [s]. `s`: arc length on its path [m]. `pose`, `speed`, `acceleration`:
     state of the robot, the latter two signed. `gear`: 1, -1 or 0. `rest`: the remaining path from the pose of the
@@ -113,7 +113,7 @@ class RunningDrive:
         return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
 
     def is_in_tube(self, place: Pose2) -> bool:
-        """Whether the tube around a drive that begins at a place of the path covers the robot."""
+        """Whether the tube around a drive that begins at a given pose of the path covers the robot."""
         pose, footprint = self.state.pose, self.world.robot.footprint
         assert pose is not None
         off = footprint.displacement(pose, self.reference)
@@ -196,7 +196,7 @@ _STILL = 0.1  # [s]: duration of the motion of a standing robot
 
 
 def braking(joint: BranchPoint, limits: MotionLimits, frame: str) -> tuple[Trajectory, TrajectoryCertificate]:
-    """Return the fastest certified braking from a place of a trajectory; if none is certified, the fastest one.
+    """Return the fastest certified braking from a point of a trajectory; if no braking is certified, the fastest.
 
     The result is the trajectory and the certificate of its motion, which may list violations.
     """

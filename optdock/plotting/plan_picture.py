@@ -76,7 +76,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     refusal: OptdockError | None = None,
     title: str = "",
 ) -> None:
-    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the place of a refusal.
+    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the position of a refusal.
 
     If the dock must be in view, its marker and the camera's cone at some poses of the path are also drawn.
 
@@ -233,7 +233,7 @@ def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProo
 
 
 def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:
-    """Return the pose of a refusal: given directly, at an arc length, or start or goal; None if no place is given."""
+    """Return the pose of a refusal: given directly, at an arc length, or start or goal; None without a position."""
     where = refusal.where
     pose = where.get("pose")
     if isinstance(pose, Sequence) and len(pose) == 3:

@@ -208,7 +208,7 @@ def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _MotionVerdi
 
 
 def _exact(motion: TrajectoryColumns, path: Path, law: TimeLaw, problem: DockingProblem) -> _MotionVerdict:
-    """Prove the phases and compare the samples with them."""
+    """Certify the motion that the file's time law defines, and compare the file's samples with it."""
     trajectory = Trajectory(path, law)
     proof = certify_motion(trajectory, problem)
     samples = check_samples_of(trajectory, motion, problem)
@@ -346,7 +346,7 @@ class _Claims:
                 yield f"certificate.{name} is {claim:.6g} {unit}, proven is {value:.6g} {unit}"
 
     def _false_place(self) -> Iterator[str]:
-        """Check the obstacle and the place of the least clearance."""
+        """Check the obstacle and the position of the least clearance."""
         nearest, obstacles = self._claimed.get("nearest"), self._problem.all_obstacles
         if nearest == "" and self._certificate.nearest:
             yield f"certificate.nearest is empty, but {self._certificate.nearest} is nearest"

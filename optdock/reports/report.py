@@ -206,7 +206,7 @@ def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
         text = f"kept, {1e3 * width:.1f} mm wide before it tapers"
     else:
         worst = int(np.argmax(deviations.excess))
-        text = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
+        text = f"left {to_go[outside].max():.3f} m from the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
     return [Row("off the path", needed), Row("tube", text)]
 
 

@@ -386,7 +386,8 @@ class JudgedPoses(NamedTuple):
         name: `path` or `drive`.
         path: Path through the poses.
         problem: Problem from the first pose to the last, with the costmap.
-        closest: Text with the smallest clearance of the poses, and its pose and obstacle.
+        closest: Text that states the smallest clearance along the poses, the pose at which it occurs, and the nearest
+            obstacle there.
     """
 
     name: str

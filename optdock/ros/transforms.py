@@ -163,7 +163,7 @@ class TransformTree:
             parent: Parent frame.
             child: The frame.
             stamp: Time of the pose [s].
-            place: Origin of the frame [m].
+            place: Position of the origin of the frame [m].
             turn: Quaternion x, y, z, w.
             is_static: Whether the pose is valid at all times.
 

@@ -1,6 +1,6 @@
 """Motions given by samples only, which cannot be certified but can be refuted.
 
-- `sampled_motion`: rounding, and the place of each sample on its path.
+- `sampled_motion`: rounding, and the position of each sample along its path.
 - `refutation`: the rules that samples can violate.
 - `tube`: deviations of the samples of a drive from its path, and the allowed deviations.
 """

@@ -144,7 +144,7 @@ def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> F
 
 
 def _unjudgeable(path: Path, step: float, error: float) -> Violation | None:
-    """Return a violation if samples are too far apart, or if distance cannot give the place on a polyline."""
+    """Return a violation if samples are too far apart, or if positions on a polyline are undetermined."""
     if not error <= REACH:
         message = (
             f"samples up to {step:.3g} s apart leave the motion between them uncertain by {error:.3g} m; "
@@ -173,7 +173,7 @@ def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) ->
 
 
 class _Bends(NamedTuple):
-    """Curvature of the path near the samples, within the rounding of their places.
+    """Curvature of the path near the samples, within the rounding of their positions.
 
     `low`, `high`: range of the curvature, Shape (n,) [1/m]; `curvature`, `rate`: curvature and its rate just before, at
     and just after each sample, Shape (3, n) [1/m], [1/m^2];

@@ -1,9 +1,9 @@
-"""Motions given by samples, their rounding, and the place of each sample on the path.
+"""Motions given by samples, their rounding, and the position of each sample along the path.
 
-A pose alone does not determine the place: paths cross themselves and fold back at cusps. The signs of speed and yaw
-rate divide the samples into runs (forward, reverse, turn left, turn right), which must match the parts of the path in
-order. Within a part the integrated speed gives the approximate place, and the projection of the pose gives the exact
-place.
+A pose alone does not determine the position along the path: paths cross themselves and fold back at cusps. The signs of
+speed and yaw rate divide the samples into runs (forward, reverse, turn left, turn right), which must match the parts of
+the path in order. Within a part the integrated speed gives the approximate position, and the projection of the pose
+gives the exact position.
 """
 
 from __future__ import annotations
@@ -166,9 +166,9 @@ def _merged(parts: Sequence[Run]) -> list[Run]:
 
 
 class Places(NamedTuple):
-    """Places of samples on their path, Shape (n,) each.
+    """Positions of samples along their path, Shape (n,) each.
 
-    `s`: arc length [m]; `driven`: distance driven up to that place, without turns in place [m]; `apart`, `turned`:
+    `s`: arc length [m]; `driven`: distance driven up to that position, without turns in place [m]; `apart`, `turned`:
     distance [m] and heading difference [rad] from the path.
     """
 
@@ -179,7 +179,7 @@ class Places(NamedTuple):
 
 
 def places_of(motion: SampledMotion, path: Path, runs: Sequence[Run], travelled: FloatArray, yaw: FloatArray) -> Places:
-    """Return the place of every sample; samples at rest between two runs belong to the nearer part.
+    """Return the position of every sample along the path; samples at rest between two runs belong to the nearer part.
 
     `travelled`: integrated speed, Shape (n,) [m]; `yaw`: continuous heading, Shape (n,) [rad].
     """

@@ -59,8 +59,8 @@ class Steering:
         start: Measured angle at the beginning, at rest [rad].
 
     Raises:
-        InvalidValue: If a value is not a number or not finite, the lag or the play is negative, the gain is not > 0, or
-            `at_rest` is unknown.
+        InvalidValue: If a value is not a number or is not finite, the lag or the play is negative, the gain is not > 0,
+            or `at_rest` is unknown.
     """
 
     lag: float = 0.0

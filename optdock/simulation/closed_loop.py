@@ -294,7 +294,7 @@ class RemainingPath:
         self._at = 0
 
     def from_pose(self, pose: Pose2) -> Sequence[Pose2]:
-        """Return the poses from the place of the robot to the end; at least two."""
+        """Return the poses from the position of the robot to the end; at least two."""
         if self._at in self._segment_ends[:-1]:
             self._at += 1  # the second sample of the cusp, of the next gear
         end = next(i for i in self._segment_ends if i >= self._at)
@@ -307,10 +307,10 @@ def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, 
     """Return a description of how driven poses left the certified tube or clearance; empty if all poses are inside.
 
     A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if a tube is given,
-    or if the footprint is closer to an obstacle than the problem's clearance requires. Without a tube only the clearance
-    is checked. Near the dock the certificate reserves less than the width of the tube, so a pose within the tube can
-    still violate the clearance. Within the dock's tolerances the robot may penetrate its station by the travel of a
-    bumper.
+    or if the footprint is closer to an obstacle than the problem's clearance requires. Without a tube only the
+    clearance is checked. Near the dock the certificate reserves less than the width of the tube, so a pose within the
+    tube can still violate the clearance. Within the dock's tolerances the robot may penetrate its station by the travel
+    of a bumper.
 
     Args:
         path: Path to be driven.
@@ -325,7 +325,7 @@ def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, 
         worst = int(np.argmax(moved))
         if moved[worst] > width:
             off, wide = f"{1e3 * moved[worst]:.1f} mm off the path", f"the tube is {1e3 * width:.1f} mm wide"
-            faults.append(f"{off} {to_go[worst]:.3f} m before the dock, {wide}")
+            faults.append(f"{off} {to_go[worst]:.3f} m from the dock, {wide}")
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
     begun, relief = end_clearances(problem).start, certificate.start_relief
     required = problem.clearance.required_at(to_go, from_start, begun, relief)
@@ -342,5 +342,5 @@ def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, 
     if short[worst] > 0.0:
         near = in_words(obstacles.name_of(int(nearest[worst])))
         rule = f"required {required[worst]:.4f} m"
-        faults.append(f"{clearance[worst]:.4f} m from {near} {to_go[worst]:.3f} m before the dock, {rule}")
+        faults.append(f"{clearance[worst]:.4f} m from {near}, {to_go[worst]:.3f} m from the dock, {rule}")
     return " and ".join(faults)

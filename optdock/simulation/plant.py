@@ -49,8 +49,8 @@ class Actuation:
         longest_substep: Largest integration step while the velocity changes [s].
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, the latency is above 10 s, or the sub-step is
-            0.
+        InvalidValue: If a value is not a number, is negative, or is not finite, the latency is above 10 s, or the
+            sub-step is 0.
     """
 
     linear_lag: float = 0.0
@@ -124,7 +124,8 @@ class Wheels:
         stuck: Faults.
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, or a width, a gain or the largest speed is 0.
+        InvalidValue: If a value is not a number, is negative, or is not finite, or a width, a gain or the largest speed
+            is 0.
     """
 
     track_width: float

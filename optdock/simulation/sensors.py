@@ -49,7 +49,7 @@ class PoseSensor:
         yaw_walk: Standard deviation of the random walk of yaw [rad/sqrt(s)].
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite.
+        InvalidValue: If a value is not a number, is negative, or is not finite.
     """
 
     position_sigma: float = 0.0
@@ -108,7 +108,8 @@ class Odometry:
         track_width: Track width for the conversion of ticks [m]; required if `tick` is not 0.
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, or there are ticks without a track width.
+        InvalidValue: If a value is not a number, is negative, or is not finite, or there are ticks without a track
+            width.
     """
 
     linear_gain: float = 1.0
@@ -190,8 +191,8 @@ class DockSensor:
         drop_out: Probability that an image gives no detection.
 
     Raises:
-        InvalidValue: If a value is not a number, negative or not finite, the rate is 0, the drop-out is above 1, or the
-            smallest range is not below the largest range.
+        InvalidValue: If a value is not a number, is negative, or is not finite, the rate is 0, the drop-out is above 1,
+            or the smallest range is not below the largest range.
     """
 
     rate: float = 15.0

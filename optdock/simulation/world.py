@@ -64,7 +64,8 @@ class Station:
         stalls: Whether the wheels also stop (weak motors); otherwise they slip, and the odometry continues.
 
     Raises:
-        InvalidValue: If the direction is not forward or backward, or a value is not a number, negative or not finite.
+        InvalidValue: If the direction is not forward or backward, or a value is not a number, is negative, or is not
+            finite.
     """
 
     direction: DockDirection = DockDirection.FORWARD

@@ -222,7 +222,7 @@ def _equal_parts(i: int, j: int, count: int) -> list[tuple[int, int]]:
 
 
 def _parts(nodes: _Nodes, ends: tuple[int, int], tried: Move | None) -> list[tuple[int, int]]:
-    """Split a long piece into equal parts, and a short piece into two at the knot nearest to the worst place."""
+    """Split a long piece into equal parts, and a short piece in two at the knot nearest to the largest excess."""
     i, j = ends
     cells = j - i
     if cells > _SHORT or tried is None:
@@ -238,8 +238,8 @@ def _try_pieces(
 ) -> dict[tuple[int, int], Move | None]:
     """Return the best move over every piece: a gentle move if there is one, otherwise the time-optimal move.
 
-    The time-optimal move over a single cell is tried in any case. If rounding prevents a move, the motion of the
-    reference is used.
+    The time-optimal move over a single cell is tried in any case. If rounding errors leave no valid move over a single
+    cell, the reference's own motion over that cell is used.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:

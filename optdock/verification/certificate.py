@@ -1,4 +1,4 @@
-"""Certificates, which list every violation with its place and amount, and the tolerance of all proofs."""
+"""Certificates, which list every violation with its position and amount, and the tolerance of all proofs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Violation:
         kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `turn`, `slip`,
             `curvature`, `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `view`, `unproven`; for
             trajectories the name of the limit, `yaw_jerk`, `rest`, `coverage` or `start_state`.
-        message: Description with place and amount.
+        message: Description with the position and the amount of the violation.
         s: Arc length of the violation [m].
         amount: Excess over the rule, in the unit of the rule; > 0.
         where: Additional data: pose, obstacle.
@@ -101,7 +101,7 @@ class Certificate(_Verdict):
         violations: Every violated rule; empty if certified.
         min_clearance: Proven lower bound of the clearance of the footprint on the whole path [m]; inf without
             obstacles. If poses violate the rule, it is the smallest clearance found.
-        required_clearance: Required clearance at the place of `min_clearance` [m].
+        required_clearance: Required clearance at the position of `min_clearance` [m].
         at_s: Arc length of `min_clearance` [m].
         margin: Proven lower bound of clearance minus required clearance on the whole path [m]. Unlike `min_clearance`
             it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, it is the
@@ -116,7 +116,7 @@ class Certificate(_Verdict):
         start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
             distance from the start; otherwise the distance from the start within which the weaker rule allows the start
             clearance [m]. The weaker rule is used only if the strict one is violated.
-        tube: Largest displacement of a footprint point from its place on the path for which the robot keeps its
+        tube: Largest displacement of a footprint point from its planned position for which the robot keeps its
             clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
             `TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be

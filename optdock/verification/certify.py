@@ -36,7 +36,7 @@ Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 
 
 def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
-    """Prove that `path` solves `problem`, or return the violated rules with their places.
+    """Prove that `path` solves `problem`, or return the violations with their positions.
 
     The footprint clearance (second-order `conservative_advancement`) and, if the dock requires it, the visibility of
     the marker (`visibility`) are proven for every point of the continuous path. Start and goal pose (`TOLERANCE`),

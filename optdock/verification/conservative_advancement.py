@@ -55,11 +55,10 @@ class ClearanceProof(NamedTuple):
     """Result of the proof; its truth value is `holds`.
 
     `proven`: lower bound of the clearance on the whole path; with violations the smallest clearance among them. `at_s`,
-    `required`, `row`: place of `proven`, with the required clearance and the obstacle there (-1: none). `margin`: lower
-    bound of clearance - required, which is not sharp because cells are bisected only until they are proven.
-    `violations`: (s, clearance, required, row, x, y, yaw) of violating poses, Shape (n, 7). `unproven`: (s, bound -
-    required) of cells given up, Shape (m, 2).
-    `poses`: number of evaluated poses.
+    `required`, `row`: arc length at which `proven` occurs, with the required clearance and the obstacle there (-1:
+    none). `margin`: lower bound of clearance - required, which is not sharp because cells are bisected only until they
+    are proven. `violations`: (s, clearance, required, row, x, y, yaw) of violating poses, Shape (n, 7). `unproven`: (s,
+    bound - required) of cells given up, Shape (m, 2). `poses`: number of evaluated poses.
     """
 
     proven: float
@@ -83,8 +82,8 @@ class ClearanceProof(NamedTuple):
 class _Round(NamedTuple):
     """Result of one round over a set of cells.
 
-    `bound`, `required`, `row`, `s`: lower bound, required clearance, obstacle row and place of each cell. `violations`:
-    violating poses. `attained`: smallest clearance of a pose.
+    `bound`, `required`, `row`, `s`: lower bound, required clearance, obstacle row and arc length of each cell.
+    `violations`: violating poses. `attained`: smallest clearance of a pose.
     """
 
     bound: FloatArray

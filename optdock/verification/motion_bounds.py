@@ -48,7 +48,7 @@ class Cells(NamedTuple):
         )
 
     def ends(self) -> CellEnds:
-        """Return the distinct places where cells begin or end."""
+        """Return the distinct positions at which cells begin or end."""
         segment, u = np.tile(self.segment, 2), np.concatenate((self.first, self.last))
         order = np.lexsort((u, segment))
         new = np.ones(order.size, dtype=np.bool_)

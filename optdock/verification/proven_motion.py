@@ -271,7 +271,7 @@ def prove_way(
 
 
 def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float) -> str:
-    """Return a message about the place where the clearance of a path is not proven; empty if it is proven."""
+    """Return a message that locates the point where clearance is not proven; empty if clearance is proven."""
     rule = problem.path_clearance
     count = max(2, int(np.ceil(path.length / _SPACING)) + 1)
     places = path.poses_at(np.linspace(0.0, path.length, count))[:, :2]

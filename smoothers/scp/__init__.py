@@ -1,4 +1,4 @@
-"""The method of `CasadiSmoother`: sequential convex programming on splines of linear curvature.
+"""Algorithm of `CasadiSmoother`: sequential convex programming on clothoid splines (piecewise-linear curvature).
 
     minimize    length + curvature^2 + curvature rate^2 + distance to the input^2
     over        curvatures K at the knots, lengths L of the gears

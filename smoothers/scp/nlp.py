@@ -1,4 +1,4 @@
-"""The nonlinear program of a docking problem and an input path.
+"""Nonlinear program that smooths an input path for a docking problem.
 
     minimize    J(K, L)                                      (`cost`)
     subject to  |K| <= k_max, |K_(j+1) - K_j| <= s_max L / q, L > 0

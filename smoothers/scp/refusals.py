@@ -201,7 +201,7 @@ def refuse_search(
 
 
 def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Return the refusal at the place where the best path found loses the view of the dock, or None."""
+    """Return the refusal at the position where the best path found loses the view of the dock, or None."""
     broken = next((one for one in prove_view(path, problem).violations if one.kind == "view"), None)
     if broken is None:
         return None

@@ -204,7 +204,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Rows of the required view, and penalties that make an infeasible search give up the view before the goal."""
+    """Rows of the required view, and penalties with which an infeasible search violates the view, not the goal."""
 
     reach: float = 0.35  # [m]: larger margins have no row; as `LoopSettings.most_reach`
     goal_penalty: float = 3000.0  # [1/m]; 6000 makes no difference

@@ -40,10 +40,10 @@ class ViewBound:
 
 
 class SeenPlaces(NamedTuple):
-    """The view at places of a path."""
+    """The view at positions along a path."""
 
-    node: IntArray  # node before each place, Shape (p,)
-    ahead: FloatArray  # distance of the place from that node [m], Shape (p,); 0 at nodes
+    node: IntArray  # node before each position, Shape (p,)
+    ahead: FloatArray  # distance of the position from that node [m], Shape (p,); 0 at nodes
     poses: FloatArray  # Shape (p, 3)
     seen: FloatArray  # marker in the robot's frame, Shape (p, 2) [m]
     normals: FloatArray  # gradient of each margin by the marker in the robot's frame, Shape (edges, p, 2)
@@ -51,7 +51,7 @@ class SeenPlaces(NamedTuple):
 
 
 def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
-    """Return the view at the places on the path where the view is required."""
+    """Return the view at the positions along the path where it is required."""
     left = _left_to_drive(bound, basis, variables)
     node, ahead = _places(bound.view, left)
     poses = _driven_on(bound, basis, rollout, node, ahead)
@@ -150,7 +150,7 @@ def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
 def _sensitivity(
     bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of the poses at places by the variables, Shape (p, size) each.
+    """Return the derivatives of the poses at the positions with respect to the variables, Shape (p, size) each.
 
     The distance of an end of the stretch from its node changes by the same amount as the remaining length at that node.
     """

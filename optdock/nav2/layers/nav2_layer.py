@@ -46,7 +46,10 @@ class LayerParameters(PluginParameters):
 
 
 class Nav2Layer(Layer):
-    """Layer that has the parameter `enabled`, has no observations, and is written completely in every update."""
+    """Base class of layers that have an `enabled` parameter.
+
+    The layers keep no observations, and write all their cells again on every update.
+    """
 
     Parameters = LayerParameters
     parameters: LayerParameters

@@ -212,7 +212,7 @@ def _free_lengths(
             blocked[mine] = some[np.minimum(count, some.size - 1)]
             still.append(mine[count == some.size])
         going = np.concatenate(still) if still else going
-    # Bisection between the last free pose and the first blocked one: in a narrow place every centimetre is important.
+    # Bisection between the last free pose and the first blocked one: in a narrow area every centimetre is important.
     ended = np.setdiff1d(np.arange(free.size), going)
     for _ in range(_BISECTIONS if ended.size else 0):
         middle = 0.5 * (free[ended] + blocked[ended])

@@ -88,7 +88,7 @@ class EndTrees:
         return TreeNodes(tree, np.arange(len(tree)))
 
     def straight_runs(self, effort: Effort) -> dict[str, float]:
-        """Return the free straight length before the dock in each gear, up to the final straight plus two radii [m]."""
+        """Return the free length [m] in front of the dock in each gear, up to the final straight plus two radii."""
         tree = self._from_goal()
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
         tree.grow(ROOT, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, effort)
@@ -111,7 +111,7 @@ class EndTrees:
         return TreeNodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> Exits:
-        """Return the start and the ends of free arcs and lines from it, with more arcs in narrow places; cached."""
+        """Return the start and the ends of free arcs and lines from it, with more arcs in narrow areas; cached."""
         key = effort._replace(nodes=0), bends
         if key not in self._by_effort:
             tree = self.from_start()

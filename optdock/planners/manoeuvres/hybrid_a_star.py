@@ -1,6 +1,6 @@
 """Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as analytic expansions.
 
-The method of [Dolgov2010] searches over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
+The search of [Dolgov2010] expands over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
 and tries, from nodes, the shortest path to the goal without regard to obstacles. Here the search begins at the tighter
 end, usually the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger
 of the cheapest word and the length of the shortest way of a disc among the obstacles.
@@ -110,7 +110,7 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         pairs = (shooting, aimed) if from_start else (aimed, shooting)
         words = connections(*pairs, radius, space, _WORDS_PER_NODE)
         shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
-        # Distance between the target and the source of the wavefront: a staging pose lies before the dock.
+        # Distance between the target and the source of the wavefront: a staging pose lies in front of the dock.
         beyond = aims.tree.prices[aimed_at] * speed if from_start else np.where(aimed_at == 0, 0.0, np.inf)
         least = wavefront.lengths(tree.poses[shooters, :2]) - beyond
         long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))

@@ -229,7 +229,7 @@ class Stages:
         return EndTrees(self.problem, self.space)
 
     def straight_runs(self) -> dict[str, float]:
-        """Return the free straight length before the dock for entering it in each gear [m]."""
+        """Return the free straight length in front of the dock for entering the dock in each gear [m]."""
         return self.trees.straight_runs(self._efforts[-1])
 
     @functools.cached_property

@@ -143,10 +143,10 @@ def _allowed_turns(poses: FloatArray, turns: FloatArray, rows: IntArray, space: 
 
 
 def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
-    """Return distances from a pose along its axis, in either gear, of places suited for a turn. Shape (n,) [m].
+    """Return distances from a pose along its axis, in either gear, of positions suited for a turn. Shape (n,) [m].
 
     These are the intersection with the axis of the other end, the foot of the perpendicular from the other end to the
-    axis, and the places with the largest clearance.
+    axis, and the positions with the largest clearance.
     """
     ahead = np.array([math.cos(pose[2]), math.sin(pose[2])])
     across = np.array([-math.sin(other[2]), math.cos(other[2])])

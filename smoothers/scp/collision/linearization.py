@@ -65,9 +65,9 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Return a mask of the pairs whose overlap is too deep to determine a side. Shape (p,).
+    """Return a mask of the pairs that overlap too deeply to tell on which side of the obstacle the body should be.
 
-    If any overlap is very deep, pairs with a small positive margin are also included.
+    The mask has Shape (p,). If any overlap is very deep, pairs with a small positive margin are also included.
     """
     if worst >= -settings.deep * width:
         return np.zeros(margin.size, dtype=np.bool_)

@@ -42,13 +42,13 @@ def test_without_a_tube_the_clearance_decides():
     spare = plan().certificate.min_clearance
     assert spare == pytest.approx(0.0, abs=1e-6)  # at the plate
     assert left(plan(), (1.5, (0.0, -0.3, 0.0))) == ""  # far off the path, and of every obstacle
-    assert "0.1400 m from obstacles[0] 1.501 m before the dock, required 0.1500 m" in left(
+    assert "0.1400 m from obstacles[0], 1.501 m from the dock, required 0.1500 m" in left(
         plan(), (1.5, (0.0, 0.06, 0.0))
     )
 
 
 def test_with_a_tube_its_width_decides():
-    assert "30.0 mm off the path 2.500 m before the dock, the tube is 20.0 mm wide" in left(
+    assert "30.0 mm off the path 2.500 m from the dock, the tube is 20.0 mm wide" in left(
         plan(0.02), (0.5, (0.0, -0.03, 0.0))
     )
 
