@@ -86,7 +86,7 @@ def calibrate(
     Args:
         recordings: Drives of one robot at one dock.
         deviations: Largest lateral deviation [m] and largest heading deviation [rad] from the path in each docking.
-        coverage: Probability that another docking stays inside the tube.
+        coverage: Probability that a further docking stays inside the tube.
 
     Raises:
         InvalidValue: If there is no recording, the coverage is not between 0 and 1, robots or docks differ, or a drive

@@ -22,7 +22,7 @@ class DrivenTube(NamedTuple):
 
     Attributes:
         tube: The tube; None if unknown.
-        coverage: Lower bound of the probability that another docking stays inside the tube [1].
+        coverage: Lower bound of the probability that a further docking stays inside the tube [1].
         quantities: Widths `cross` and `yaw` of the tube.
     """
 

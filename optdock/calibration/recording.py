@@ -136,7 +136,7 @@ def read_recording(source: str | Path) -> ReadFile:
     """Read a log, a run file or a recording of ROS 2.
 
     Raises:
-        InvalidFile: If the file cannot be read, is of another kind, or is damaged.
+        InvalidFile: If the file cannot be read, is of the wrong kind, or is damaged.
         MissingExtra: If a recording of ROS 2 is read without the extra `bag`.
     """
     source = Path(source)

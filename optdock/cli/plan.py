@@ -93,7 +93,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Plan one docking and write a certified plan file, or the reason of the failure.
+    """Plan one docking and write a certified plan file, or the reason for the failure.
 
     For example, after `optdock demo`: optdock plan demo/scenario.yaml --out plan.json --plot plan.png
     """

@@ -196,7 +196,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: WorldDeviations
     At the end, the result of the DockGoalChecker is added, which also checks the heading.
 
     Args:
-        scenario: Scenario with controller and goal checker.
+        scenario: Scenario with a controller and a goal checker.
         plan: The plan.
         seed: Seed of the noise.
         world: Noise, lag and latency.

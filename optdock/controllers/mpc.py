@@ -103,7 +103,10 @@ class _Plan(NamedTuple):
 
 
 class MpcController(TrackingController):
-    """Controller that follows a trajectory by model predictive control: a TrackingController with another control law.
+    """Controller that follows a trajectory by model predictive control.
+
+    It is a TrackingController with a different control law.
+
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
     it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go
@@ -319,7 +322,7 @@ class MpcController(TrackingController):
         return shifted
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
-        """Return the bounds of the commands that follow the last one."""
+        """Return the bounds of the commands that follow the last command."""
         n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
         v, rise, fall = nominal[:, 0], limits.max_acceleration, limits.max_deceleration
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))

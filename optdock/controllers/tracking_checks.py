@@ -43,8 +43,8 @@ def checked_task(task: Path | Trajectory, context: PluginContext) -> Path | Traj
     robot. Obstacles found after planning belong in `local_costmap`, which is read in every cycle.
 
     Raises:
-        ControllerInvalidPath: If `task` is neither a path nor a trajectory, is in another frame, or was certified for
-            another problem.
+        ControllerInvalidPath: If `task` is neither a path nor a trajectory, is in a different frame, or was certified
+            for a different problem.
     """
     if not isinstance(task, Path | Trajectory):
         raise ControllerInvalidPath(f"TrackingController: can follow a Path or a Trajectory, got {type(task).__name__}")

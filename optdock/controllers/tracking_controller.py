@@ -119,9 +119,9 @@ class TrackingController(Controller):
     **Collisions.** NoValidControl is raised if, after the command, the robot could not stop before touching an
     obstacle. The checked motion consists of the commands that the drive has not yet executed, one period of the new
     command, and braking, along the arc of the command or along the path. Contact with the station, and with obstacles
-    that the trajectory touches at its start or end, is intended: a penetration of `collision_tolerance` is allowed
-    there. A robot that overlaps an obstacle may move if the depth does not increase. The obstacles are taken from the
-    context's problem, and from its costmaps at the time of the call; without both there is no check.
+    that the trajectory touches at its start or end, is intended: a penetration of `collision_tolerance` is allowed at
+    these contacts. A robot that overlaps an obstacle may move if the depth does not increase. The obstacles are taken
+    from the context's problem, and from its costmaps at the time of the call; without both there is no check.
 
     **Limits.** The limits of the context's robot apply; without a robot, the defaults of `MotionLimits` apply,
     increased to 1.2 times the peaks of the trajectory if necessary. Commands are admissible for the drive and keep its
@@ -166,7 +166,7 @@ class TrackingController(Controller):
 
         Raises:
             ControllerInvalidPath: If `path` is neither a path nor a trajectory, is not in the frame of the configured
-                problem, was certified for another problem, or cannot be timed within the robot's limits.
+                problem, was certified for a different problem, or cannot be timed within the robot's limits.
             PluginError: If the time parameterizer does not exist.
         """
         path = checked_task(path, self.context)

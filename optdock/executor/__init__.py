@@ -14,7 +14,7 @@ procedure          docking and undocking from top to bottom
 dock_contact       detection at rest, contact, corrections at the dock
 trajectory_drive   driving, monitoring and replanning of one motion
 planning           planning jobs: inline, in a thread, from a log
-planning_process   planning in another process
+planning_process   planning in a separate process
 log, replay        record and replay of a task
 """
 

@@ -1,4 +1,4 @@
-"""Actions at the dock: detection at rest, confirmation, pressing, backing out, correction of small errors.
+"""Actions at the dock: detection at rest, confirmation, pressing, backing out, and correction of small errors.
 
 The motions in this module are short, straight or in place, and not planned. Backing out and small corrections are
 checked against the obstacles by time of impact; pressing on towards contact is not checked.

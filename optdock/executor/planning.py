@@ -242,7 +242,7 @@ class ThreadPlanning(Planning):
     A running job is not interrupted; its duration is limited by its budget, and the next job begins when it has ended.
 
     Args:
-        plan: Function that runs a job; `PlanningProcess.planned` runs it in another process.
+        plan: Function that runs a job; `PlanningProcess.planned` runs it in a separate process.
     """
 
     def __init__(self, plan: Callable[[Job], PlanResult] = planned) -> None:

@@ -1,4 +1,4 @@
-"""Planning in another process, because planning in a thread blocks the interpreter for milliseconds at a time.
+"""Planning in a separate process, because planning in a thread blocks the interpreter for milliseconds at a time.
 
 `ThreadPlanning(process.planned)` sends jobs to the process. Every costmap and motion is sent only once, so that the
 values cached in these objects stay available in both processes.

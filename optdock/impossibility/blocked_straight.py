@@ -52,7 +52,7 @@ class BlockedPose:
         y: Position of the robot's origin [m].
         yaw: Heading [rad].
         clearance: Clearance of the robot, negative for an overlap [m].
-        required: The least clearance that any certificate requires there [m].
+        required: The least clearance that any certificate requires at this pose [m].
         obstacle: Name of the nearest obstacle.
     """
 

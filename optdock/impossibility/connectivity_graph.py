@@ -263,7 +263,7 @@ class ConnectivityGraph:
 
 
 class PlaceGraph(ConnectivityGraph):
-    """Graph with a node per position cell, whose cost is a lower bound of the clearance that a disc lacks there.
+    """Graph with a node per position cell, whose cost is a lower bound of the clearance that a disc lacks in the cell.
 
     Costs are negative if the disc fits. Unexamined tiles have the lowest cost.
     """

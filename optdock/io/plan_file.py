@@ -112,7 +112,7 @@ class PlanFile:
             without exact curves.
 
     Raises:
-        InvalidPath: If a path is in another frame.
+        InvalidPath: If a path is in a different frame.
     """
 
     status: str = CERTIFIED

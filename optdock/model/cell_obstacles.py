@@ -84,13 +84,13 @@ def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> O
 def added_obstacles(
     costmap: Costmap, known: Costmap | None, places: FloatArray, reach: float, *, unknown_is_obstacle: bool = True
 ) -> ObstacleSet:
-    """Return the cells near given points that are obstacles in a costmap but not in an earlier one, and the border.
+    """Return the cells near given points that are obstacles in a costmap but not in an earlier costmap, and the border.
 
     The border is omitted if both costmaps have the same grid or if all points are at least `reach` inside the map.
 
     Args:
         costmap: The new costmap.
-        known: The earlier costmap. None, or a costmap with another grid, means that no obstacle was known.
+        known: The earlier costmap. None, or a costmap with a different grid, means that no obstacle was known.
         places: The points, Shape (n, 2) [m].
         reach: Cells farther than this distance from all points are omitted [m].
         unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles in both costmaps.
@@ -181,7 +181,7 @@ def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
 
 
 def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) -> tuple[IntArray, IntArray]:
-    """Return the first cell (i, j) of the box and the cell after its last one; off the map the window is empty."""
+    """Return the first cell (i, j) of the box and the cell after its last cell; off the map the window is empty."""
     size = np.array([costmap.columns, costmap.rows])
     if box is None:
         return np.zeros(2, dtype=np.int64), size

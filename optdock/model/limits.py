@@ -42,7 +42,7 @@ __all__ = [
 class LimitKind(str, Enum):
     """What a limited quantity depends on; this determines the certificate that proves the limit.
 
-    Trajectory certificates prove the first two kinds, path certificates the last one.
+    Trajectory certificates prove the first two kinds, and path certificates prove the last kind.
     """
 
     TIME_LAW = "time law"

@@ -126,7 +126,7 @@ class Path(FrozenArrays):
         """Return the same path with the name of its frame set; an empty name has no effect.
 
         Raises:
-            InvalidPath: If the path is in another frame, because poses are not transformed.
+            InvalidPath: If the path is in a different frame, because poses are not transformed.
         """
         if frame in ("", self.frame):
             return self
@@ -203,7 +203,7 @@ class Path(FrozenArrays):
         return Pose2.from_sequence(self.poses_at(s)[0])
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
-        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp for the next gear. Shape (n, 3)."""
+        """Return the poses at arc lengths `s`, Shape (n,) [m]; at a cusp, the pose for the next gear. Shape (n, 3)."""
         return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:

@@ -210,8 +210,8 @@ class DockingProblem(FrozenArrays):
             frame: Name of the coordinate frame.
 
         Raises:
-            InvalidValue: As for the constructor; also if the array has another type, is masked or has no cell, or if no
-                integer exceeds 1 although `occupied_from` does, which indicates a mask of ones and zeros.
+            InvalidValue: As for the constructor; also if the array has the wrong type, is masked or has no cell, or if
+                no integer exceeds 1 although `occupied_from` does, which indicates a mask of ones and zeros.
         """
         return cls(
             start=start,
@@ -232,7 +232,7 @@ class DockingProblem(FrozenArrays):
     def starting_at(
         self, start: Pose2, speed: float = 0.0, curvature: float | None = None, acceleration: float = 0.0
     ) -> DockingProblem:
-        """Return the same problem with another start.
+        """Return the same problem with a different start.
 
         Args:
             start: Start pose of the robot.

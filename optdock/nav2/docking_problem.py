@@ -63,10 +63,10 @@ def nav2_scenario(
 ) -> Nav2Scenario:
     """Return the problem of driving into a dock that Nav2's files describe.
 
-    The footprint is the padded footprint of the global costmap; speeds and accelerations are those of the velocity
-    smoother; approach speed and gear are those of the docking server and the dock type. Nav2 has no curvature limit, no
-    outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is the
-    global costmap of the file, built over the map by `file_costmap`.
+    The footprint is the padded footprint of the global costmap; the speeds and accelerations come from the velocity
+    smoother; the approach speed and the gear come from the docking server and the dock type. Nav2 has no curvature
+    limit, no outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is
+    the global costmap of the file, built over the map by `file_costmap`.
 
     Args:
         params_source: Parameter file.
@@ -77,8 +77,8 @@ def nav2_scenario(
 
     Raises:
         InvalidFile: If a file breaks its format or has no costmap.
-        DockNotValid: If the frame of the dock is not that of the map, or its type is not among the parameter file's
-            dock types. In a file without dock types every dock is entered forward, as by Nav2's default.
+        DockNotValid: If the frame of the dock is not the frame of the map, or its type is not among the parameter
+            file's dock types. In a file without dock types every dock is entered forward, as by Nav2's default.
         DockNotInDB: If there is no dock of that name, or there are several docks and no name is given.
         InvalidValue: If the start is not a pose.
     """

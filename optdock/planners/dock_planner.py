@@ -65,8 +65,10 @@ class DockPlanner(GlobalPlanner):
             LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
                 retry can help.
             PlannerException: If `check_free_space` is set and there is no costmap.
-            StartOutsideMapBounds: Or StartOccupied, GoalOutsideMapBounds, GoalOccupied, if `check_free_space` is set
-                and an end is not free.
+            StartOutsideMapBounds: If `check_free_space` is set and the start is outside the map.
+            StartOccupied: If `check_free_space` is set and the start is not free.
+            GoalOutsideMapBounds: If `check_free_space` is set and the goal is outside the map.
+            GoalOccupied: If `check_free_space` is set and the goal is not free.
             NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
             PlannerCancelled: If `cancel_checker` returned True.
         """

@@ -109,7 +109,7 @@ _SAME_POSITION = 1e-9  # [m]
 
 
 class DockGeometry(NamedTuple):
-    """Sizes of robot and dock [m].
+    """Sizes of the robot and the dock [m].
 
     `robot_length` and `dock_length` are extents along x, `robot_radius` is the circumscribed radius.
     """
@@ -264,7 +264,10 @@ def plan_two_segment(
 
     Raises:
         PlannerException: If `parameters.check_free_space` is set and there is no costmap.
-        StartOutsideMapBounds: Or StartOccupied, GoalOutsideMapBounds, GoalOccupied, if an end is not free.
+        StartOutsideMapBounds: If `parameters.check_free_space` is set and the start is outside the map.
+        StartOccupied: If `parameters.check_free_space` is set and the start is not free.
+        GoalOutsideMapBounds: If `parameters.check_free_space` is set and the goal is outside the map.
+        GoalOccupied: If `parameters.check_free_space` is set and the goal is not free.
         NoValidPathCouldBeFound: If a rule of the method is violated; the message names the step and the amount.
         PlannerCancelled: If `cancel_checker` returned True.
     """

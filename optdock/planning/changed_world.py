@@ -51,7 +51,7 @@ class StillHolds:
         at_time: Time at which the plan's trajectory reaches that arc length [s].
         obstacle: The obstacle that is too close; empty if the proof was not completed.
         clearance: Clearance to that obstacle [m].
-        required: Required clearance there [m].
+        required: Required clearance at that point [m].
         reason: Explanation of the conflict in one sentence; empty if the clearance is proven.
     """
 

@@ -1,4 +1,4 @@
-"""Deformation of the rest of a path to another start and goal, with the least change of its curvature.
+"""Deformation of the rest of a path to a new start and goal, with the least change of its curvature.
 
 Let a path have curvature k(s) in its gears. To first order a change dk ds at s turns the rest of the path about the
 point p(s), and moves the end by
@@ -115,7 +115,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,) and missing distance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,) and lack of clearance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -171,7 +171,7 @@ def deformed(  # noqa: PLR0913 - a path, its new ends, and bounds
 
 
 def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
-    """Return the gears with enough knots, or None if a segment has another class or is too short."""
+    """Return the gears with enough knots, or None if a segment has a different class or is too short."""
     gears = []
     for segment in path.segments:
         if isinstance(segment, TurnSegment):
@@ -344,7 +344,7 @@ class _Program:
         end: FloatArray,
         until: tuple[int, float] = (_ALL, 1.0),
     ) -> FloatArray:
-        """Return the derivatives of a point of the robot at a gear and share by all variables, Shape (3, variables)."""
+        """Return the derivatives of a point of the robot with respect to all variables, Shape (3, variables)."""
         columns = []
         for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
             if i > until[0]:

@@ -126,10 +126,11 @@ def check_ends(problem: DockingProblem) -> None:
     """Raise an error for a start or goal pose that no path can have.
 
     Raises:
-        StartOutsideMapBounds: Or GoalOutsideMapBounds, if the position is outside the problem's costmap.
+        StartOutsideMapBounds: If the start is outside the problem's costmap.
+        GoalOutsideMapBounds: If the goal is outside the problem's costmap.
         StartOccupied: If the footprint at the start overlaps an obstacle.
-        GoalOccupied: If the footprint at the goal is closer to an obstacle than required there.
-        NoValidPathCouldBeFound: If the dock must be in view up to the goal and is not in view there.
+        GoalOccupied: If the footprint at the goal is closer to an obstacle than the rule allows.
+        NoValidPathCouldBeFound: If the dock must be in view up to the goal and is not in view at the goal.
     """
     _check_view_at_goal(problem)
     found = end_clearances(problem)

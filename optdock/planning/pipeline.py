@@ -153,8 +153,11 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
     Raises:
         InvalidValue: If the budget is not a finite number > 0, an argument has the wrong class, or a parameter of a
             plugin is wrong.
-        InvalidPath: If a guess is in another frame than the problem.
-        StartOccupied: Or GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds, if an end pose is impossible.
+        InvalidPath: If a guess is not in the frame of the problem.
+        StartOccupied: If the robot overlaps an obstacle at the start.
+        GoalOccupied: If the clearance at the goal is less than required.
+        StartOutsideMapBounds: If the start is outside the costmap.
+        GoalOutsideMapBounds: If the goal is outside the costmap.
         NoMotionExists: If it is proven that no motion joins start and goal.
         NoValidPathCouldBeFound: If no planner finds a raw path.
         FailedToSmoothPath: If no path near a raw path satisfies every bound.

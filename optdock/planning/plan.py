@@ -71,7 +71,7 @@ class DockPlan:
     """A certified plan.
 
     Args:
-        motion: The proven path and time law, with problem and start pose; made by `prove_motion`.
+        motion: The proven path and time law, with the problem and the start pose; made by `prove_motion`.
         raw_path: The guess from which the plan was made, for comparison; it is not certified.
         completed: False if the deadline ended the smoothing early; the result is always certified.
         timing_ms: Wall-clock milliseconds per stage over all guesses: plan, smooth, certify, time, prove; also `first`,
@@ -207,7 +207,7 @@ class DockPlan:
 
         Raises:
             InvalidFile: If the file cannot be read, violates the format, or contains no path, raw path or time law.
-            InvalidPath: If the path is in another frame than the problem.
+            InvalidPath: If the path is not in the frame of the problem.
             CertificationFailed: If the plan does not solve `problem`.
             InvalidValue: If `problem` is not a DockingProblem.
         """

@@ -429,7 +429,7 @@ def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _
     """Check that a result of a plugin, or a part of it, has the type that its interface requires, and return it.
 
     Raises:
-        PluginError: If the value has another type.
+        PluginError: If the value has the wrong type.
     """
     if not isinstance(value, kind):
         promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
@@ -441,7 +441,7 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
     """Return the path as an exact `Path`, because a subclass could have other poses than the certified segments.
 
     Raises:
-        PluginError: If the path is in another frame than the problem.
+        PluginError: If the path is not in the frame of the problem.
     """
     try:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)

@@ -1,4 +1,4 @@
-"""`replan`: another plan for a moving robot, which takes over from the running plan without a jump.
+"""`replan`: a new plan for a moving robot, which takes over from the running plan without a jump.
 
 A new plan begins at the *joint*: the state on the running trajectory that the robot will have when planning is finished
 and the drive responds. The joint is the start of an ordinary docking problem, whose rules for a moving start guarantee
@@ -196,7 +196,7 @@ def replan(  # noqa: PLR0913 - every choice is a keyword
             after a time-out.
 
     Raises:
-        InvalidValue: If a value has the wrong class or is not finite, or the target is in another frame than the plan.
+        InvalidValue: If a value has the wrong class or is not finite, or the target is not in the frame of the plan.
         PluginError: As `plan_dock`.
         LifecycleError: As `plan_dock`.
     """
@@ -286,7 +286,7 @@ class _Replanning:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
     def _replanned(self, joint: BranchPoint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
-        """Try a new plan in the gears of the old one, then the old plan, then a new plan in other gears, or raise."""
+        """Try a new plan in the gears of the old plan, then the old plan, then a new plan in other gears, or raise."""
         reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
         deadline = self.deadline.shortened(by=reserve)
         problem, why = self.drive.problem_at(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END

@@ -1,4 +1,4 @@
-"""A robot on its running plan: its state, the joint at which another plan can take over, and braking."""
+"""A robot on its running plan: its state, the joint at which a new plan can take over, and braking."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class BranchPoint(NamedTuple):
 
     @property
     def rests(self) -> bool:
-        """Whether the robot is at rest there."""
+        """Whether the robot is at rest at this point."""
         return self.speed == 0.0 and self.acceleration == 0.0
 
 

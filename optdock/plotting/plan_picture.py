@@ -168,7 +168,7 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
 
 
 def _draw_raw(axes: Axes, path: Path, problem: DockingProblem) -> None:
-    """Draw the raw path, with overlaps of the robot and obstacles in another colour."""
+    """Draw the raw path, with overlaps of the robot and obstacles in a different colour."""
     samples = path.sample(_SPACING)
     # The line is wide and below the smoothed path, so that both are visible where they coincide.
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)

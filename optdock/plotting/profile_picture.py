@@ -41,8 +41,8 @@ def save_profile_picture(
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 
     Other quantities that depend on curvature are drawn if they are limited, except in turns in place. The speed limit
-    is the smallest of the limits of drive and speed zone and of the speeds at which yaw rate, lateral acceleration,
-    wheel speed and steering rate reach their limits at the curvature of the path.
+    is the smallest of the limits of the drive and the speed zone, and of the speeds at which the yaw rate, the lateral
+    acceleration, the wheel speed and the steering rate reach their limits at the curvature of the path.
 
     Args:
         target: File to write; the suffix gives the format.

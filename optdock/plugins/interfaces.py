@@ -140,7 +140,7 @@ class Smoother(Plugin):
 
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` has a wrong type.
-            InvalidPath: If `path` is not a Path, is too short, has another frame than the problem, or has other ends.
+            InvalidPath: If `path` is not a Path, is too short, is not in the frame of the problem, or has other ends.
             SmootherTimedOut: If the time ran out before there was a usable result.
             FailedToSmoothPath: If no result keeps every bound; the message names the violated bound.
             SmootherCancelled: If `cancel_checker` returned True.

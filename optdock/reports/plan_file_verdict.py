@@ -247,8 +247,8 @@ def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> 
 class _Claims:
     """Comparison of the other values of a file with the proven values.
 
-    A certificate is valid for the problem and the path of its digests. Values for another problem cannot be compared;
-    values for curves that were rounded later are compared with a larger tolerance.
+    A certificate is valid for the problem and the path of its digests. Values for a different problem cannot be
+    compared; values for curves that were rounded later are compared with a larger tolerance.
     """
 
     def __init__(

@@ -90,7 +90,7 @@ def plan_rows(plan: DockPlan) -> list[Row]:
 
 
 def _tightest_rows(plan: DockPlan) -> list[Row]:
-    """Return the least difference from the required clearance away from start and dock."""
+    """Return the least difference from the required clearance away from the start and the dock."""
     problem, s = plan.problem, np.arange(0.0, plan.path.length, _STEP)
     poses, required = plan.path.poses_at(s), problem.clearance.required
     ends = problem.goal, problem.start

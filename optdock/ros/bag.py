@@ -105,7 +105,7 @@ def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Colle
 
     Raises:
         InvalidFile: If the folder exists, or the target cannot be written.
-        InvalidValue: If the name has another suffix, or a time is negative.
+        InvalidValue: If the name has a different suffix, or a time is negative.
         MissingExtra: If rosbags is not installed.
     """
     target = Path(target)
@@ -227,7 +227,7 @@ class BagRecording:
             option: Option of the command for error messages; may be empty.
 
         Raises:
-            InvalidFile: If the topic is of another type.
+            InvalidFile: If the topic is of the wrong type.
         """
         known = {connection.topic: connection.msgtype for connection in self._reader.connections}
         for topic in topics:

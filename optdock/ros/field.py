@@ -154,7 +154,7 @@ def field_docking(bag: BagRecording, topics: FieldTopics, options: FieldOptions)
         options: Interval, frames and outline.
 
     Raises:
-        InvalidFile: If a topic is missing, empty, of another type or damaged, a message is invalid, or frames are not
+        InvalidFile: If a topic is missing, empty, of the wrong type or damaged, a message is invalid, or frames are not
             connected; the message names file and topic.
     """
     return _RecordingReader(bag, topics, options).read()
@@ -405,7 +405,7 @@ def judged_poses(
 
     Args:
         found: The docking.
-        rule: Required clearance of path and drive.
+        rule: Required clearance of the path and the drive.
         contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
             edge of the outline, inside and outside, are taken as free [m]. None for the diagonal of a cell.
     """

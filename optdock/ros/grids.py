@@ -43,7 +43,7 @@ def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostm
 
     Raises:
         InvalidMessage: If the number of cells is not width times height, an occupancy is outside -1..100, the map is
-            rotated, a number is not finite, there is no frame, or the message is of another type.
+            rotated, a number is not finite, there is no frame, or the message is of the wrong type.
     """
     frame, time = stamped_frame(message)
     is_costmap = hasattr(message, "metadata")
@@ -71,8 +71,8 @@ def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None
         rule: As for `costmap`.
 
     Raises:
-        InvalidMessage: If an update is in another frame, reaches beyond the costmap, has a wrong number of cells, or an
-            occupancy outside -1..100.
+        InvalidMessage: If an update is in a different frame, reaches beyond the costmap, has a wrong number of cells,
+            or an occupancy outside -1..100.
     """
     frame, stamp, grid = known
     data = grid.data.copy() if updates else grid.data

@@ -90,7 +90,7 @@ def path_markers(  # noqa: PLR0913 - one parameter for each thing that is drawn
         certificate: Certificate with the arc length of the closest point.
 
     Raises:
-        InvalidValue: If the path is in another frame, the frame is empty, or the time is invalid.
+        InvalidValue: If the path is in a different frame, the frame is empty, or the time is invalid.
     """
     if not may_be_one_frame(path.frame, frame):
         raise InvalidValue(f"frame: the path is in {path.frame!r}, not in {frame!r}; transform it first")

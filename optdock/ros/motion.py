@@ -104,7 +104,7 @@ def path_poses(message: Message) -> StampedPoses:
 
     Raises:
         InvalidMessage: If a number is not finite, a quaternion does not have length 1 or is tilted by more than
-            `MOST_TILTED`, there is no frame, or a pose has another frame.
+            `MOST_TILTED`, there is no frame, or a pose has a different frame.
     """
     frame, stamp = stamped_frame(message)
     rows = []

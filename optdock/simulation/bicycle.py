@@ -94,8 +94,8 @@ class Bicycle:
         slip: Slip.
 
     Raises:
-        InvalidValue: If the robot has another drive or no wheelbase, there is an angular lag, dead band or gain, or the
-            period is not > 0.
+        InvalidValue: If the robot has a different drive or no wheelbase, there is an angular lag, dead band or gain, or
+            the period is not > 0.
     """
 
     robot: Robot

@@ -57,8 +57,8 @@ class SimulationSettings:
         position_noise: Standard deviation of the white noise of the measured x and y [m].
         yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
         seed: Seed of the noise.
-        start: True pose at the beginning; None: start of the trajectory. The initial velocity is that of the
-            trajectory.
+        start: True pose at the beginning; None: start of the trajectory. The initial velocity is the initial velocity
+            of the trajectory.
         obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
 
     Raises:
@@ -274,9 +274,9 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 class RemainingPath:
     """A sampled path with the monotonic progress of the robot along the path, up to the last two poses.
 
-    The place of the robot is the nearest of the next samples of the present gear segment, without turns in place; the
-    next segment begins at the sample of the cusp. Thus the overlapping segments at a cusp are distinguished, and the
-    path-length rule of the checkers applies only to the last segment.
+    The position of the robot is the nearest of the next samples of the present gear segment, without turns in place;
+    the next segment begins at the sample of the cusp. Thus the overlapping segments at a cusp are distinguished, and
+    the path-length rule of the checkers applies only to the last segment.
 
     Args:
         path: The whole path.

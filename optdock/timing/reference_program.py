@@ -134,7 +134,7 @@ def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float,
 
 
 class Grid(NamedTuple):
-    """Knots of the reference and limits there."""
+    """Knots of the reference and limits at the knots."""
 
     knots: FloatArray  # Shape (M + 1,) [m]
     steps: FloatArray  # Shape (M,) [m]

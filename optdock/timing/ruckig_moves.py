@@ -3,8 +3,8 @@
 ruckig's community edition runs offline. Its moves may go backwards, and it accepts start states beyond its limits; both
 are checked here. Intermediate positions are never passed, because ruckig would then call a cloud service.
 
-Every piece of the reference is first tried as one move; a piece whose move violates a limit is split
-at the knot nearest to the worst place. Between two neighbouring knots, the motion of the reference is a move.
+Every piece of the reference is first tried as one move; a piece whose move violates a limit is split at the knot
+nearest to the largest excess. Between two neighbouring knots, the motion of the reference is a move.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ class Certificate(_Verdict):
         path: Digest of the path.
         start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
             distance from the start; otherwise the distance from the start within which the weaker rule allows the start
-            clearance [m]. The weaker rule is used only if the strict one is violated.
+            clearance [m]. The weaker rule is used only if the strict rule is violated.
         tube: Largest displacement of a footprint point from its planned position for which the robot keeps its
             clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
             `TrackingTube`).

@@ -165,8 +165,8 @@ class Begun(NamedTuple):
 class _World(NamedTuple):
     """Outline of the robot, obstacles, and clearance rule.
 
-    `rule`: required clearance as a function of the distances from goal and start, Shape (n,) [m] each. `most`: largest
-    required clearance.
+    `rule`: required clearance as a function of the distances from the goal and the start, Shape (n,) [m] each. `most`:
+    largest required clearance.
     """
 
     footprint: Footprint

@@ -10,7 +10,7 @@ core consists of the points that are at least d = 2 micrometres inside the union
 micrometres are regarded as closed. A core is covered by convex pieces. Convex sets with a separating axis share no
 interior, and if no piece shares interior with the other shape, neither does their union. An overlap of t along some
 axis leaves d - t between the core and the other shape, so contact is accepted. A convex footprint, and an obstacle that
-touches no other one, need no check, because t itself is the bound. Rounded corners of a core are approximated by
+touches no other obstacle, need no check, because t itself is the bound. Rounded corners of a core are approximated by
 polygons inside the removed rim, so a computed core is never too small, except for the precision of the offset curves,
 which is one hundredth of d.
 """

@@ -322,7 +322,7 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
-    """Return a stretch of a proven path if its proof trivially holds for another problem, otherwise None.
+    """Return a stretch of a proven path if its proof trivially holds for a different problem, otherwise None.
 
     The proof holds if only the dock differs and both docks are so far from the stretch that neither the taper of the
     clearance nor the station reaches it.

@@ -54,7 +54,7 @@ class EndClearances(NamedTuple):
 
 
 def end_clearances(problem: DockingProblem) -> EndClearances:
-    """Return the clearances of start and goal, cached for the lifetime of the problem; inf and -1 without obstacles."""
+    """Return the clearances of the start and the goal, cached with the problem; inf and -1 without obstacles."""
     known = _ENDS.recall(problem)
     if known is None:
         ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
@@ -144,7 +144,7 @@ def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
     """Return lower bounds of the distances of a body at every pose, Shape (n, 3), to every obstacle. Shape (n, m) [m].
 
-    If a bound is not positive, the overlap of body and obstacle may be deeper than the bound.
+    If a bound is not positive, the overlap of the body and the obstacle may be deeper than the bound.
     """
     at = transform_points(poses, body.centres)  # (n, circles, 2)
     gaps = box_distance(obstacles, at[:, 0])

@@ -7,9 +7,8 @@ Cells that the bound does not clear are bisected.
 Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
 or a long path does not reduce the precision. The cells of a phase extend from event to event: the start of the phase,
 the knots of the path, and the points of a grid. Each cell has the phase and the piece of the path at its first event;
-the last one of simultaneous events is used. Every piece of the path has a cell, and even a cell of width zero is
-checked at its first instant. A jump of curvature within less than the resolution of time is therefore included with its
-rate.
+of simultaneous events the last is used. Every piece of the path has a cell, and even a cell of width zero is checked at
+its first instant. A jump of curvature within less than the resolution of time is therefore included with its rate.
 
 A polyline is evaluated three times: with the interpolated curvature between its poses, with the curvature of its steps,
 and with the rate at which the curvature oscillates from step to step, which is not visible in the mean curvatures at

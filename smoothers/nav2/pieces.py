@@ -135,7 +135,7 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
     """Return the path in the frame of the given or configured problem, and the surroundings of the path.
 
     Raises:
-        InvalidPath: If the path is in another frame than the problem.
+        InvalidPath: If the path is not in the frame of the problem.
     """
     wanted = context.problem_at_hand(problem)
     footprint = context.footprint if wanted is None else wanted.robot.footprint
@@ -230,7 +230,7 @@ class PieceSmoother(Smoother):
 
         Raises:
             InvalidValue: If `max_time` is not finite or negative, or `problem` or `warm_start` has the wrong class.
-            InvalidPath: If `path` is not a Path, has another frame than the problem, or too few distinct poses remain.
+            InvalidPath: If `path` is not a Path, is not in the frame of the problem, or too few distinct poses remain.
             SmootherTimedOut: If the time ran out before the first step. Nav2 also raises this error after later steps.
             SmootherCancelled: If `cancel_checker` returned True.
         """

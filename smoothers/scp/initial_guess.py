@@ -2,7 +2,7 @@
 
 The fit to headings is the cheapest guess and the best start for smooth inputs. It drifts away from inputs whose
 curvature changes within centimetres, such as Reeds-Shepp paths; a least-squares fit to positions (`track`, S22) does
-not. Inputs that cannot be driven (kinks, a start with another heading) are followed by pure pursuit with bounded
+not. Inputs that cannot be driven (kinks, a start with a different heading) are followed by pure pursuit with bounded
 curvature and curvature rate [Coulter1992].
 """
 

@@ -91,7 +91,7 @@ def search(
     max_iterations: int = 60,
     is_late: Callable[[], bool] = never_late,
 ) -> Iterator[Progress]:
-    """Yield the progress for the initial iterate and after every iteration; the last one is `finished`.
+    """Yield the progress for the initial iterate and after every iteration; the last progress is `finished`.
 
     Args:
         nlp: Program.

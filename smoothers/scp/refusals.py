@@ -115,7 +115,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
 
 
 def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | None:
-    """Return the refusal of a final straight or goal, part of every path, without the required view, or None."""
+    """Return the refusal if the final straight or the goal, which every path contains, lacks the required view."""
     if problem.required_view is None or not isinstance(path.segments[-1], ClothoidSegment | PolylineSegment):
         return None
     # Without a final straight, a negligible stretch represents the goal alone.

@@ -35,7 +35,7 @@ class Rollout(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """Derivatives of the node poses by the variables, Shape (num_nodes, size) each."""
+    """Derivatives of the node poses with respect to the variables, Shape (num_nodes, size) each."""
 
     x: FloatArray
     y: FloatArray
@@ -82,7 +82,10 @@ def sensitivity(basis: Basis, variables: Variables, rollout: Rollout) -> Sensiti
 
 
 def _heading_derivatives(rows: FloatArray, basis: Basis, variables: Variables) -> FloatArray:
-    """Return the derivatives of headings by the variables, from rows of heading integrals. Shape (len(rows), size)."""
+    """Return the derivatives of headings with respect to the variables, Shape (len(rows), size).
+
+    `rows`: rows of heading integrals.
+    """
     out = np.empty((rows.shape[0], basis.size))
     np.multiply(rows, variables.lengths[basis.knot_gear], out=out[:, : basis.num_knots])
     out[:, basis.num_knots :] = rows @ (basis.knot_members * variables.curvature[:, None])

@@ -99,7 +99,7 @@ class FreeSpace:
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
-        """Return the wavefront of a disc from a place, Shape (2,) [m], by default of the footprint's inscribed disc."""
+        """Return the wavefront of a disc from a position, Shape (2,) [m]; by default of the inscribed disc."""
         return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
 
     @functools.cached_property

@@ -79,12 +79,12 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 ) -> Iterator[Arcs]:
     """Yield free manoeuvres from start to goal as they are found.
 
-    The first manoeuvre found is seldom the best one. Once there is a plan, the tree stops growing, but the remaining
-    words are tried as long as they may be cheaper.
+    The first manoeuvre found is seldom the best. Once there is a plan, the tree stops growing, but the remaining words
+    are tried as long as they may be cheaper.
 
     Args:
-        exits: The start and other nodes of its tree. Every node is joined to the start and, in turn, to one of the
-            others.
+        exits: The start and other nodes of its tree. Every node of the search is joined to the start and to one other
+            node of this tree, which changes in turn.
         entries: Nodes of the goal's tree from which the search continues; nodes are added to this tree.
         space: Free space.
         effort: Turning radius, resolution and number of nodes.

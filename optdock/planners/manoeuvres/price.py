@@ -169,7 +169,7 @@ def _gear_durations(
 def _ramp(
     slow: FloatArray, fast: FloatArray, acceleration: float, jerk: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return time [s] and distance [m] between two speeds, and the distance's derivative by the faster speed [s]."""
+    """Return the time and distance between two speeds, and d distance / d speed for the faster speed [s, m, s]."""
     change = np.maximum(fast - slow, 0.0)
     full = change >= acceleration**2 / jerk  # the acceleration reaches its bound
     root = np.sqrt(change / jerk)
@@ -186,7 +186,7 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time that starting, speed zone and stopping add to the time at full speed [s].
+    """Return a lower bound of the time that the start, the speed zone and the stop add to the time at full speed [s].
 
     The bound is exact if the jerk is not limited, the gears are known, and the way is long enough for full speed.
     """

@@ -394,7 +394,7 @@ class BehaviorContract(PluginContract[Behavior]):
             require(world.commands[-1] == _REST, f"the last command is a stop, got {world.commands[-1]}")
 
     def test_it_does_not_drive_into_obstacles(self) -> None:
-        """`on_cycle_update`: a behavior that checks collisions stops before obstacles or does not start."""
+        """`on_cycle_update`: a behavior that checks for collisions stops in front of obstacles or does not start."""
         if self.blocked_code is not None:
             result, world = self._tried(scene_context(scene_problem(goal=_FAR_DOCK, obstacles=room())))
             self._require_failure(result, self.blocked_code, "a blocked motion")

@@ -73,7 +73,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
     """Rules of `optdock.plugins.interfaces.GlobalPlanner`.
 
     Attributes:
-        is_equivariant: Whether the path moves with start and goal; False for planners on a grid.
+        is_equivariant: Whether the path moves with the start and the goal; False for planners on a grid.
     """
 
     interface: ClassVar[type[GlobalPlanner]] = GlobalPlanner
@@ -230,7 +230,7 @@ class SmootherContract(PluginContract[Smoother]):
         require(self.exercise(smoother) == before, "after a cancellation, the smoother works as before")
 
     def test_a_warm_start_keeps_the_ends(self) -> None:
-        """`warm_start`: an earlier result, or a path for another problem, does not change the ends."""
+        """`warm_start`: an earlier result, or a path for a different problem, does not change the ends."""
         smoother = self.ready_plugin()
         path, problem = self.tasks()[0]
         earlier = smoother.smooth(path, _AMPLE, problem=problem).path

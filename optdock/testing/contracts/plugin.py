@@ -54,7 +54,7 @@ def refused(call: Callable[[], object], error: type[Exception], rule: str) -> Ex
     """Return the exception of type `error` that `call` raises.
 
     Raises:
-        ContractBroken: If the call returns, or raises another exception.
+        ContractBroken: If the call returns, or raises a different exception.
 
     >>> str(refused(lambda: int("x"), ValueError, "text is not a number"))[:15]
     'invalid literal'
