@@ -118,7 +118,8 @@ class CasadiSmoother(Smoother):
             cancel_checker: Polled in every iteration.
 
         Raises:
-            InvalidPath: If `path` is not a Path, is not in the frame of the problem, or is too far from start or goal.
+            InvalidPath: If `path` is not a Path, is not in the frame of the problem, or is too far from the start or
+                the goal.
             InvalidValue: If `max_time` is not finite or negative, there is neither a problem nor a footprint, or
                 `problem` or `warm_start` has the wrong class.
             FailedToSmoothPath: If a bound cannot be satisfied. `where["reason"]` is `start_in_collision`,

@@ -78,7 +78,7 @@ class Recording(NamedTuple):
         times: Times of the control cycles, Shape (n,).
         commands: Linear and angular commands of the cycles, Shape (n, 2) [m/s, rad/s].
         twists: Linear and angular speeds measured in the cycles, Shape (n, 2).
-        odometry: Stamps and poses of the odometry, each once, Shape (m, 4); empty if there were only twists.
+        odometry: Stamps and poses of the odometry, without duplicates, Shape (m, 4); empty if there were only twists.
         odometry_twists: Speeds measured with these poses, Shape (m, 2).
         odometry_ages: Age of the newest pose in each cycle, Shape (n,) or empty [s].
         localization: Stamps and poses in the map, each estimate once, Shape (k, 4).
@@ -227,7 +227,7 @@ def recording_of_log(log: DockingLog) -> Recording:
 
 
 def _log_odometry(measured: list[Measurements]) -> tuple[FloatArray, FloatArray]:
-    """Return stamps and poses of the odometry, and the twists of the same cycles, each once and in order."""
+    """Return the odometry stamps and poses and the twists of the same cycles, in order and without duplicates."""
     rows, twists, newest = [], [], -np.inf
     for one in measured:
         if one.odometry is not None and one.odometry.stamp > newest:
@@ -265,7 +265,7 @@ def _is_same(one: Pose2, other: Pose2) -> bool:
 
 
 def _log_detections(log: DockingLog, measured: list[Measurements]) -> FloatArray:
-    """Return the detections that the dock type returned to the executor, each once, in the order of their stamps."""
+    """Return the detections that the dock type passed to the executor, in order of stamps, without duplicates."""
     choice = log.task.dock_type
     if choice is not None:
         kind = CheckedDockType(create_plugin(DockType, choice.name, choice.parameters))
@@ -294,7 +294,10 @@ def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
 
 
 def _recording_of_bag(source: Path) -> Recording:
-    """Return the drive in a recording of ROS 2; detections must be in the robot's frame, as from `optdock bag`."""
+    """Return the drive in a recording of ROS 2.
+
+    Detections must be in the robot's frame, for example in a file written by `optdock bag`.
+    """
     with open_bag(source) as bag:
         odom = _topic(bag, _ODOMETRY, ("nav_msgs/msg/Odometry",), "odometry")
         cmd = _topic(bag, _COMMANDS, _COMMAND_TYPES, "commands")

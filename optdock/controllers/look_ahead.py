@@ -68,7 +68,7 @@ class LookAhead:
 
         Args:
             context: Footprint and obstacles; without a footprint nothing is checked.
-            way: Poses, Shape (n, 3).
+            way: Poses along the motion, Shape (n, 3).
             contacts: Poses at which the robot may touch obstacles, Shape (k, 3).
             tolerance: Largest depth that is allowed for an intended contact, for noise and a compliant bumper [m].
             noise: Largest apparent depth in any obstacle that noise of the poses can cause [m].

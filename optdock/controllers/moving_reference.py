@@ -1,6 +1,6 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-Another trajectory may take over in motion: the reference then changes to the new trajectory at its beginning.
+A new trajectory may take over in motion: the reference then changes to the beginning of the new trajectory.
 """
 
 from __future__ import annotations

@@ -367,7 +367,7 @@ class MpcController(TrackingController):
 
 
 class _ProgramLimiter(CommandLimiter):
-    """Limiter that passes commands of the program, which keep all limits, and limits commands changed at the end.
+    """Limiter that passes the commands of the program and limits the commands that were changed at the end.
 
     Attributes:
         allowed: The program's command of this cycle.

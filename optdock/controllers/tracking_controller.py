@@ -112,7 +112,7 @@ class TrackingController(Controller):
     `reset`.
 
     **Finish.** At the end of the trajectory the same law holds the last pose. If the drive ignores small commands,
-    larger commands are sent, first `min_speed` and `min_yaw_rate` if given, until the error is within half of the
+    larger commands are sent (`min_speed` and `min_yaw_rate` first, if given) until the error is within half of the
     tolerance of the goal checker (or `finish_tolerance`). An error that is not accepted and does not decrease for
     `patience` raises NoValidControl. A robot that does not follow the reference also raises NoValidControl.
 

@@ -40,7 +40,7 @@ STOP = None
 
 
 class Situation:
-    """Present state of robot, dock and surroundings, derived from the measurements.
+    """Present state of the robot, the dock and the surroundings, derived from the measurements.
 
     Attributes:
         estimate: Robot relative to the dock.

@@ -144,7 +144,7 @@ class Verdict(NamedTuple):
 
     Attributes:
         holds: Whether the rest of the motion keeps its clearance.
-        reason: The obstacle and its place.
+        reason: The obstacle and its position.
         at_time: Time at which the motion would reach the obstacle, on the clock of the motion [s].
     """
 

@@ -265,7 +265,7 @@ class Travel:
                 return PlanResult(number, Outcome.FAILED, reason="planning does not respond")
 
     def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
-        """Plan to the places in order; return the result for the first reachable place, or for the last place."""
+        """Plan to the poses in order; return the result for the first reachable pose, or for the last pose."""
         *others, last = places
         for number, place in enumerate(others, start=1):
             result = yield from self.planned(self._situation.scene.to(place))

@@ -81,7 +81,7 @@ class SimpleDock(DockType):
         self._stalled_since: float | None = None
 
     def contact(self, now: AtDock) -> Contact | None:
-        """Return a signal at any place, but a stall only near the dock; elsewhere, an obstacle may stop the robot."""
+        """Return a signal at any position, but a stall only near the dock; elsewhere an obstacle may be the cause."""
         p = self.parameters
         if not self._is_stalled(now):
             self._stalled_since = None

@@ -488,7 +488,7 @@ class _SampledPath:
         self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
 
     def at(self, s: float) -> tuple[Pose2, float]:
-        """Return the pose and the gear at a place [m] of the path."""
+        """Return the pose and the gear at an arc length [m] of the path."""
         i = min(max(int(s / self._step), 0), len(self._poses) - 2)
         share = s / self._step - i
         (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
@@ -531,7 +531,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return a job that plans from the place of a stop; start and costmap of the problem `here` are replaced."""
+        """Return a job that plans from the pose of a stop; the start and costmap of the problem `here` are replaced."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)

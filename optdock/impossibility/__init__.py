@@ -1,7 +1,7 @@
 """Proofs that no motion exists, the searches for such proofs, and a checker that is independent of the searches.
 
 - `blocked_straight`: every motion ends with a straight line into the dock, and that line is blocked.
-- `proof`: the proof by blocked cells that separate start from goal, and its checker.
+- `proof`: the proof by blocked cells that separate the start from the goal, and its checker.
 - `cell_decomposition`: the search for such cells, with `footprint_discs` and `connectivity_graph`.
 """
 

@@ -1,7 +1,7 @@
 """Search for a proof that no motion exists: approximate cell decomposition ([Brooks1985], [Zhang2008]).
 
-`proof` defines such proofs. Tiles of cells are refined until no route from start to goal is left, an open route is
-found, or the time has run out:
+`proof` defines such proofs. Tiles of cells are refined until no route from the start to the goal is left, an open route
+is found, or the time has run out:
 
 1. The plane is a quadtree of tiles. A tile that was not examined counts as free.
 2. Each cell of an examined tile is blocked, appears open, or is narrow, which means neither of the two. Connected cells
@@ -256,7 +256,7 @@ class _Search:
         self.deadline.look()
 
     def looks_open(self, deadline: Deadline) -> bool:
-        """Whether free nodes of one coarse lattice join start and goal for a disc; a heuristic, not a proof."""
+        """Whether free nodes of a coarse lattice connect the start to the goal for a disc (a heuristic, no proof)."""
         from scipy import ndimage
 
         self.deadline = deadline

@@ -121,7 +121,7 @@ OUTSIDE, START, GOAL = range(3)  # nodes
 class ConnectivityGraph:
     """Graph of the open and narrow cells of adjacent tiles, as selected by `kinds`; other cells are left out.
 
-    `ends`: poses of the centre at start and goal.
+    `ends`: poses of the centre at the start and the goal.
     """
 
     def __init__(self, grid: CellGrid, ends: list[FloatArray], kinds: Kinds) -> None:
@@ -341,7 +341,7 @@ def _met_within(labels: IntArray, kinds: int) -> IntArray:
 
 
 def _pairs(first: IntArray, second: IntArray, most: int) -> IntArray:
-    """Return the distinct pairs of different nodes, all below `most`, at equal places of two arrays, Shape (n, 2)."""
+    """Return the distinct pairs of different nodes, all below `most`, at equal indices of two arrays, Shape (n, 2)."""
     met = (first >= 0) & (second >= 0) & (first != second)
     codes = first[met] * most + second[met]
     changes = np.ones(codes.size, dtype=np.bool_)

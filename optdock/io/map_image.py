@@ -41,7 +41,7 @@ _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, OverflowError, IndexError
 
 
 class GreyImage(NamedTuple):
-    """Grey values of an image, read in the same way as by map_server.
+    """Grey values of an image, read as map_server reads them.
 
     Attributes:
         grey: Shape (height, width), 0 black to 255 white; row 0 is the top.

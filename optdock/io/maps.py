@@ -1,4 +1,4 @@
-"""Maps of map_server, consisting of a YAML file and an image, read in the same way as by Nav2's `map_io`."""
+"""Maps of map_server, consisting of a YAML file and an image, read as Nav2's `map_io` reads them."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ Probability: TypeAlias = Annotated[float, BeforeValidator(_probability)]
 
 
 class MapInfo(BaseModel):
-    """Content of the YAML file of a map; unknown keys are ignored, as by map_server.
+    """Content of the YAML file of a map; unknown keys are ignored, as map_server does.
 
     Attributes:
         image: Name of the image, relative to the file's folder or absolute.

@@ -78,7 +78,7 @@ def nav2_scenario(
     Raises:
         InvalidFile: If a file breaks its format or has no costmap.
         DockNotValid: If the frame of the dock is not the frame of the map, or its type is not among the parameter
-            file's dock types. In a file without dock types every dock is entered forward, as by Nav2's default.
+            file's dock types. In a file without dock types every dock is entered forward, which is Nav2's default.
         DockNotInDB: If there is no dock of that name, or there are several docks and no name is given.
         InvalidValue: If the start is not a pose.
     """

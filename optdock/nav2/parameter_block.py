@@ -66,7 +66,7 @@ class ParameterBlock:
         return value
 
     def names(self, name: str) -> tuple[str, ...]:
-        """Return the valid names of a list, each once."""
+        """Return the valid names of a list, without duplicates."""
         value = self.values.get(name)
         if not isinstance(value, list):
             self.fault(name, message=f"must be a list of names, got {shown(value)}")

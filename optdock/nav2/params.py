@@ -124,7 +124,7 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
 
 
 def _nodes(document: Document) -> list[tuple[Keys, Mapping[str, object]]]:
-    """Return position and content of every `ros__parameters` mapping, or of a bare costmap."""
+    """Return the position and the content of every `ros__parameters` mapping, or of a bare costmap."""
     found = list(_parameter_mappings(document.value, ()))
     value = document.value
     if found:

@@ -158,7 +158,7 @@ def plan_dock(  # noqa: PLR0913 - every choice is a keyword
         GoalOccupied: If the clearance at the goal is less than required.
         StartOutsideMapBounds: If the start is outside the costmap.
         GoalOutsideMapBounds: If the goal is outside the costmap.
-        NoMotionExists: If it is proven that no motion joins start and goal.
+        NoMotionExists: If it is proven that no motion connects the start to the goal.
         NoValidPathCouldBeFound: If no planner finds a raw path.
         FailedToSmoothPath: If no path near a raw path satisfies every bound.
         FailedToTimePath: If no time law satisfies the motion limits.

@@ -225,7 +225,7 @@ class DockPlan:
         return cls(motion, raw_path, found.completed, found.timing_ms)
 
     def plot(self, target: str | FilePath, title: str = "") -> None:
-        """Draw map, obstacles, dock, paths, the swept footprint, and the position of least clearance.
+        """Draw the map, the obstacles, the dock, the paths, the swept footprint, and the position of least clearance.
 
         Args:
             target: File name; the suffix selects the format.

@@ -169,7 +169,7 @@ class RunningDrive:
         return rest
 
     def way_until(self, joint: BranchPoint) -> WayVerdict | None:
-        """Prove the clearance of the way to the joint; None if the robot is at the joint."""
+        """Prove the clearance of the path to the joint; None if the robot is at the joint."""
         now = self.now
         if now.rest is None or joint.s - now.s <= NO_WAY:
             return None

@@ -76,7 +76,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     refusal: OptdockError | None = None,
     title: str = "",
 ) -> None:
-    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or the position of a refusal.
+    """Draw the map, the obstacles, the dock, the paths, the swept footprint, and the closest or refused pose.
 
     If the dock must be in view, its marker and the camera's cone at some poses of the path are also drawn.
 

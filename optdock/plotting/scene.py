@@ -87,7 +87,7 @@ def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
 
 
 def draw_scene(axes: Axes, problem: DockingProblem, view: View) -> None:
-    """Draw map, obstacles and dock on axes in metres with equal scales."""
+    """Draw the map, the obstacles and the dock on axes in metres with equal scales."""
     if problem.costmap is not None:
         _draw_map(axes, problem.costmap, view)
     _draw_obstacles(axes, problem, view)
@@ -214,7 +214,7 @@ def draw_sweep(axes: Axes, footprint: Footprint, poses: FloatArray) -> None:
 
 
 def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) -> None:
-    """Draw position and heading of a pose."""
+    """Draw the position and the heading of a pose."""
     tip = (pose.x + length * np.cos(pose.yaw), pose.y + length * np.sin(pose.yaw))
     axes.annotate(
         "",

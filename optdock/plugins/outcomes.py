@@ -33,7 +33,7 @@ __all__ = [
 
 
 class Guess(NamedTuple):
-    """Raw path of a planner, exactly from start to goal, and name of the stage that found it, for reports."""
+    """Raw path of a planner, exactly from the start to the goal, and the stage that found it, for reports."""
 
     path: Path
     stage: str = ""
@@ -156,7 +156,7 @@ class TimingResult:
         report: Report.
         reason: Reason if the status is not OK, one sentence with numbers.
         limit: Name of the exceeded limit in `MotionLimits`, or `approach_speed`; empty if no single limit is exceeded.
-        at_s: Arc length of the violation [m]; None if the violation has no single place.
+        at_s: Arc length of the violation [m]; None if the violation has no single position.
     """
 
     status: TimingStatus

@@ -287,7 +287,7 @@ def pose_message(types: MessageTypes, pose: Pose2, frame: str, stamp: float) -> 
 
 
 def twist_message(types: MessageTypes, twist: Twist2, frame: str = "", stamp: float = 0.0, *, stamped: bool) -> Message:
-    """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with frame and stamp [s].
+    """Return a `geometry_msgs/Twist`, or if `stamped` a `geometry_msgs/TwistStamped` with a frame and a stamp [s].
 
     Raises:
         InvalidValue: If the frame or the time of a `TwistStamped` is invalid.

@@ -180,7 +180,7 @@ class Slip:
 
     Args:
         lost: Lost share of speed and yaw rate [1].
-        drift: Leftward speed per forward speed, as on a slope [1].
+        drift: Leftward speed per forward speed, for example on a slope [1].
         turn: Leftward yaw rate per forward speed [rad/m].
         lost_sigma: Standard deviation of the lost share [1].
         drift_sigma: Standard deviation of the drift [1].

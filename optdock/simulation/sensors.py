@@ -222,7 +222,7 @@ class DockSensor:
             raise InvalidValue(f"dock_sensor.max_range: must be > min_range, {self.min_range}, got {self.max_range}")
 
     def sigmas(self, distance: float) -> tuple[float, float]:
-        """Return the standard deviations of position [m] and yaw [rad] at a distance of the marker [m]."""
+        """Return the standard deviations of the position [m] and the yaw [rad] at a distance of the marker [m]."""
         share = 1.0 + self.growth * max(0.0, distance - self.near)
         return share * self.position_sigma, share * self.yaw_sigma
 

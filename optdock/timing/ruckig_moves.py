@@ -316,7 +316,7 @@ class _Samples(NamedTuple):
 
 
 def _evaluate(bounds: ReferenceBounds, moves: list[tuple[MotionState, Phases]]) -> list[tuple[float, float]]:
-    """Return the largest excess of every move and its place, vectorized over all moves."""
+    """Return the largest excess of every move and its position, vectorized over all moves."""
     if not moves:
         return []
     phases, counts = _phase_rows(moves)

@@ -5,8 +5,9 @@ With the acceleration a and the curvature's rate r per metre
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
 which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity is divided by c^(n +
-1), so ratios of quantity to limit are raised to the power 2 / (n + 1); all ratios are then divided by the square of c.
+second factor is linear in (x, x'), because a = x' / 2. If time is stretched by c, the quantity is divided by c^(n + 1),
+so the ratios of the quantity to the limit are raised to the power 2 / (n + 1); all ratios are then divided by the
+square of c.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class _Round(NamedTuple):
     attained: float
 
     def settled(self, keep: BoolArray | IntArray) -> FloatArray:
-        """Return bound, place, required clearance and obstacle row of the cells at `keep`, Shape (n, 4)."""
+        """Return bound, arc length, required clearance and obstacle row of the cells at `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
 

@@ -47,7 +47,7 @@ def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  
 
 
 def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    """Check that path and problem have the same frame; a path without a frame name is accepted."""
+    """Check that the path and the problem have the same frame; a path without a frame name is accepted."""
     if not may_be_one_frame(path.frame, problem.frame):
         message = f"the path is in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
         yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})

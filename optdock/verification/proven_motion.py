@@ -206,11 +206,11 @@ def proven_for(trajectory: Trajectory) -> ProblemFingerprint | None:
 
 
 class WayVerdict(NamedTuple):
-    """Result of `prove_way`; its truth value tells whether the way is proven.
+    """Result of `prove_way`; its truth value tells whether the clearance of the path is proven.
 
     Attributes:
         way: The way; None if it is not proven.
-        reason: Reason for the failure; empty if the way is proven.
+        reason: Reason for the failure; empty if the clearance is proven.
     """
 
     way: ProvenWay | None
@@ -306,7 +306,7 @@ def _not_clear_by(
 
 
 def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | None:
-    """Return the way of a robot at the beginning of a proven motion; None if the tube does not contain the pose.
+    """Return the remaining path of a robot at the beginning of a proven motion, or None outside the tube.
 
     Args:
         motion: The motion, driven from its start.

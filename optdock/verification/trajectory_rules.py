@@ -194,7 +194,7 @@ def _rest_at(law: TimeLaw, s: float) -> int:
 
 
 class _Peak(NamedTuple):
-    """The largest value of a quantity, its limit, its time [s] and place [m]."""
+    """The largest value of a quantity, its limit, its time [s] and arc length [m]."""
 
     kind: str
     limit: float
@@ -209,7 +209,7 @@ class _Peak(NamedTuple):
 
 
 class _Wait(NamedTuple):
-    """A rest: place [m], required and actual duration [s]."""
+    """A rest: arc length [m], required and actual duration [s]."""
 
     s: float
     needed: float

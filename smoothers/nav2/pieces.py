@@ -81,7 +81,7 @@ def path_of(poses: FloatArray, like: Path) -> Path:
 
 
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last index of every piece between cusps and turns in place; adjacent pieces share an index.
+    """Return the first and last index of every piece between cusps and turns in place; adjacent pieces share an index.
 
     At a cusp consecutive steps of `poses`, Shape (n, 3), have opposite directions; a turn in place is a step without
     motion but with a change of yaw.
@@ -223,8 +223,8 @@ class PieceSmoother(Smoother):
         Args:
             path: Raw path, from any source.
             max_time: Wall-clock time for the whole call [s], checked before every step.
-            problem: Source of costmap, footprint and obstacles; if None, the context. Without a footprint, collisions
-                are not checked.
+            problem: Source of the costmap, the footprint and the obstacles; if None, the context is used. Without a
+                footprint, collisions are not checked.
             warm_start: Not used.
             cancel_checker: Polled before every step.
 

@@ -1,4 +1,4 @@
-"""Nav2's SimpleSmoother: every point is moved towards the middle of its neighbours and towards its original place.
+"""Nav2's SimpleSmoother: every point is moved towards the middle of its neighbours and towards its original position.
 
 It serves as a baseline and supports old parameter files. The curvature is not bounded, and obstacles only stop the
 sweeps.

@@ -179,7 +179,7 @@ STRATEGY: tuple[Given | Search, ...] = (
 
 
 class Incumbent(NamedTuple):
-    """A certified path with certificate and cost, and its status if it was not found by a search."""
+    """A certified path with its certificate and cost, and its status if it was not found by a search."""
 
     path: Path
     certificate: Certificate

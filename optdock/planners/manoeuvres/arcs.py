@@ -112,7 +112,7 @@ class ArcTree:
 
     Attributes:
         poses: Shape (n, 3).
-        prices: Price of the way between root and node, Shape (n,) [s].
+        prices: Price of the path between the root and the node, Shape (n,) [s].
         signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
     """
 

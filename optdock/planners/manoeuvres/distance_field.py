@@ -1,4 +1,4 @@
-"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest ways of a disc on it."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc on it."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> Fl
 
 
 class Wavefront:
-    """Lengths of shortest ways around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
+    """Lengths of shortest routes around the obstacles for a disc of some radius [m], from a source, Shape (2,) [m].
 
     A wave spreads over the grid, alternately to the four and the eight neighbours of its front, so the front is an
     octagon. The number of steps is a lower bound of the length in cells and is too small by at most 11 %. The wave
@@ -143,7 +143,7 @@ class Wavefront:
         self._count = 0
 
     def lengths(self, points: FloatArray) -> FloatArray:
-        """Return lower bounds of the lengths of ways to points, Shape (n, 2) to (n,) [m]; infinite if none exists."""
+        """Return lower bounds of the lengths of routes to points, Shape (n, 2) to (n,) [m]; infinite if none exists."""
         field = self._field
         index = np.clip(np.rint((points - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
         rows, columns = index.T
@@ -154,7 +154,7 @@ class Wavefront:
         return reached
 
     def way(self, point: FloatArray) -> FloatArray | None:
-        """Return the grid points of a shortest way to a point, Shape (2,); None if there is none. Shape (n, 2) [m]."""
+        """Return the grid points of a shortest route to a point, Shape (2,), or None. Shape (n, 2) [m]."""
         if np.isinf(self.lengths(point[None])[0]):
             return None
         field = self._field

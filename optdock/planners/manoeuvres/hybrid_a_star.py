@@ -3,7 +3,7 @@
 The search of [Dolgov2010] expands over poses that are not rounded to a grid, keeps one node per cell of a pose grid,
 and tries, from nodes, the shortest path to the goal without regard to obstacles. Here the search begins at the tighter
 end, usually the goal, and each new node is joined to the other end by the cheapest words. The cost to go is the larger
-of the cheapest word and the length of the shortest way of a disc among the obstacles.
+of the cheapest word and the length of the shortest route of a disc among the obstacles.
 """
 
 from __future__ import annotations

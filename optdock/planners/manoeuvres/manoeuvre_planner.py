@@ -279,7 +279,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or its price is much higher than the price of the shortest way around obstacles."""
+        """Whether there is no plan, or its price is much higher than that of the shortest route around obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True
@@ -294,7 +294,7 @@ class Stages:
         return self.space.wavefront(self.problem.start.as_array()[:2])
 
     def _along_routes(self) -> Iterator[Guess]:
-        """Yield words from pose to pose along the shortest way of a disc around the obstacles."""
+        """Yield words from pose to pose along the shortest route of a disc around the obstacles."""
         start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)
@@ -363,7 +363,7 @@ class Stages:
             yield None
 
     def _offered(self, stage: str, found: Iterator[Arcs]) -> Iterator[Guess]:
-        """Yield the first few ways that differ from all earlier ones and may be cheaper than the best plan."""
+        """Yield the first few paths that differ from all earlier paths and may be cheaper than the best plan."""
         offered = 0
         for arcs in found:
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)

@@ -60,10 +60,10 @@ def least_price(path: Path, problem: DockingProblem) -> float:
 
 
 def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
-    """Compute `least_price` of many ways without turns in place.
+    """Compute `least_price` of many paths without turns in place.
 
     Args:
-        lengths: Lengths of the pieces of each way as driven, negative in reverse; neighbours may have the same gear.
+        lengths: Lengths of the pieces of each path as driven, negative in reverse; neighbours may have the same gear.
             Shape (n, k) [m].
         problem: The planning problem.
 
@@ -188,7 +188,7 @@ def stopping_cost(limits: MotionLimits) -> float:
 def ends_cost(problem: DockingProblem) -> float:
     """Return a lower bound of the time that the start, the speed zone and the stop add to the time at full speed [s].
 
-    The bound is exact if the jerk is not limited, the gears are known, and the way is long enough for full speed.
+    The bound is exact if the jerk is not limited, the gears are known, and the path is long enough for full speed.
     """
     limits, dock, zone = problem.robot.limits, problem.dock, problem.dock.approach
     speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}

@@ -1,12 +1,12 @@
-"""A lazy roadmap along a route: Reeds-Shepp words between poses on the shortest way around the obstacles.
+"""A lazy roadmap along a route: Reeds-Shepp words between poses on the shortest route around the obstacles.
 
-The shortest way of a disc through a building is known from the wavefront. Poses are placed along that way, with
-headings along it and opposite to it, and neighbours are joined by Reeds-Shepp words. A best-first search finds the
-cheapest sequence of words and checks a word for collisions only when the search reaches this word (lazily, as in
-[Bohlin2000], where the vertices of the roadmap are random).
+The shortest route of a disc through a building is known from the wavefront. Poses are placed along that route, facing
+either way along it, and neighbours are joined by Reeds-Shepp words. A best-first search finds the cheapest sequence of
+words and checks a word for collisions only when the search reaches this word (lazily, as in [Bohlin2000], where the
+vertices of the roadmap are random).
 
-The way of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this way towards the
-middle of the free space, until there is enough room around it for the robot to turn.
+The route of the disc passes corners as closely as possible. An elastic band ([Quinlan1993]) moves this route towards
+the middle of the free space, until there is enough room around it for the robot to turn.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Edges(NamedTuple):
 
 
 class _Label(NamedTuple):
-    """The cheapest known way to a vertex: its price, the gear at its end, and its last edge."""
+    """The cheapest known path to a vertex: its price, the gear at its end, and its last edge."""
 
     price: float
     gear: float
@@ -121,7 +121,7 @@ class _LazySearch:
         return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
 
     def ways(self) -> Iterator[tuple[float, Arcs]]:
-        """Yield complete ways of free words with their prices as they are found."""
+        """Yield complete paths of free words with their prices as they are found."""
         labels: dict[int, _Label] = {}
         opened: list[tuple[float, float, int]] = []
         for vertex, row in enumerate(self._out.tolist()):
@@ -155,7 +155,7 @@ class _LazySearch:
             heapq.heappush(opened, (bound, price, edge))
 
     def _next(self, opened: list[tuple[float, float, int]], labels: dict[int, _Label]) -> list[tuple[float, int]]:
-        """Pop the next words to check, with the prices of the ways to their ends."""
+        """Pop the next words to check, with the prices of the paths to their ends."""
         some: list[tuple[float, int]] = []
         while opened and len(some) < _BATCH:
             _, price, edge = heapq.heappop(opened)
@@ -177,7 +177,7 @@ class _LazySearch:
         return found
 
     def _way(self, vertex: int, labels: dict[int, _Label]) -> Arcs:
-        """Return the whole way that ends at an entry."""
+        """Return the whole path that ends at an entry."""
         parts = [self._entries.way(int(self._into[vertex - self._end]))]
         while (edge := labels[vertex].edge) >= 0:
             parts.append((self._edges.lengths[edge], self._edges.curvatures[edge]))

@@ -2,7 +2,7 @@
 
 On open floor, the fastest motions of a differential drive with bounded wheel speeds are such sequences [Balkcom2002].
 Straight runs leave the start and enter the dock. Between the ends of two such runs the robot turns, drives straight and
-turns again. If obstacles block this straight line, the robot follows a shortest way around them for the disc in which
+turns again. If obstacles block this straight line, the robot follows a shortest route around them for the disc in which
 it turns, shortened by lines of sight. The smoother rounds corners that have enough room, so the robot need not stop
 there.
 """
@@ -314,7 +314,7 @@ def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
 def routes(
     exits: TreeNodes, entries: TreeNodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield manoeuvres around obstacles that turn in place at the corners of a shortest way.
+    """Yield manoeuvres around obstacles that turn in place at the corners of a shortest route.
 
     The shortest way is computed first for the disc in which the robot turns, then for a disc as wide as the robot. The
     arguments are as in `turns_and_drives`.
@@ -334,7 +334,7 @@ def routes(
 def _around(
     exits: TreeNodes, out: int, entries: TreeNodes, space: FreeSpace, radii: tuple[float, float]
 ) -> Iterator[TurnsAndDrives]:
-    """Yield manoeuvres along shortest ways of a disc between nodes, shortened for a narrower disc, in both gears."""
+    """Yield manoeuvres along shortest routes of a disc between nodes, shortened for a narrower disc, in both gears."""
     source, (turning, driving) = exits.tree.poses[out], radii
     wave = space.wavefront(source[:2], turning)
     for into in entries.rows.tolist():
@@ -373,7 +373,7 @@ def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple
 
 
 def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: FreeSpace, radius: float) -> FloatArray:
-    """Return the corners of a way that remain after it is shortened by lines of sight of a disc. Shape (k, 2)."""
+    """Return the corners of a route that remain after shortening it by lines of sight of a disc. Shape (k, 2)."""
     some = way[np.unique(np.linspace(0, len(way) - 1, _POINTS).astype(np.int64))]
     points = np.concatenate((source[None], some[1:-1], target[None]))
     corners, at, last = [points[0]], 0, len(points) - 1

@@ -190,7 +190,7 @@ class SmootherContract(PluginContract[Smoother]):
             )
 
     def test_a_rigid_motion_of_the_task_moves_the_result(self) -> None:
-        """`smooth`: moving path and problem together moves the result in the same way."""
+        """`smooth`: moving the path and the problem together moves the result in the same way."""
         smoother = self.ready_plugin()
         here = smoother.smooth(raw_path(), _AMPLE, problem=scene_problem()).path
         goal = _MOTION @ GOAL
