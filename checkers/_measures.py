@@ -20,7 +20,7 @@ def yaw_error(query: Pose2, goal: Pose2, *, symmetric: bool = False) -> float:
 
 
 def is_stopped(velocity: Twist2, trans_stopped_velocity: float, rot_stopped_velocity: float) -> bool:
-    """Whether speed [m/s], lateral speed included, and yaw rate [rad/s] are at most the given limits."""
+    """Whether the speed [m/s], including the lateral speed, and the yaw rate [rad/s] are at most the given limits."""
     slow = math.hypot(velocity.linear, velocity.lateral) <= trans_stopped_velocity
     return slow and abs(velocity.angular) <= rot_stopped_velocity
 

@@ -151,7 +151,7 @@ class DockEstimate:
 
     @property
     def reach_of_contact(self) -> float:
-        """Distance from the estimated dock within which contact is possible, uncertainty included [m]."""
+        """Distance from the estimated dock within which contact is possible, including the uncertainty [m]."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
 
     @property

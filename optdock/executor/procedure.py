@@ -1,7 +1,7 @@
 """Docking and undocking procedure: attempts with their plans and drives; each `yield` is one control cycle.
 
-The early end of a motion, an attempt or the task is signalled by an exception, which is caught by the function that can
-respond to it. Every wait and every motion has a timeout.
+The early end of a motion, an attempt or the task is signalled by an exception. The function that can respond catches
+the exception. Every wait and every motion has a timeout.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class Procedure:
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _approach(self) -> Generator[Target, None, EndingKind]:
-        """Plan from rest and drive; plan again after an interruption, raise AttemptFailed after too many of them."""
+        """Plan from rest and drive; plan again after interruptions; raise AttemptFailed after too many of them."""
         cycles, patience = self.cycles, self._situation.settings.obstacle_patience
         blocks, blocked_since = 0, cycles.now
         self._situation.dock_type.reset()

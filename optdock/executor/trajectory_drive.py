@@ -77,7 +77,7 @@ _LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: End
 
 
 class TrajectoryDrive:
-    """Drive one motion and replace it when replanning gives a better one.
+    """Drive one motion, and replace it when replanning gives a better motion.
 
     Raises:
         AttemptFailed: If the controller cannot follow the motion.
@@ -146,7 +146,7 @@ class TrajectoryDrive:
         return settings.max_undocking_time if state is State.UNDOCKING else settings.dock_approach_timeout
 
     def is_over(self) -> bool:
-        """Whether the motion ends in this cycle, because its end is reached or the robot is docked.
+        """Whether the motion ends in this cycle because its end is reached or the robot is docked.
 
         Raises:
             Interrupted: If the motion cannot continue.
@@ -230,7 +230,7 @@ class TrajectoryDrive:
 
     @property
     def _pose(self) -> Pose2:
-        """Pose for the controller; in an approach, it is relative to the dock, which may have moved since planning."""
+        """Pose for the controller; in an approach, relative to the dock, which may have moved since planning."""
         perception = self._situation.perception
         return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
 

@@ -309,7 +309,7 @@ class _Search:
         return bool(keys)
 
     def _around_an_end(self) -> ImpossibilityProof:
-        """Return the proof when no route is left: cells around the goal, or around the start if only it is enclosed."""
+        """Return the proof when no route is left: cells around the goal, or otherwise around the start."""
         graph = self.graph
         goal = graph.reached(GOAL)
         end, reached = ("start", graph.reached(START)) if goal[OUTSIDE] else ("goal", goal)

@@ -285,7 +285,7 @@ class PlaceGraph(ConnectivityGraph):
     def route(self) -> list[int]:
         """Return the nodes of the minimax route, which has the lowest maximum node cost.
 
-        It is found with a minimum spanning tree ([Hu1961]).
+        The route is found with a minimum spanning tree ([Hu1961]).
         """
         from scipy import sparse
         from scipy.sparse import csgraph

@@ -25,7 +25,7 @@ _ROWS = 8192  # pairs of a point and an edge per step, half a millisecond
 
 
 class DiscCover(NamedTuple):
-    """Discs within a footprint: a centre (2,), discs (n, 3) around it, and the extent of the body from it [m]."""
+    """Discs within a footprint: a centre (2,), discs (n, 3), and the extent of the body from the centre [m]."""
 
     centre: FloatArray
     discs: FloatArray
@@ -52,7 +52,7 @@ def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
 def disc_cover(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
     """Return the discs of a footprint, computed once.
 
-    `look` is called every few milliseconds. If it raises an exception, the exception is passed on and no result is
+    `look` is called every few milliseconds. If `look` raises an exception, the exception is passed on and no result is
     cached.
     """
     kept = _bodies(footprint)
@@ -67,7 +67,7 @@ def prepare_footprint(footprint: Footprint) -> None:
 
 
 def _discs_within(footprint: Footprint, look: Callable[[], None]) -> DiscCover:
-    """Return a few discs that fill a footprint up to `_FIT`, chosen greedily by the part of the outline they cover."""
+    """Return a few discs that fill a footprint up to `_FIT`, chosen greedily by the covered part of the outline."""
     outline = footprint.vertices
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     outline = outline - centre

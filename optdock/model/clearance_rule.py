@@ -29,7 +29,7 @@ START_SLACK = 0.005
 
 @dataclass(frozen=True)
 class ClearanceRule:
-    """Required clearance of the footprint from the nearest obstacle, the station included.
+    """Required clearance of the footprint from the nearest obstacle, including the station.
 
     Args:
         required: Clearance away from the goal [m].

@@ -1,7 +1,7 @@
 """Motion limits of the robot's drive.
 
-`LIMITS` is the only table of the bounds in `MotionLimits`. Certificates, sample checks, scenario files, their reference
-and the plots take names, units and quantities from it.
+`LIMITS` is the only table of the bounds in `MotionLimits`. The certificates, the checks of samples, the scenario files
+and their reference, and the plots use the names, units and quantities of this table.
 """
 
 from __future__ import annotations

@@ -232,8 +232,8 @@ def warm_up(
         planner: As in `plan_dock`.
         smoother: As in `plan_dock`.
         timing: As in `plan_dock`.
-        robot: Robot of later problems. If it is given, the footprint data needed for proofs are computed, which takes
-            up to 0.1 s.
+        robot: Robot of later problems. If `robot` is given, the footprint data needed for proofs are computed, which
+            takes up to 0.1 s.
 
     Raises:
         PluginError: If a plugin is unknown or cannot be built.
@@ -515,7 +515,7 @@ class _Portfolio:
         self.so_far.tried = tuple(self.tried)
 
     def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
-        """Search for a proof that no motion exists in a share of the remaining time, and raise it as an error."""
+        """Search for a proof that no motion exists, in a share of the remaining time; raise an error with the proof."""
         if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
         with self.work.timed("prove"):

@@ -274,9 +274,9 @@ class PartialPlan:
 
     Args:
         raw_path: The planner's path, or None.
-        path: The smoothed path. After an error of the smoother it is the smoother's best path, which violates the bound
-            named in the error and may miss the goal. The path is certified only if `certificate` is true. None if there
-            is no path.
+        path: The smoothed path. After an error of the smoother, `path` is the smoother's best path, which violates the
+            bound named in the error and may miss the goal. The path is certified only if `certificate` is true. None if
+            there is no path.
         certificate: The certificate of `path`, or None.
         timing_ms: Wall-clock milliseconds per stage.
         tried: Every guess and its result.

@@ -8,9 +8,9 @@ continuity. The following methods are tried in order until a plan is certified:
 2. The smoother from the joint, with the rest of the running path as warm start.
 3. `plan_dock` from the joint.
 
-If nothing is certified in time, the old plan continues if its rest is certified in the new world and ends at the new
-dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint can no longer
-be changed, so it is proven first. If this proof fails, the robot brakes at once.
+If nothing is certified in time, the old plan continues if its remaining path is certified in the new world and ends at
+the new dock within the dock's tolerances; otherwise the robot brakes along its path. The motion until the joint can no
+longer be changed, so it is proven first. If this proof fails, the robot brakes at once.
 """
 
 from __future__ import annotations

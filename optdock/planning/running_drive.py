@@ -41,7 +41,7 @@ class DriveState(NamedTuple):
         pose: Measured pose at that time; None means a robot on the trajectory. If the pose is within the tube around
             the running path, the controller corrects the error and a new plan begins on that path. Otherwise a new plan
             begins at the pose of the robot.
-        moved: Transform of the whole trajectory since it was planned: every pose p became `moved @ p`, because the dock
+        moved: Transform of the whole trajectory since the planning: every pose p became `moved @ p`, because the dock
             was detected at a different pose. None means identity.
         is_filtered: Whether `pose` is accurate enough for a new plan to begin there, even within the tube.
     """
@@ -125,7 +125,7 @@ class RunningDrive:
     def branch_point(self, lead: float, *, at_a_rest: bool = False) -> BranchPoint:
         """Return the state after `lead` seconds.
 
-        With `at_a_rest` it is the state at the next rest, if that is near or the robot turns in place.
+        With `at_a_rest` the result is the state at the next rest, if that rest is near or the robot turns in place.
         """
         running, rate = self.plan.trajectory, self.state.rate
         path, length = self.ahead, self.ahead.length
@@ -146,7 +146,7 @@ class RunningDrive:
         return BranchPoint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
-        """Return `time`, or the time of the next rest if it is near or the robot turns in place."""
+        """Return `time`, or the time of the next rest if that rest is near or the robot turns in place."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         if self.state.rate <= 0.0:
@@ -159,7 +159,7 @@ class RunningDrive:
         return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _steered(self, rest: float) -> float:
-        """Return the time `rest`, or the end of the rest that begins there if steered wheels turn during it."""
+        """Return the time `rest`, or the end of the rest that begins then if steered wheels turn meanwhile."""
         law = self.plan.trajectory.time_law
         if not math.isfinite(self.world.robot.limits.max_steering_rate):
             return rest

@@ -269,7 +269,7 @@ class _Claims:
 
     @property
     def made_for(self) -> str:
-        """Differences in problem and path of the certificate in the file; empty if there are none."""
+        """Differences between the problem and path of the file's certificate and those checked here; may be empty."""
         parts = []
         if self._others:
             parts.append(f"another problem: {', '.join(self._others)} differ; checked here for this problem")

@@ -202,7 +202,7 @@ class _RecordingReader:
 
     @contextmanager
     def _errors_of(self, topic: str) -> Iterator[None]:
-        """Convert errors of a message to `InvalidFile` with file and topic."""
+        """Convert errors of a message to `InvalidFile` with the file and the topic."""
         try:
             yield
         except (InvalidValue, TransformError) as error:

@@ -189,7 +189,7 @@ class PathLimits:
         return self.zone_start < self.length
 
     def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
-        """Return the slowness of the maximum velocity curve of every cell, speed zone included. Shape (n - 1,) [s/m].
+        """Return the slowness of the maximum velocity curve, with the speed zone, per cell. Shape (n - 1,) [s/m].
 
         The curvature rate may use `turning_share` of the turning limits.
         """

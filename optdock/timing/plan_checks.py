@@ -58,7 +58,7 @@ class Worst(NamedTuple):
 
 
 class _Ratios(NamedTuple):
-    """Ratios of speeds (for the lateral acceleration its square root) and turning limits at distances `s`, Shape (n,).
+    """Ratios of speeds (square root for the lateral acceleration) and turning limits at distances `s`, Shape (n,).
 
     `drive`, the ratio of the acceleration, exists only for the first of these distances, which are those of the time
     samples, because the acceleration is linear between them.
@@ -103,7 +103,7 @@ def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None =
 
 
 def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
-    """Return the worst ratio of all limits along a motion, jerk included; at `times`, Shape (n,) [s], if given."""
+    """Return the worst ratio of all limits (including jerk) along a motion; at `times`, Shape (n,) [s], if given."""
     ratios = motion_ratios(limits, motion, times)
     largest = np.maximum(ratios.speed, ratios.turning)
     np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])

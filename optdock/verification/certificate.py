@@ -100,12 +100,12 @@ class Certificate(_Verdict):
     Args:
         violations: Every violated rule; empty if certified.
         min_clearance: Proven lower bound of the clearance of the footprint on the whole path [m]; inf without
-            obstacles. If poses violate the rule, it is the smallest clearance found.
+            obstacles. If poses violate the rule, the value is the smallest clearance found.
         required_clearance: Required clearance at the position of `min_clearance` [m].
         at_s: Arc length of `min_clearance` [m].
         margin: Proven lower bound of clearance minus required clearance on the whole path [m]. Unlike `min_clearance`
-            it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, it is the
-            lowest value found.
+            it is not sharp, because a proof stops as soon as the rule is proven. If poses violate the rule, the value
+            is the lowest value found.
         nearest: Name of the obstacle at `min_clearance`; empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
@@ -120,8 +120,8 @@ class Certificate(_Verdict):
             clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
             `TrackingTube`).
         view_margin: Proven lower bound of the margin of the dock's marker in the camera's view, where it must be
-            visible [m]; not sharp, like `margin`. If poses violate the rule, it is the smallest margin found. None if
-            the problem requires no view; inf if no part of the path requires it.
+            visible [m]; not sharp, like `margin`. If poses violate the rule, the value is the smallest margin found.
+            None if the problem requires no view; inf if no part of the path requires it.
     """
 
     min_clearance: float

@@ -184,8 +184,8 @@ def certify_motion(
 ) -> TrajectoryCertificate:
     """Prove that a trajectory satisfies the motion limits of `problem` and begins in the state of the robot.
 
-    Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until they are
-    steered from the farthest angle (`DockingProblem.start_wait`), otherwise it violates the rule `rest`.
+    Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until the wheels
+    are steered from the farthest angle (`DockingProblem.start_wait`); otherwise the motion violates the rule `rest`.
 
     Args:
         trajectory: The motion to certify.
@@ -209,7 +209,7 @@ def certify_motion(
 
 
 class _Itself(weakref.ref[Subject]):
-    """A weak reference that equals another one only if both reference the same object."""
+    """A weak reference that equals another weak reference only if both refer to the same object."""
 
     __slots__ = ()
     __hash__ = weakref.ref.__hash__

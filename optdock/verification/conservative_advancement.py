@@ -1,8 +1,8 @@
 """Conservative advancement [Mirtich1996] of second order: the proof of clearance for every point of a path.
 
 The axis that attains the exact distance at a pose gives a lower bound of the distance along the motion near this pose
-(equation C5 of docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if its first half is
-cleared by the advance from its first pose and its last half by the advance back from its last pose. Other cells are
+(equation C5 of docs/theory/certificate.md). The path is subdivided into cells. A cell is cleared if the advance from
+its first pose clears the first half, and the advance back from its last pose clears the last half. Other cells are
 bisected until they are cleared, contain a pose that violates the rule, or are given up, which counts as a violation.
 The reported minimum is found by branch and bound: cells whose lower bound is well below the smallest clearance of the
 poses so far are bisected further. Cells that are cleared only within the tolerance are checked a second time for deep

@@ -27,7 +27,7 @@ class CellList(NamedTuple):
 
 
 def cells_of_lines(starts: IntArray, ends: IntArray) -> CellList:
-    """Return the cells of Bresenham lines, both ends included, from start to end (Nav2: `LineIterator`).
+    """Return the cells of Bresenham lines from start to end, including both ends (Nav2: `LineIterator`).
 
     Args:
         starts: First cells (i, j), Shape (n, 2).

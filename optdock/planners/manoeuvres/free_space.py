@@ -1,4 +1,4 @@
-"""Collision checks of poses: a distance field and covering discs decide most poses, exact distances the others.
+"""Collision checks of poses: a distance field and covering discs, then exact distances.
 
 The field contains exact distances at grid points, which bound the distance of any point from below and above
 ([Ericson2005] ch. 7, [Ziegler2010]). Discs that cover the footprint prove that a pose is free, and discs inside the
