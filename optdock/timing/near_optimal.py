@@ -130,7 +130,7 @@ def _if_ok(plan: SegmentPlan) -> tuple[SegmentPlan, ...]:
 
 
 def _single_moves(limits: PathLimits, start: MotionState) -> Iterator[SegmentPlan]:
-    """Yield one move over a short segment; over a tiny segment, the fastest of several moves, stretched to the limits."""
+    """Yield one move over a short segment; over a tiny segment, the fastest of several stretched moves."""
     if limits.length >= _SINGLE_MOVE_BELOW:
         return
     full = limits.drive_bounds._replace(speed=limits.fastest)
