@@ -20,8 +20,9 @@ from optdock.errors import InvalidValue, OptdockError
 from optdock.executor import PlanningProcess
 from optdock.geometry.pose import Twist2
 from optdock.model.constant_jerk import braking_time
+from optdock.nav2.declared_parameters import Block
 from optdock_ros.control_loop import may_be_preferred
-from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, Docks, docking_settings
+from optdock_ros.docking_parameters import DockingParameters, DockingSettings, Docks, docking_settings
 from optdock_ros.docking_reports import Reports
 from optdock_ros.docking_task import DockingTask
 from optdock_ros.frame_lookup import TransformBuffer, now
@@ -45,7 +46,7 @@ class DockingServer(Server[DockingSettings]):
     """The node."""
 
     Parameters = DockingParameters
-    accepted = NOT_READ
+    place = Block.DOCKING
     fixed = frozenset(
         {
             *("controller_frequency", "base_frame", "fixed_frame", "odom_topic", "enable_stamped_cmd_vel"),
@@ -69,6 +70,8 @@ class DockingServer(Server[DockingSettings]):
         if own.use_realtime_priority and not may_be_preferred():
             raise InvalidValue("use_realtime_priority: is not permitted; set rtprio in /etc/security/limits.conf")
         self.log_ignored(settings.not_read)
+        for line in settings.mapped:
+            log.info(line)
         if not settings.docks:
             log.warning("there are no docks: goals must give a dock's pose, or reload_database must be called")
         if not settings.controller.use_collision_detection:

@@ -367,6 +367,23 @@ def test_undocking_out_of_contact(lawful):
     assert abs(docking.world.error.y) < 0.02
 
 
+@pytest.mark.parametrize(("tolerance", "driven"), [(0.05, 0.95), (0.9, 0.14)])
+def test_undocking_ends_within_its_tolerance_of_the_staging_pose(lawful, tolerance, driven):
+    """The robot backs straight out of contact first."""
+    settings = ExecutorSettings(undock_linear_tolerance=tolerance)
+    docking = run(simulated(TRUE_DOCK, sensors=PERFECT), problem_with(TRUE_DOCK), settings, task="undock")
+    assert lawful(docking).kind is EndingKind.UNDOCKED
+    assert docking.world.error.x == pytest.approx(-driven, abs=0.02)
+    assert not docking.said("staging pose missed")
+
+
+def test_undocking_fails_outside_its_tolerance():
+    settings = ExecutorSettings(undock_linear_tolerance=1e-7)
+    docking = run(simulated(TRUE_DOCK), problem_with(TRUE_DOCK), settings, task="undock")
+    assert docking.ending.kind is EndingKind.FAILED_TO_STAGE
+    assert "staging pose missed" in docking.ending.reason
+
+
 def test_staging_from_afar(lawful):
     docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
