@@ -180,7 +180,11 @@ class StagingPoses:
         return any(math.hypot(gap.x, gap.y) <= distance and abs(gap.yaw) <= turn for gap in gaps)
 
     def require_arrival(self, places: tuple[Pose2, ...], *, is_undocking: bool) -> None:
-        """Raise Interrupted if an undocked robot is not at one of the places; other drives end where they end."""
+        """Check that an undocked robot is at one of the places; other drives end where they end.
+
+        Raises:
+            Interrupted: If it is not.
+        """
         if is_undocking and not self.has_arrived_at(places, is_undocking=True):
             gaps = [self.perception.robot.distance_to(place) for place in places]
             raise Interrupted("staging pose missed", f"undocked {min(gaps):.3f} m from it")

@@ -120,7 +120,7 @@ _GROUPS: tuple[tuple[Block, Use, tuple[str, ...], str, str], ...] = (
         Use.NO_EFFECT,
         _KILTED,
         "rotation_angular_tolerance",
-        f"{_TURN}, which continues into the dock at any heading error",
+        f"{_TURN}, at whose end `dock.tolerances.yaw` holds",
     ),
     (Block.DOCKING, Use.NO_EFFECT, _JAZZY, "action_server_result_timeout", _GRAPH),
     (Block.DOCKING, Use.NO_EFFECT, _NEVER, "initial_rotation", f"{_UNRELEASED}; {_TURN}"),
