@@ -66,6 +66,9 @@ class ExecutorSettings(PluginParameters):
     undock_angular_tolerance: float = Field(
         default=0.05, gt=0.0, description="largest heading error at the staging pose of an undocked robot [rad]"
     )
+    back_out_speed: float = Field(
+        default=0.1, gt=0.0, description="speed of backing straight out of contact, above the dead bands [m/s]"
+    )
     back_out_distance: float = Field(
         default=0.1, gt=0.0, description="largest straight distance out of contact before a path back is planned [m]"
     )

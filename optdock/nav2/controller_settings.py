@@ -81,10 +81,9 @@ def _least_speed(speed: float, fastest: float) -> ControllerSetting:
         return ControllerSetting(
             {}, "equal to v_linear_max: a constant speed, no dead band; set tracker.min_speed for one"
         )
-    return ControllerSetting(
-        {"tracker.min_speed": speed, "dock.approach_speed": speed},
-        f"tracker.min_speed is {speed:g} m/s, and dock.approach_speed is not less, unless they are set",
-    )
+    settings = "tracker.min_speed", "dock.approach_speed", "executor.contact_speed", "executor.back_out_speed"
+    words = f"{settings[0]} is {speed:g} m/s; {', '.join(settings[1:-1])} and {settings[-1]} are not less, unless set"
+    return ControllerSetting(dict.fromkeys(settings, speed), words)
 
 
 def _bound(limit: str, value: float) -> ControllerSetting:

@@ -143,8 +143,9 @@ _GROUPS: tuple[tuple[Block, Use, tuple[str, ...], str, str], ...] = (
         Use.MAPPED,
         _ALL,
         "v_linear_min",
-        "`tracker.min_speed`, the dead band of the drive, and the least default of `dock.approach_speed`; a value "
-        "equal to `v_linear_max` is a constant speed and no dead band",
+        "`tracker.min_speed`, the dead band of the drive, and least default of `dock.approach_speed`, "
+        "`executor.contact_speed` and `executor.back_out_speed`; a value equal to `v_linear_max` is a constant speed "
+        "and no dead band",
     ),
     (
         Block.CONTROLLER,

@@ -63,20 +63,29 @@ def settings(controller: dict[str, object], **block: object) -> DockingSettings:
     return docking_settings(whole, DockingParameters.model_validate(own))
 
 
-def dead_band(found: DockingSettings) -> tuple[object, float]:
-    """Return the dead band of the controller and the speed before the dock."""
-    return found.tracker.parameters.get("min_speed"), found.dock_parameters["bay"].approach_speed
+def slowest(found: DockingSettings) -> tuple[object, float, float, float]:
+    """Return the dead band of the controller, and the speeds before, at and out of the dock [m/s]."""
+    made = found.executor_settings(found.plugins["bay"])
+    band = found.tracker.parameters.get("min_speed")
+    return band, found.dock_parameters["bay"].approach_speed, made.contact_speed, made.back_out_speed
 
 
 def test_a_least_speed_is_a_dead_band_unless_it_is_the_only_speed() -> None:
-    assert dead_band(settings({})) == (None, 0.1), "Nav2's default of 0.1 states no dead band"
-    assert dead_band(settings({"v_linear_min": 0.16, "v_linear_max": 0.18})) == (0.16, 0.16)
-    assert dead_band(settings({"v_linear_min": 0.05})) == (0.05, 0.1)
-    assert dead_band(settings({"v_linear_min": 0.15, "v_linear_max": 0.15})) == (None, 0.1)
-    assert dead_band(settings({"v_linear_min": 0.0})) == (None, 0.1)
-    own = settings({"v_linear_min": 0.16}, tracker={"min_speed": 0.02}, dock={"approach_speed": 0.05})
-    assert dead_band(own) == (0.02, 0.05)
-    assert dead_band(settings({"v_linear_min": 0.16}, tracker={"plugin": "MpcController"})) == (0.16, 0.16)
+    usual = (None, 0.1, 0.03, 0.1)
+    assert slowest(settings({})) == usual, "Nav2's default of 0.1 states no dead band"
+    assert slowest(settings({"v_linear_min": 0.16, "v_linear_max": 0.18})) == (0.16, 0.16, 0.16, 0.16)
+    assert slowest(settings({"v_linear_min": 0.05})) == (0.05, 0.1, 0.05, 0.1)
+    assert slowest(settings({"v_linear_min": 0.15, "v_linear_max": 0.15})) == usual
+    assert slowest(settings({"v_linear_min": 0.0})) == usual
+    own = settings(
+        {"v_linear_min": 0.16},
+        tracker={"min_speed": 0.02},
+        dock={"approach_speed": 0.05},
+        executor={"contact_speed": 0.04, "back_out_speed": 0.06},
+    )
+    assert slowest(own) == (0.02, 0.05, 0.04, 0.06)
+    other = settings({"v_linear_min": 0.16}, tracker={"plugin": "MpcController"})
+    assert slowest(other) == (0.16, 0.16, 0.16, 0.16)
     with pytest.raises(InvalidValue, match=r"controller\.v_linear_min: must be at most v_linear_max = 0.25 m/s"):
         settings({"v_linear_min": 0.3})
 
@@ -86,7 +95,7 @@ def test_a_controller_without_a_dead_band_is_told(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(docking_parameters, "load_plugin", lambda *_: bare)
     found = settings({"v_linear_min": 0.16})
     assert found.not_read == ("controller.v_linear_min for the tracker TrackingController",)
-    assert dead_band(found) == (None, 0.16)
+    assert slowest(found)[:2] == (None, 0.16)
 
 
 @pytest.mark.parametrize(

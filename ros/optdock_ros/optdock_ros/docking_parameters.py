@@ -352,7 +352,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     common = _OfAllTypes(
         _DIRECTIONS.get(own.dock_backwards),
         own.nav2_distribution or distribution_of(os.environ),
-        {**_dock_defaults(mapped), **read.inner("dock")},
+        {**_mapped(mapped, "dock.", DockParameters), **read.inner("dock")},
     )
     types = {name: made for name in own.dock_plugins if (made := _read_type(read, name, common)) is not None}
     docks = read.attempt(lambda: docks_of_parameters(block), dict[str, DockEntry]())
@@ -360,7 +360,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     settings = DockingSettings(
         own=own,
         controller=controller,
-        executor=_executor(read),
+        executor=_executor(read, mapped),
         robot=robot,
         clearance=clearance,
         tracker=_tracker(read, mapped),
@@ -375,12 +375,13 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     return settings
 
 
-def _executor(read: BlockReader) -> dict[str, object]:
-    """Return the block `executor`; settings that are set elsewhere are faults."""
+def _executor(read: BlockReader, mapped: Mapping[str, float]) -> dict[str, object]:
+    """Return the block `executor` with the server's defaults; settings that are set elsewhere are faults."""
     given = read.inner("executor")
     twice = [name for name in given if name in _SET_ELSEWHERE]
     read.faults.extend(f"executor.{name}: is {_SET_ELSEWHERE[name]} of this server" for name in twice)
-    own = {name: value for name, value in given.items() if name not in twice}
+    own = {**_mapped(mapped, "executor.", ExecutorSettings), **given}
+    own = {name: value for name, value in own.items() if name not in twice}
     try:
         ExecutorSettings(**own)
     except InvalidValue as error:
@@ -431,12 +432,11 @@ class _OfAllTypes(NamedTuple):
     dock: Mapping[str, object]
 
 
-def _dock_defaults(mapped: Mapping[str, float]) -> dict[str, float]:
-    """Return the defaults of the block `dock` that are set by the parameters of Nav2."""
-    found = {name: mapped[f"dock.{name}"] for name in ("contact_margin", "approach_speed") if f"dock.{name}" in mapped}
-    if "approach_speed" in found:
-        found["approach_speed"] = max(found["approach_speed"], DockParameters.model_validate({}).approach_speed)
-    return found
+def _mapped(mapped: Mapping[str, float], prefix: str, model: type[PluginParameters]) -> dict[str, object]:
+    """Return the settings of a block that are set by the parameters of Nav2; speeds are not less than the defaults."""
+    found = {key.removeprefix(prefix): value for key, value in mapped.items() if key.startswith(prefix)}
+    least = {name: model.model_fields[name].default for name in found if name.endswith("_speed")}
+    return {name: max(value, least.get(name, value)) for name, value in found.items()}
 
 
 def _read_type(read: BlockReader, name: str, common: _OfAllTypes) -> tuple[DockPlugin, DockParameters] | None:

@@ -377,6 +377,27 @@ def test_undocking_ends_within_its_tolerance_of_the_staging_pose(lawful, toleran
     assert not docking.said("staging pose missed")
 
 
+@pytest.mark.parametrize("speed", [None, 0.16])
+@pytest.mark.parametrize("task", ["dock", "undock"])
+def test_speeds_above_a_wide_dead_band(task, speed):
+    """Slower commands do not move this drive: it would not leave the dock, and its rest would count as contact."""
+    limits = dataclasses.replace(LIMITS, max_speed=0.18, max_reverse_speed=0.18)
+    robot = dataclasses.replace(ROBOT, limits=limits)
+    plant = DifferentialDrive(robot, dataclasses.replace(SLUGGISH, linear_dead_band=0.12))
+    world = simulated(CLOSE if task == "dock" else TRUE_DOCK, plant=plant, station=Station(), seed=2)
+    problem = problem_with(TRUE_DOCK)
+    problem = dataclasses.replace(problem, robot=robot, dock=dataclasses.replace(problem.dock, approach_speed=0.16))
+    speeds = {"contact_speed": speed, "back_out_speed": speed} if speed else {}
+    settings = ExecutorSettings(contact="touch", max_retries=0, **speeds)
+    controller = PluginChoice("TrackingController", {"min_speed": speed or 0.0})
+    docking = run(world, problem, settings, rate=20.0, task=task, controller=controller)
+    if task == "dock":
+        assert docking.ending
+        assert (abs(world.error.x) < 0.005) is (speed is not None)
+    else:
+        assert bool(docking.ending) is (speed is not None)
+
+
 def test_undocking_fails_outside_its_tolerance():
     settings = ExecutorSettings(undock_linear_tolerance=1e-7)
     docking = run(simulated(TRUE_DOCK), problem_with(TRUE_DOCK), settings, task="undock")

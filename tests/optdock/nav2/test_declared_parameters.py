@@ -143,7 +143,8 @@ def test_the_command_prints_what_a_file_means(tmp_path):
     assert told["bay.backward_blind"][1] == told["controller.dock_collision_threshold"][1] == "refused"
     assert told["controller.v_linear_min"][1:] == (
         "mapped",
-        "tracker.min_speed is 0.16 m/s, and dock.approach_speed is not less, unless they are set",
+        "tracker.min_speed is 0.16 m/s; dock.approach_speed, executor.contact_speed and executor.back_out_speed are "
+        "not less, unless set",
     )
     assert told["controller.deceleration_max"][1] == "mapped"
     assert {node for node, _, _ in rows} == {"docking_server", "smoother_server"}
