@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.io.numbers import is_number
+from optdock.model.limits import LIMIT_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,7 +89,7 @@ def _least_speed(speed: float, fastest: float) -> ControllerSetting:
 
 def _bound(limit: str, value: float) -> ControllerSetting:
     key = f"robot.limits.{limit}"
-    return ControllerSetting({key: value}, f"{key} is at most {value:g}, unless it is set")
+    return ControllerSetting({key: value}, f"{key} is at most {value:g} {LIMIT_UNITS[limit]}, unless it is set")
 
 
 def _contact_margin(threshold: float, *, is_needless: bool) -> ControllerSetting:

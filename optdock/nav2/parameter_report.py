@@ -79,17 +79,18 @@ def _of_block(
     effects: Mapping[str, tuple[str, str]] | None = None,
 ) -> Iterator[tuple[str, str, str]]:
     """Return name, use and reason of the parameters of one block; `effects` are those that depend on the value."""
+    ours = (*OURS.get(block, ()), *OURS[Block.ANY_NODE])
     for name in (str(key) for key in values if key not in set(skipped)):
         row = found(block, name)
         if effects and name in effects:
             yield f"{prefix}{name}", *effects[name]
-        elif name in (*OURS.get(block, ()), *OURS[Block.ANY_NODE]):
+        elif name in ours:
             yield f"{prefix}{name}", _OURS, ""
         elif row is not None:
             use = Use.NO_EFFECT if row.use is Use.REFUSED and values[name] is False else row.use
             yield f"{prefix}{name}", use.value, row.words.replace("`", "")
         else:
-            hint = closest(name, names_of(block)).removeprefix("; ")
+            hint = closest(name, {*names_of(block), *ours}).removeprefix("; ")
             yield f"{prefix}{name}", _UNKNOWN, hint
 
 

@@ -146,7 +146,10 @@ def test_the_command_prints_what_a_file_means(tmp_path):
         "tracker.min_speed is 0.16 m/s; dock.approach_speed, executor.contact_speed and executor.back_out_speed are "
         "not less, unless set",
     )
-    assert told["controller.deceleration_max"][1] == "mapped"
+    assert told["controller.deceleration_max"][1:] == (
+        "mapped",
+        "robot.limits.max_deceleration is at most 0.3 m/s^2, unless it is set",
+    )
     assert {node for node, _, _ in rows} == {"docking_server", "smoother_server"}
     printed = CliRunner().invoke(app, ["plugins", "--nav2-params", str(tmp_path / "p.yaml")]).stdout
     for node, use, words in rows:
