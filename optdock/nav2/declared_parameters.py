@@ -103,8 +103,15 @@ _GROUPS: tuple[tuple[Block, Use, tuple[str, ...], str, str], ...] = (
         _ALL,
         "controller_frequency initial_perception_timeout wait_charge_timeout dock_approach_timeout max_retries "
         "undock_linear_tolerance undock_angular_tolerance base_frame fixed_frame dock_prestaging_tolerance "
-        "dock_backwards navigator_bt_xml dock_plugins dock_database docks enable_stamped_cmd_vel",
+        "dock_backwards navigator_bt_xml dock_plugins dock_database docks",
         "",
+    ),
+    (
+        Block.DOCKING,
+        Use.READ,
+        _ALL,
+        "enable_stamped_cmd_vel",
+        "by default false on Jazzy only, see `nav2_distribution`",
     ),
     (Block.DOCKING, Use.READ, _KILTED, "odom_topic", ""),
     (Block.DOCKING, Use.READ, _LYRICAL, "odom_duration", ""),

@@ -165,3 +165,13 @@ def test_a_rotation_with_two_meanings_needs_a_distribution(monkeypatch: pytest.M
         settings({}, bay=TURNED)
     with pytest.raises(ValueError, match="nav2_distribution"):
         settings({}, nav2_distribution="humble")
+
+
+def test_the_type_of_commands_is_that_of_the_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    assert not settings({}).sends_stamps
+    assert settings({}, enable_stamped_cmd_vel=True).sends_stamps
+    assert settings({}, nav2_distribution="kilted").sends_stamps
+    monkeypatch.delenv("ROS_DISTRO")
+    assert settings({}).sends_stamps
+    assert not settings({}, enable_stamped_cmd_vel=False).sends_stamps

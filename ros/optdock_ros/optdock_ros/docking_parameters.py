@@ -80,12 +80,14 @@ class DockingParameters(ServerParameters):
     )
     dock_database: str = Field("", description="file with the docks; empty: docks in the parameters")
     docks: list[str] = Field([], description="names of the docks; each has a block")
-    enable_stamped_cmd_vel: bool = Field(
-        default=True, description="publish TwistStamped, as Nav2 since Kilted; false: Twist"
+    enable_stamped_cmd_vel: bool | None = Field(
+        default=None, description="publish TwistStamped; false: Twist; not set: as in Nav2, false on Jazzy only"
     )
 
     nav2_distribution: Literal["", "jazzy", "kilted", "lyrical", "main"] = Field(
-        "", description="distribution whose convention external_detection_rotation_* has; empty: ROS_DISTRO"
+        "",
+        description="distribution that sets the order of external_detection_rotation_* and the default of "
+        "enable_stamped_cmd_vel; empty: ROS_DISTRO",
     )
     use_realtime_priority: bool = Field(default=False, description="real-time scheduling during tasks; needs rtprio")
 
@@ -281,6 +283,7 @@ class DockingSettings:
         docks: Docks by name.
         not_read: Names in docks, dock types and blocks that are not read.
         mapped: One line for every parameter of the controller that sets other parameters.
+        distribution: Distribution of Nav2; empty if it is unknown.
     """
 
     own: DockingParameters
@@ -295,6 +298,13 @@ class DockingSettings:
     docks: Mapping[str, DockEntry]
     not_read: tuple[str, ...]
     mapped: tuple[str, ...]
+    distribution: str
+
+    @property
+    def sends_stamps(self) -> bool:
+        """Whether commands are of the type TwistStamped."""
+        given = self.own.enable_stamped_cmd_vel
+        return self.distribution != "jazzy" if given is None else given
 
     @property
     def period(self) -> float:
@@ -349,9 +359,10 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     read.attempt(lambda: nav2_footprint(own.footprint, own.robot_radius, own.footprint_padding), None)
     if not own.dock_plugins:
         read.faults.append("dock_plugins: needs at least one name")
+    distribution = own.nav2_distribution or distribution_of(os.environ)
     common = _OfAllTypes(
         _DIRECTIONS.get(own.dock_backwards),
-        own.nav2_distribution or distribution_of(os.environ),
+        distribution,
         {**_mapped(mapped, "dock.", DockParameters), **read.inner("dock")},
     )
     types = {name: made for name in own.dock_plugins if (made := _read_type(read, name, common)) is not None}
@@ -370,6 +381,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
         docks=docks,
         not_read=tuple(read.ignored),
         mapped=tuple(f"controller.{name}: {one.words}" for name, one in effects.items()),
+        distribution=distribution,
     )
     read.check()
     return settings

@@ -50,7 +50,7 @@ class DockingServer(Server[DockingSettings]):
     fixed = frozenset(
         {
             *("controller_frequency", "base_frame", "fixed_frame", "odom_topic", "enable_stamped_cmd_vel"),
-            *("dock_plugins", "dock_database", "docks", "stage_by_executor"),
+            *("dock_plugins", "dock_database", "docks", "stage_by_executor", "nav2_distribution"),
             *("controller.costmap_topic", "controller.footprint_topic", "controller.map_topic"),
             "controller.use_collision_detection",
         }
@@ -80,7 +80,7 @@ class DockingServer(Server[DockingSettings]):
         planner = parts.enter_context(closing(PlanningProcess()))
         frames = parts.enter_context(closing(TransformBuffer(self)))
         reports = parts.enter_context(closing(Reports(self, own.fixed_frame)))
-        self._command = self.create_publisher(TwistStamped if own.enable_stamped_cmd_vel else Twist, "cmd_vel", 1)
+        self._command = self.create_publisher(TwistStamped if settings.sends_stamps else Twist, "cmd_vel", 1)
         parts.callback(self.destroy_publisher, self._command)
         topics = parts.enter_context(closing(RobotTopics(self, settings, frames)))
         navigator = None if own.stage_by_executor else parts.enter_context(closing(Navigator(self)))
@@ -128,9 +128,8 @@ class DockingServer(Server[DockingSettings]):
             parts.close()
 
     def _send(self, command: Twist2) -> None:
-        own = self.settings.own
-        stamp, stamped = now(self), own.enable_stamped_cmd_vel
-        self._command.publish(ros.twist_message(ros.imported, command, own.base_frame, stamp, stamped=stamped))
+        frame, stamped = self.settings.own.base_frame, self.settings.sends_stamps
+        self._command.publish(ros.twist_message(ros.imported, command, frame, now(self), stamped=stamped))
 
     def _reload(
         self, request: ReloadDockDatabase.Request, response: ReloadDockDatabase.Response
