@@ -26,6 +26,7 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
+from optdock.nav2.declared_parameters import Block
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
 from optdock_ros.nested_parameters import BlockReader, ServerParameters, declare, declare_overrides, parameters_of
@@ -59,8 +60,8 @@ class Server(LifecycleNode, Generic[S]):
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
-    accepted: ClassVar[frozenset[str]] = frozenset()
-    """Names of Nav2 without an effect here; they are logged once."""
+    place: ClassVar[Block] = Block.ANY_NODE
+    """Place of the node's parameters in the table of Nav2's parameters."""
     fixed: ClassVar[frozenset[str]] = frozenset()
     """Names of parameters and blocks that cannot be changed while configured."""
 
@@ -125,7 +126,7 @@ class Server(LifecycleNode, Generic[S]):
         fields = {spec.alias or name for name, spec in self.Parameters.model_fields.items()}
         own = {name: value for name, value in block.items() if name in fields}
         reader = BlockReader(block)
-        reader.known(block, {*fields, *blocks}, self.accepted)
+        reader.known(block, {*fields, *blocks}, self.place)
         parsed = reader.attempt(lambda: parse_parameters(self.Parameters, own, self.get_name()), None)
         reader.check()
         assert parsed is not None
@@ -353,7 +354,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     executor.add_node(server)
     thread = threading.Thread(target=spin, args=(executor,), name="executor", daemon=True)
     thread.start()
-    if server.get_parameter("autostart").value is True:
+    if any(server.get_parameter(name).value is True for name in ("autostart", "autostart_node")):
         executor.create_task(_autostart, server)
     while not ended.wait(1.0) and thread.is_alive():
         pass

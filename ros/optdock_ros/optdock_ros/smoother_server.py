@@ -28,6 +28,7 @@ from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.path import Path, PolylineSegment, may_be_one_frame
 from optdock.model.problem import DockingProblem
+from optdock.nav2.declared_parameters import Block
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
 from optdock.nav2.provided_plugins import provided
@@ -239,6 +240,7 @@ class SmootherServer(Server[SmootherSettings]):
     """The node."""
 
     Parameters = SmootherServerParameters
+    place = Block.SMOOTHING
     fixed = frozenset(
         {
             *("costmap_topic", "footprint_topic", "robot_base_frame"),
