@@ -344,7 +344,7 @@ class SimulatedRobotNode:
             "commands": self._commands,
             "watchdog_stops": self._watchdog_stops,
         }
-        name = f"{self.node.get_name()}: the truth"
+        name = f"{self.node.get_fully_qualified_name().lstrip('/')}: the truth"
         text = "collided" if collided else "in contact" if contact else "free"
         make = ros.diagnostics_message
         self._topics.report.publish(make(ros.imported, name, "error" if collided else "ok", text, values, stamp))
