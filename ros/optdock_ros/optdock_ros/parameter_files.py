@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
+from optdock.errors import OptdockError
+from optdock.io.guarded_file import MostBytes, read_text
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
@@ -38,8 +41,8 @@ def blocks_of(arguments: Sequence[str]) -> list[ParameterBlock]:
     files = [value for flag, value in pairwise(arguments) if flag == "--params-file"]
     found: list[ParameterBlock] = []
     for file in files:
-        with suppress(OSError, yaml.YAMLError):  # rcl reports it
-            found += _blocks(file, "", yaml.safe_load(Path(file).read_text(encoding="utf-8")))
+        with suppress(OptdockError, yaml.YAMLError):  # rcl reports it
+            found += _blocks(file, "", yaml.safe_load(read_text(Path(file), MostBytes.YAML)))
     return found
 
 
