@@ -126,7 +126,7 @@ OPENING_IS_RIGHT = {
     ("optdock/io/guarded_file.py", "read_bytes"),
     ("optdock/io/map_image.py", "Image.open"),
     ("optdock/ros/bag.py", "reader.open"),
-    ("ros/optdock_ros/launch/servers.launch.py", "file.open"),
+    ("ros/optdock_ros/launch/servers.launch.py", "file.read_text"),
 }
 
 

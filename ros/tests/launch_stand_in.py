@@ -6,10 +6,10 @@ files, signals, respawning and events are missing.
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import types
 from dataclasses import dataclass, field
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -97,6 +97,7 @@ class Node:
         for number, parameters in enumerate(self.parameters):
             if isinstance(parameters, ParameterFile):
                 file = parameters.param_file
+                assert parameters.allow_substs == ("$(" in Path(file).read_text())
             else:
                 full_name = f"{self.namespace.rstrip('/')}/{self.name}"
                 file = str(folder / f"{full_name.replace('/', '-')}-{number}.yaml")
@@ -134,11 +135,10 @@ def launched(file: str | Path, folder: Path, **arguments: str) -> list[Started]:
 
 
 def _launched(file: Path, context: Context) -> Iterator[Started]:
-    spec = importlib.util.spec_from_file_location(f"launch_file_{file.name.partition('.')[0]}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    loader = SourceFileLoader("python_launch_file", str(file))
+    module = types.ModuleType(loader.name)
+    module.__file__ = str(file)
+    loader.exec_module(module)
     entities = list(module.generate_launch_description().initial_entities)
     while entities:
         entity = entities.pop(0)

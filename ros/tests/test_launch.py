@@ -52,6 +52,22 @@ def test_transforms_of_all_robots(tmp_path: Path) -> None:
     assert {*options(found[0], "-r")} == {"__node:=smoother_server", "__ns:=/robot1", "cmd_vel:=cmd_vel"}
 
 
+def test_substitutions_in_the_file_are_evaluated(tmp_path: Path) -> None:
+    """The stand-in evaluates none, and fails if they are not allowed for such a file."""
+    file = tmp_path / "params.yaml"
+    long = f"$(find-pkg-share my_robot)/{'a' * 100} $(env HOME)/docks.yaml"
+    file.write_text(f"docking_server: {{ros__parameters: {{dock_database: {long}}}}}")
+    (docking,) = launched("servers.launch.py", tmp_path, params_file=str(file), smoother="false", namespace="robot1")
+    assert f"dock_database: {long}}}" in Path(options(docking, "--params-file")[0]).read_text()
+
+
+def test_file_without_nodes_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("[a, b]")
+    with pytest.raises(RuntimeError, match="params_file: must be a mapping"):
+        launched("servers.launch.py", tmp_path, params_file=str(file), namespace="robot1")
+
+
 def test_misspelt_argument_of_a_node_is_an_error(tmp_path: Path) -> None:
     broken = tmp_path / "broken.launch.py"
     text = (PACKAGE / "launch" / "servers.launch.py").read_text()

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 from harness import Client, Lifecycle, Processes
-from launch_stand_in import PACKAGE, launched
+from launch_stand_in import PACKAGE, Started, launched
 from optdock_ros.nested_parameters import OF_EVERY_NODE
 from optdock_ros.parameter_files import blocks_of, missing_parameters
-from rcl_interfaces.srv import GetParameters
-from rclpy.parameter import parameter_value_to_python
+from rclpy.node import Node
 
 SMOOTHERS = "smoother_server: {ros__parameters: {smoother_plugins: [a, b], a: {tolerance: 1e-9}, b: {plugin: '1e-9'}}}"
 
@@ -66,10 +65,18 @@ def test_nodes_of_a_file_without_the_server_are_listed(tmp_path: Path) -> None:
     assert why.endswith("but of /bt_navigator, /local_costmap/local_costmap")
 
 
-def parameters_of(client: Client, node: str, *names: str) -> list[object]:
-    """Return values of a running node; None for a parameter that is not set."""
-    request = GetParameters.Request(names=list(names))
-    return [parameter_value_to_python(v) for v in client.call(GetParameters, f"{node}/get_parameters", request).values]
+def parameters_of(started: Started) -> tuple[str, dict[str, object]]:
+    """Return the full name and the parameters of a node with the command line of a process."""
+    node = Node(
+        started.executable,
+        cli_args=list(started.arguments),
+        use_global_arguments=False,
+        automatically_declare_parameters_from_overrides=True,
+    )
+    found = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    name = node.get_fully_qualified_name()
+    node.destroy_node()
+    return name, found
 
 
 PLAIN = """
@@ -97,34 +104,29 @@ smoother_server:
         ("robot1:" + PLAIN.replace("\n", "\n  "), {"namespace": "robot1"}, "/robot1/smoother_server"),
     ],
 )  # fmt: skip
-def test_parameters_arrive_in_the_namespace(
-    process: Processes, client_node: Client, tmp_path: Path, text: str, arguments: dict[str, str], node: str
-) -> None:
+@pytest.mark.usefixtures("context")
+def test_parameters_arrive_in_the_namespace(tmp_path: Path, text: str, arguments: dict[str, str], node: str) -> None:
     file = tmp_path / "nav2_params.yaml"
     file.write_text(text)
     (started,) = launched("servers.launch.py", tmp_path, params_file=str(file), docking="false", **arguments)
-    server = process(started.executable, args=started.arguments)
-    names = ("smoother_plugins", "simple.tolerance", "simple.w_data", "certified.max_curvature", "use_sim_time")
-    assert parameters_of(client_node, node, *names) == [["certified", "simple"], 1e-9, 0.25, 1.5, True]
-    assert Lifecycle(client_node, node).configure()
-    assert "WARN" not in server.log()
+    name, found = parameters_of(started)
+    assert name == node
+    assert found["smoother_plugins"] == ["certified", "simple"]
+    assert (found["simple.tolerance"], found["simple.w_data"], found["certified.max_curvature"]) == (1e-9, 0.25, 1.5)
+    assert found["use_sim_time"] is True
 
 
+@pytest.mark.usefixtures("context")
+@pytest.mark.parametrize("namespace", ["", "robot1"])
 @pytest.mark.parametrize("given", ["true", "False", ""])
-def test_argument_overrides_the_switch_of_the_file(
-    process: Processes, client_node: Client, tmp_path: Path, given: str
-) -> None:
+def test_argument_overrides_the_switch_of_the_file(tmp_path: Path, given: str, namespace: str) -> None:
     file = tmp_path / "nav2_params.yaml"
     switch = "{ros__parameters: {use_sim_time: true, autostart: false}}"
     file.write_text(f"smoother_server: {switch}\n/**: {switch}\n")
-    (started,) = launched(
-        "servers.launch.py", tmp_path, params_file=str(file), docking="false", use_sim_time=given, autostart="1"
-    )
-    process(started.executable, args=started.arguments)
-    found = parameters_of(client_node, "/smoother_server", "use_sim_time", "autostart")
-    assert found == [given != "False", True]
-    life = Lifecycle(client_node, "/smoother_server")
-    client_node.until(lambda: life.state == "active")
+    arguments = {"params_file": str(file), "use_sim_time": given, "autostart": "1", "namespace": namespace}
+    (started,) = launched("servers.launch.py", tmp_path, docking="false", **arguments)
+    _, found = parameters_of(started)
+    assert (found["use_sim_time"], found["autostart"]) == (given != "False", True)
 
 
 def test_files_of_a_launch_are_removed_at_its_end(tmp_path: Path) -> None:

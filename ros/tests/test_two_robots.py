@@ -94,6 +94,9 @@ def test_commands_of_one_robot_do_not_reach_the_other(robots: Client) -> None:
             if one.node_name != robots.get_name()
         ]
         assert others == [f"/{robot}"]
+        clients = [name for name, _ in robots.get_client_names_and_types_by_node("docking_server", f"/{robot}")]
+        assert f"/{robot}/navigate_to_pose/_action/send_goal" in clients
+        assert all(name.startswith(f"/{robot}/") for name in clients)
     shared = {"/tf", "/tf_static", "/diagnostics", "/rosout", "/parameter_events"}
     names = {name for name, _ in robots.get_topic_names_and_types()}
     assert {name for name in names if not name.startswith(("/robot1/", "/robot2/"))} == shared

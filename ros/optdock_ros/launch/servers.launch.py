@@ -58,7 +58,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
     namespace = absolute(given["namespace"], given.get("ros_namespace", ""))
     switches = {name: is_true(name, given[name]) for name in SWITCHES if given[name]}
-    file = ParameterFile(rewritten(Path(given["params_file"]), namespace, switches), allow_substs=True)
+    file = parameter_file(Path(given["params_file"]), namespace, switches)
     remappings = [("cmd_vel", given["cmd_vel_topic"])]
     if is_true("remap_tf", given["remap_tf"]):
         remappings += [("/tf", "tf"), ("/tf_static", "tf_static")]
@@ -94,30 +94,37 @@ def absolute(namespace: str, pushed: str) -> str:
     return own if namespace.startswith("/") or not outer else outer if outer.endswith(own) else outer + own
 
 
-def rewritten(file: Path, namespace: str, switches: Mapping[str, bool]) -> str:
-    """Return the path of a parameter file with the nodes in a namespace and with the values of switches.
+def parameter_file(file: Path, namespace: str, switches: Mapping[str, bool]) -> ParameterFile:
+    """Return a parameter file with the nodes in a namespace and with the values of switches.
 
-    The text is edited as YAML nodes, because Python's values of YAML are not those of ROS: `1e-9` is text in Python. A
-    new file exists until the end of the launch.
+    Substitutions in it, such as $(find-pkg-share name), are evaluated as in Nav2's bringup. A new file exists until the
+    end of the launch.
     """
-    if not namespace and not switches:
-        return str(file)
-    with file.open(encoding="utf-8") as text:
-        document = yaml.compose(text, yaml.SafeLoader)
+    text = file.read_text(encoding="utf-8")
+    path = file
+    if namespace or switches:
+        folder = tempfile.mkdtemp(prefix="optdock_ros_")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        path = Path(folder) / file.name
+        path.write_text(rewritten(text, namespace, switches), encoding="utf-8")
+    return ParameterFile(str(path), allow_substs="$(" in text)
+
+
+def rewritten(text: str, namespace: str, switches: Mapping[str, bool]) -> str:
+    """Return the text of a parameter file with the nodes in a namespace and with the values of switches.
+
+    It is edited as YAML nodes, because Python's values of YAML are not those of ROS: `1e-9` is text in Python.
+    """
+    document = yaml.compose(text, yaml.SafeLoader)
     if not isinstance(document, yaml.MappingNode):
-        raise RuntimeError(f"{file}: must be a mapping of node names")
+        raise RuntimeError("params_file: must be a mapping of node names")
     set_switches(document, switches)
     root = namespace.split("/")[1] if namespace else ""
     for key, _ in document.value:
         if root and key.value[:1] not in ("/", "*") and key.value.split("/")[0] != root:
             key.value = f"{namespace}/{key.value}"
-    folder = tempfile.mkdtemp(prefix="optdock_ros_")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    path = Path(folder) / file.name
-    # Long lines, because a substitution such as $(find-pkg-share name) must stay on one line.
-    text = yaml.serialize(document, Dumper=yaml.SafeDumper, allow_unicode=True, width=sys.maxsize)
-    path.write_text(text, encoding="utf-8")
-    return str(path)
+    # Long lines, because a substitution must stay on one line.
+    return yaml.serialize(document, Dumper=yaml.SafeDumper, allow_unicode=True, width=sys.maxsize)
 
 
 def set_switches(block: yaml.MappingNode, switches: Mapping[str, bool]) -> None:
