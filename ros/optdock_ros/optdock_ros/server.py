@@ -160,7 +160,7 @@ class Server(LifecycleNode, Generic[S]):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Validate all parameters and set up."""
         try:
-            self._check_files()
+            _check_files(self)
             block = parameters_of(self)
             self.settings = self.check(block)
             self._has_begun = True
@@ -241,16 +241,6 @@ class Server(LifecycleNode, Generic[S]):
         except Exception as error:
             self.log_error(error, "cleanup failed")
 
-    def _check_files(self) -> None:
-        """Raise `InvalidValue` if the files have parameters of this node in another namespace only; log if none."""
-        shared = OF_EVERY_NODE | ServerParameters.model_fields.keys()
-        known = self.Parameters.model_fields.keys() - shared
-        why, is_elsewhere = missing_parameters(self.files, self.get_fully_qualified_name(), known, shared)
-        if is_elsewhere:
-            raise InvalidValue(f"{why}; the namespaces must be the same, or use /**/{self.get_name()}")
-        if why:
-            self.get_logger().warning(f"{why}; all parameters have their defaults")
-
     def _validate_change(self, changes: list[Parameter[Any]]) -> SetParametersResult:
         if not self._is_configured:  # configure validates all parameters
             return SetParametersResult(successful=True)
@@ -273,6 +263,17 @@ class Server(LifecycleNode, Generic[S]):
             self.changed()
         except Exception as error:
             self.log_error(error, "a change of parameters failed")
+
+
+def _check_files(server: Server[Any]) -> None:
+    """Raise `InvalidValue` if the files have parameters of a server in another namespace only; log if they have none."""
+    shared = OF_EVERY_NODE | ServerParameters.model_fields.keys()
+    known = server.Parameters.model_fields.keys() - shared
+    why, is_elsewhere = missing_parameters(server.files, server.get_fully_qualified_name(), known, shared)
+    if is_elsewhere:
+        raise InvalidValue(f"{why}; the namespaces must be the same, or use /**/{server.get_name()}")
+    if why:
+        server.get_logger().warning(f"{why}; all parameters have their defaults")
 
 
 def _require_changeable(server: Server[Any], parameter: Parameter[Any]) -> None:
