@@ -266,7 +266,7 @@ class Server(LifecycleNode, Generic[S]):
 
 
 def _check_files(server: Server[Any]) -> None:
-    """Raise `InvalidValue` if the files have parameters of a server in another namespace only; log if they have none."""
+    """Raise `InvalidValue` if the files have parameters of a server in another namespace only; log if none."""
     shared = OF_EVERY_NODE | ServerParameters.model_fields.keys()
     known = server.Parameters.model_fields.keys() - shared
     why, is_elsewhere = missing_parameters(server.files, server.get_fully_qualified_name(), known, shared)
