@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from harness import Client, Lifecycle, Processes
 from launch_stand_in import PACKAGE, launched
-from nav2_msgs.action import DockRobot
+from nav2_msgs.action import DockRobot, UndockRobot
 
 if TYPE_CHECKING:
     pass
@@ -57,6 +58,9 @@ def robots(module_process: Processes, client_node: Client, tmp_path_factory: pyt
     for robot in ROBOTS:
         life = Lifecycle(client_node, f"{robot}/docking_server")
         client_node.until(lambda life=life: life.state == "active", what=f"{robot}: active")
+        # Robot and server may need longer to discover each other than a goal waits for its transforms.
+        goal = partial(client_node.send, UndockRobot, f"/{robot}/undock_robot", UndockRobot.Goal())
+        client_node.until(lambda goal=goal: goal().reply().result.success, what=f"{robot}: transforms")
     return client_node
 
 
