@@ -61,7 +61,9 @@ class DockingServer(Server[DockingSettings]):
         names = [name for key in ("dock_plugins", "docks") for name in block.get(key) or () if isinstance(name, str)]  # type: ignore[attr-defined]
         own = self.own_parameters(block, (*_BLOCKS, *names))
         assert isinstance(own, DockingParameters)
-        return docking_settings(block, own)
+        # Frames of messages must not begin with a slash.
+        frames = {name: getattr(own, name).lstrip("/") for name in ("base_frame", "fixed_frame")}
+        return docking_settings(block, own.model_copy(update=frames))
 
     def set_up(self) -> None:
         """Create subscriptions, publishers, the service, the action servers, and the planning process."""

@@ -275,6 +275,8 @@ class SmootherServer(Server[SmootherSettings]):
     def set_up(self) -> None:
         """Create subscriptions, the publisher and the action server."""
         own, parts = self.settings.own, self._parts
+        if own.smoother_plugins == (_DEFAULT,) and not self.get_parameters_by_prefix(_DEFAULT):
+            self.get_logger().warning(f"smoother_plugins: is not set; the only smoother is {_DEFAULT_CLASS}")
         for plugin in self.settings.plugins.values():
             # Undeclared at the end: they would be unknown parameters of a class that is configured later.
             added = declare(self, load_plugin(Smoother, plugin.choice.name).Parameters, f"{plugin.name}.")
