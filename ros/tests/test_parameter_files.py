@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from harness import Client, Lifecycle, Processes
 from launch_stand_in import PACKAGE, Started, launched
-from optdock_ros.nested_parameters import OF_EVERY_NODE
 from optdock_ros.parameter_files import blocks_of, missing_parameters
 from rclpy.node import Node
+
+from optdock.nav2.declared_parameters import Block, names_of
 
 SMOOTHERS = "smoother_server: {ros__parameters: {smoother_plugins: [a, b], a: {tolerance: 1e-9}, b: {plugin: '1e-9'}}}"
 
@@ -20,7 +21,7 @@ def missing(tmp_path: Path, text: str, node: str = "/robot1/smoother_server") ->
     file = tmp_path / "params.yaml"
     file.write_text(text)
     blocks = blocks_of(["--ros-args", "--params-file", str(file)])
-    return missing_parameters(blocks, node, {"smoother_plugins"}, {*OF_EVERY_NODE, "autostart"})
+    return missing_parameters(blocks, node, {"smoother_plugins"}, {*names_of(Block.ANY_NODE), "autostart"})
 
 
 @pytest.mark.parametrize(

@@ -26,11 +26,10 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
-from optdock.nav2.declared_parameters import Block
+from optdock.nav2.declared_parameters import Block, names_of
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
 from optdock_ros.nested_parameters import (
-    OF_EVERY_NODE,
     BlockReader,
     ServerParameters,
     declare,
@@ -268,7 +267,7 @@ class Server(LifecycleNode, Generic[S]):
 
 def _check_files(server: Server[Any]) -> None:
     """Raise `InvalidValue` if the files have parameters of a server in another namespace only; log if none."""
-    shared = OF_EVERY_NODE | ServerParameters.model_fields.keys()
+    shared = names_of(Block.ANY_NODE) | ServerParameters.model_fields.keys()
     known = server.Parameters.model_fields.keys() - shared
     why, is_elsewhere = missing_parameters(server.files, server.get_fully_qualified_name(), known, shared)
     if is_elsewhere:
