@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from optdock.deadline import Deadline
 from optdock.plugins.lifecycle import PluginContext
@@ -13,18 +14,25 @@ if TYPE_CHECKING:
 
 __all__ = ["count_cpu"]
 
+_CLOCKS: list[Callable[[], float]] = [time.monotonic, time.process_time]  # defaults that may be replaced
 
-def count_cpu() -> None:
-    """Let every budget of this process that is created without a clock count CPU seconds. Idempotent."""
+
+def count_cpu(rate: float = 1.0) -> None:
+    """Let every budget of this process that is created without a clock count CPU seconds. Idempotent.
+
+    Args:
+        rate: Speed of the clock. With 0.25 every time limit, also those that are fixed in the code, allows four times
+            its CPU time.
+    """
+    clock = time.process_time if rate == 1.0 else functools.partial(_scaled, rate)
+    _CLOCKS.append(clock)
     for function in (Deadline.__init__, Deadline.of_allowance.__func__, PluginContext.__init__):  # type: ignore[attr-defined]
-        _with_cpu_clock(function)
+        defaults = function.__defaults__ or ()
+        changed = tuple(clock if value in _CLOCKS else value for value in defaults)
+        if clock not in changed:
+            raise TypeError(f"{function.__qualname__}: has no clock by default")
+        function.__defaults__ = changed
 
 
-def _with_cpu_clock(function: Callable[..., Any]) -> None:
-    """Set the default clock of a function."""
-    clocks = {time.monotonic: time.process_time}
-    defaults = function.__defaults__ or ()
-    changed = tuple(clocks.get(value, value) for value in defaults)
-    if time.process_time not in changed:
-        raise TypeError(f"{function.__qualname__}: has no clock by default")
-    function.__defaults__ = changed
+def _scaled(rate: float) -> float:
+    return rate * time.process_time()

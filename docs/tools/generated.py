@@ -12,6 +12,7 @@ import functools
 import html
 import importlib
 import inspect
+import itertools
 import json
 import re
 import sys
@@ -216,6 +217,20 @@ def _ros_table(dotted: str) -> str:
     return "| parameter | description | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
 
 
+def _nav2_parameters(_argument: str) -> str:
+    """Return a table of the parameters of Nav2's servers, by distribution, with their use here."""
+    from optdock.nav2.declared_parameters import DECLARED
+
+    head = "| place | parameter | distributions | use | meaning |\n|---|---|---|---|---|\n"
+    groups = itertools.groupby(DECLARED.values(), lambda row: row._replace(name=""))
+    rows = []
+    for group, members in groups:
+        names = ", ".join(f"`{row.name}`" for row in members)
+        cells = group.block.value, names, ", ".join(group.distributions) or "none", group.use.value, group.words
+        rows.append("| " + " | ".join(cells) + " |")
+    return head + "\n".join(rows)
+
+
 def _ros_row(key: str, default: object, description: str) -> str:
     from optdock.config.reference import _UNIT
 
@@ -397,6 +412,7 @@ _MAKERS: dict[str, Callable[[str], str]] = {
     "ros": _ros,
     "ros_defaults": _ros_defaults,
     "ros_table": _ros_table,
+    "nav2_parameters": _nav2_parameters,
     "scenario": _scenario,
     "settings": _settings,
 }

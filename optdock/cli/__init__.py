@@ -58,7 +58,9 @@ def plugins(
     *,
     nav2_params: Annotated[
         Path | None,
-        typer.Option(help="List the plugins in this Nav2 parameter file, and whether optdock provides them."),
+        typer.Option(
+            help="List plugins and parameters of this Nav2 parameter file, and which of them optdock provides or uses."
+        ),
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
@@ -70,11 +72,12 @@ def plugins(
         if nav2_params is None:
             typer.echo(table([(plugin.kind, plugin.name, plugin.target) for plugin in available_plugins()]))
             return
+        from optdock.nav2.parameter_report import nav2_parameter_rows
         from optdock.nav2.params import load_nav2_params
         from optdock.nav2.provided_plugins import nav2_costmap_rows, nav2_plugin_rows
 
         params = load_nav2_params(nav2_params)
-        for rows in (nav2_plugin_rows(params), nav2_costmap_rows(params)):
+        for rows in (nav2_plugin_rows(params), nav2_costmap_rows(params), nav2_parameter_rows(params)):
             if rows:
                 typer.echo(table(rows))
 

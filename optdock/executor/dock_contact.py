@@ -42,7 +42,6 @@ _UNSEEN_WAY = 0.015  # [m]: over a shorter distance, wheel slip does not turn a 
 
 # Contact and backing out.
 _CLEAR_OF_CONTACT = 0.005  # [m] of clearance from which a path is planned; with less, noise may look like overlap
-_BACK_OUT_SPEED = 0.1  # [m/s]: above the dead band of either wheel, so that the robot does not turn in contact
 _BACK_OUT_HORIZON = 0.5  # [s] over which backing out must be free of collisions
 _CREEP = 1e-6  # [m/s]: does not move the robot, but steers the wheels to the commanded curvature
 
@@ -215,9 +214,10 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
     situation = cycles.situation
     direction, footprint = -situation.estimate.gear, situation.problem.robot.footprint
     begun_at, begun, is_straight = situation.perception.way, cycles.now, False
-    braking = 0.5 * _BACK_OUT_SPEED * situation.braking_time_from(_BACK_OUT_SPEED)
+    speed = situation.settings.back_out_speed
+    braking = 0.5 * speed * situation.braking_time_from(speed)
     farthest = max(least, situation.dock_type.back_out_distance)
-    limit = 2.0 * farthest / _BACK_OUT_SPEED + REST_PATIENCE
+    limit = 2.0 * farthest / speed + REST_PATIENCE
     while True:
         yield from cycles.locate()
         robot = situation.perception.robot
@@ -228,7 +228,7 @@ def back_out(cycles: ControlCycles, least: float = 0.0) -> Cycles:
         cycles.state = State.BACKING_OUT
         if driven >= farthest - braking or cycles.now - begun > limit:
             break
-        twist = Twist2(direction * _BACK_OUT_SPEED)
+        twist = Twist2(direction * speed)
         # Errors of the estimates, compliant bumpers and late commands may all appear as overlap.
         overlap = situation.estimate.reach_of_contact
         if free_motion(footprint, near, robot, twist, _BACK_OUT_HORIZON, overlap=overlap).free < _BACK_OUT_HORIZON:

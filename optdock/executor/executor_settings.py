@@ -60,6 +60,15 @@ class ExecutorSettings(PluginParameters):
         default=30.0, gt=0.0, description="time that an approach may take beyond its plan [s]"
     )
     max_undocking_time: float = Field(default=30.0, gt=0.0, description="largest time of undocking beyond its plan [s]")
+    undock_linear_tolerance: float = Field(
+        default=0.05, gt=0.0, description="largest distance from the staging pose of an undocked robot [m]"
+    )
+    undock_angular_tolerance: float = Field(
+        default=0.05, gt=0.0, description="largest heading error at the staging pose of an undocked robot [rad]"
+    )
+    back_out_speed: float = Field(
+        default=0.1, gt=0.0, description="speed of backing straight out of contact, above the dead bands [m/s]"
+    )
     back_out_distance: float = Field(
         default=0.1, gt=0.0, description="largest straight distance out of contact before a path back is planned [m]"
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock.executor.dock_estimate import staging_distance
+from optdock.executor.task_states import Interrupted
 from optdock.geometry.obstacles import ObstacleSet
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.cell_obstacles import obstacles_from_costmap
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["FROM_REST", "PlanningScene", "StagingPoses", "contact_reach", "with_contact_zone"]
 
 _SAME_DOCK = 0.01  # [m], [rad]: displacement of the dock below which the freed cells stay the same
-_ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
+_ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose
 FROM_REST: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
@@ -171,7 +172,19 @@ class StagingPoses:
         seen = camera.points_seen(np.array([place.as_array() for place in places]), marker)
         return bool(np.any(camera.margins(seen).smallest > -3.0 * self.perception.sigma[0]))
 
-    def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
-        """Whether the robot is at one of the poses, given in the fixed frame."""
-        gaps = [self.perception.robot.in_frame_of(place) for place in places]
-        return any(math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1] for gap in gaps)
+    def has_arrived_at(self, places: tuple[Pose2, ...], *, is_undocking: bool = False) -> bool:
+        """Whether the robot is at one of the poses in the fixed frame; undocking has separate tolerances."""
+        settings, gaps = self.settings, [self.perception.robot.in_frame_of(place) for place in places]
+        undocked = settings.undock_linear_tolerance, settings.undock_angular_tolerance
+        distance, turn = undocked if is_undocking else _ARRIVED
+        return any(math.hypot(gap.x, gap.y) <= distance and abs(gap.yaw) <= turn for gap in gaps)
+
+    def require_arrival(self, places: tuple[Pose2, ...], *, is_undocking: bool) -> None:
+        """Check that an undocked robot is at one of the poses; other drives are not checked.
+
+        Raises:
+            Interrupted: If an undocked robot is at none of the poses.
+        """
+        if is_undocking and not self.has_arrived_at(places, is_undocking=True):
+            gaps = [self.perception.robot.distance_to(place) for place in places]
+            raise Interrupted("staging pose missed", f"undocked {min(gaps):.3f} m from it")

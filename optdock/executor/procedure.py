@@ -347,7 +347,7 @@ class Travel:
         blocks, since = 0, cycles.now
         while True:
             yield from cycles.locate()
-            if situation.staging.has_arrived_at(places()):
+            if situation.staging.has_arrived_at(places(), is_undocking=state is State.UNDOCKING):
                 return
             result = yield from self.planned_to(places())
             if result.motion is None:
@@ -361,6 +361,7 @@ class Travel:
             try:
                 yield from self.drive(result.motion, state)
                 yield from cycles.stop()
+                situation.staging.require_arrival(places(), is_undocking=state is State.UNDOCKING)
                 return
             except Interrupted as stopped:
                 yield from cycles.stop_after(stopped)

@@ -59,13 +59,23 @@ class DockTypeParams:
     docking_threshold: float = 0.05
 
 
-def read_dock_type(name: str, block: ParameterBlock) -> DockTypeParams:
-    """Return the dock type with the parameters in `block`; faults are added to the faults of the block."""
-    direction = block.text("dock_direction", _DIRECTIONS[0])
+def read_dock_type(name: str, block: ParameterBlock, *, dock_backwards: object = None) -> DockTypeParams:
+    """Return the dock type with the parameters in `block`; faults are added to the faults of the block.
+
+    Args:
+        name: Name of the dock type.
+        block: Parameters of the dock type.
+        dock_backwards: Gear into all docks, a parameter of the docking server; if it is not a bool, `dock_direction`
+            of the dock type applies.
+    """
+    usual = _DIRECTIONS[dock_backwards is True]
+    direction = block.text("dock_direction", usual)
     if direction not in _DIRECTIONS:
         hint = closest(direction, _DIRECTIONS)
         block.fault("dock_direction", message=f"must be forward or backward, got {shown(direction)}{hint}")
-        direction = _DIRECTIONS[0]
+        direction = usual
+    elif isinstance(dock_backwards, bool) and direction != usual:
+        block.fault("dock_direction", message=f"contradicts dock_backwards, which means {usual!r}")
     if block.values.get("rotate_to_dock") is True and direction != DockDirection.BACKWARD.value:
         block.fault("rotate_to_dock", message="needs dock_direction: backward")
     return DockTypeParams(

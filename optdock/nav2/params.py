@@ -106,8 +106,13 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
     plugins = [plugin for block in blocks for plugin in plugin_instances(block)]
     costmaps = [_read_costmap(block) for block in blocks if not block.keys or block.path.endswith("costmap")]
     docks = [dock for block in blocks if "docks" in block.values for dock in _read_docks(block)]
+    backwards = {block.path: block.values.get("dock_backwards") for block in blocks}
     types = [
-        read_dock_type(plugin.name, ParameterBlock(document, plugin.keys, plugin.parameters, faults))
+        read_dock_type(
+            plugin.name,
+            ParameterBlock(document, plugin.keys, plugin.parameters, faults),
+            dock_backwards=backwards[plugin.node],
+        )
         for plugin in plugins
         if plugin.kind == "dock"
     ]

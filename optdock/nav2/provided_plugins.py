@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.errors import InvalidValue, PluginError
+from optdock.nav2.declared_parameters import NAV2_DOCKS
 from optdock.nav2.plugin_lists import UNLISTED
 from optdock.plugins.parameters import closest, parse_parameters
 from optdock.plugins.registry import INTERFACES, create_plugin, load_plugin
@@ -38,7 +39,6 @@ _OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
     ),
 }
 _REASONS: Mapping[str, str] = {
-    "dock": "its staging offsets, direction and threshold are read; the plugin itself needs sensors",
     UNLISTED: "it is in no list of plugins",
 }
 _UNSEEN = "there is no sensor data yet"
@@ -92,7 +92,7 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
     node, kind = params.nodes.get(instance.node, {}), _KINDS.get(instance.kind)
     if kind is None:
         reason = _REASONS.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
-        return Nav2Plugin(instance, reason=reason)
+        return Nav2Plugin(instance, reason=_dock_reason(instance) if instance.kind == "dock" else reason)
     try:
         plugin_class = load_plugin(INTERFACES[kind], instance.nav2_class)
     except PluginError as error:
@@ -114,6 +114,15 @@ def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
     graph_names = getattr(plugin_class.Parameters, "graph_names", ())  # accepted and ignored
     dropped = tuple(name for name in known if name in graph_names)
     return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
+
+
+def _dock_reason(instance: PluginInstance) -> str:
+    name = instance.nav2_class.replace("/", "::")
+    if name in NAV2_DOCKS or "::" not in name:
+        return "a dock plugin needs sensors; the docking server of optdock_ros provides it"
+    return (
+        f"the docking server of optdock_ros refuses it; Nav2's classes that it provides are {' and '.join(NAV2_DOCKS)}"
+    )
 
 
 def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:

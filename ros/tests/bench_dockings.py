@@ -2,6 +2,7 @@
 
     make bench-ros ARGS='--count 100'          # in real time: 20 minutes
     python ros/tests/bench_dockings.py --speed 4   # on a clock four times as fast, the server at four times its rate
+    python ros/tests/bench_dockings.py --robots 2  # one robot without and one in a namespace, at the same time
 
 The worlds are those of the docking study, `experiments.docking`, with detections: a bay with posts about, the dock up
 to 10 cm and 5 degrees from where it is stored, lag and latency in the drive, noisy localization and pictures, of which
@@ -22,14 +23,17 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from harness import Client, Lifecycle, Processes, free_domain, ros
+from launch_stand_in import launched
 from nav2_msgs.action import DockRobot
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -57,6 +61,7 @@ SETTLED = 0.5  # [s] after the end, until the report is believed
 class Docking(NamedTuple):
     """The result of a docking."""
 
+    robot: str
     number: int
     spread: str
     direction: str
@@ -172,18 +177,47 @@ def robot_parameters(speed: float) -> dict[str, object]:
 
 
 class Bench:
-    """Robot, server and a client, set up once.
+    """A robot and its server, and a client of them, set up once.
 
     Args:
-        client: Asks.
-        folder: For scenario files.
+        processes: Starts the processes.
+        namespace: Namespace of the robot, for example "/robot1"; empty for the root.
+        options: Command line.
     """
 
-    def __init__(self, client: Client, folder: Path) -> None:
-        self.client, self.folder = client, folder
+    def __init__(self, processes: Processes, namespace: str, options: argparse.Namespace) -> None:
+        self.namespace, self.folder = namespace, processes.folder / (namespace.strip("/") or "root")
+        self.folder.mkdir()
+        file = self.folder / "parameters.yaml"
+        blocks = {
+            "simulated_robot": robot_parameters(options.speed),
+            "docking_server": server_parameters(options.speed),
+        }
+        file.write_text(yaml.safe_dump({name: {"ros__parameters": block} for name, block in blocks.items()}))
+        found = launched("simulated_docking.launch.py", self.folder, params_file=str(file), namespace=namespace)
+        own_clock = ["-r", "/clock:=clock"] if namespace else []
+        *_, server = [processes(one.executable, args=[*one.arguments, *own_clock]) for one in found]
+        self.client = Client(f"client_{self.folder.name}")
         self.commands: list[tuple[float, float, float, float]] = []
-        self.reports: list[DiagnosticArray] = client.heard(DiagnosticArray, "/simulated_robot/report")
-        client.create_subscription(TwistStamped, "cmd_vel", self._take, 200)
+        self.reports: list[DiagnosticArray] = self.client.heard(DiagnosticArray, f"{namespace}/simulated_robot/report")
+        self.client.create_subscription(TwistStamped, f"{namespace}/cmd_vel", self._take, 200)
+        self.client.until(lambda: self.reports)
+        life = Lifecycle(self.client, f"{namespace}/docking_server")
+        self.client.until(lambda: life.state == "active")
+        self.processor = Processor(server.pid)
+
+    def end(self) -> None:
+        """End the threads."""
+        self.processor.end()
+        self.client.end()
+
+    def dockings(self, cases: Sequence[tuple[str, Case]]) -> list[Docking]:
+        """Run dockings, each with the name of its spread."""
+        found = []
+        for spread, case in cases:
+            found.append(self.dock(case, spread))
+            sys.stderr.write(f"{found[-1]}\n")
+        return found
 
     def _take(self, message: TwistStamped) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
@@ -198,9 +232,9 @@ class Bench:
         request = SetParameters.Request(
             parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         )
-        results = self.client.call(SetParameters, "/simulated_robot/set_parameters", request).results
+        results = self.client.call(SetParameters, f"{self.namespace}/simulated_robot/set_parameters", request).results
         assert all(result.successful for result in results), results
-        answer = self.client.call(Trigger, "/simulated_robot/reset")
+        answer = self.client.call(Trigger, f"{self.namespace}/simulated_robot/reset")
         assert answer.success, answer.message
         time.sleep(SETTLED)
 
@@ -215,7 +249,7 @@ class Bench:
         goal.dock_pose.pose.orientation.z = math.sin(0.5 * into.yaw)
         goal.dock_pose.pose.orientation.w = math.cos(0.5 * into.yaw)
         began = time.monotonic()
-        reply = self.client.send(DockRobot, "dock_robot", goal).reply(LONGEST)
+        reply = self.client.send(DockRobot, f"{self.namespace}/dock_robot", goal).reply(LONGEST)
         duration = time.monotonic() - began
         time.sleep(SETTLED)
         told = {item.key: item.value for item in self.reports[-1].status[0].values}
@@ -223,8 +257,8 @@ class Bench:
         result = reply.result
         still = not self.commands or self.commands[-1][2:] == (0.0, 0.0)
         return Docking(
-            case.seed, spread, case.direction.value, result.error_code, result.success, result.num_retries, *numbers,
-            duration, still, result.error_msg,
+            self.namespace, case.seed, spread, case.direction.value, result.error_code, result.success,
+            result.num_retries, *numbers, duration, still, result.error_msg,
         )  # fmt: skip
 
 
@@ -247,7 +281,7 @@ def table(found: Sequence[Docking]) -> str:
         p50, p95 = np.percentile(values, [50, 95])
         lines.append(f"{name:10} p50 {p50:.2f}  p95 {p95:.2f}  max {max(values):.2f} {unit}")
     lines.append(f"clearance to obstacles, smallest: {1e3 * min(one.clearance for one in found):.0f} mm")
-    lines += [f"  {one.number} {one.spread} {one.direction}: {one}" for one in found if one not in good]
+    lines += [f"  {one.robot} {one.number} {one.spread} {one.direction}: {one}" for one in found if one not in good]
     return "\n".join(lines)
 
 
@@ -275,36 +309,47 @@ def rates(commands: Sequence[tuple[float, ...]], processor: Processor, speed: fl
     return "\n".join(lines)
 
 
+def cases_of(options: argparse.Namespace) -> list[tuple[str, Case]]:
+    """Return the cases of the command line, each with the name of its spread."""
+    found: list[tuple[str, Case]] = []
+    number = options.first
+    while len(found) < options.count:
+        spread = SPREADS["nav2" if number // 2 % 2 == 0 else "wider"]
+        case = case_of(number, spread, DETECTED)
+        if options.direction in {"both", case.direction.value}:
+            found.append((spread.name, case))
+        number += 1
+    return found
+
+
 def docked(options: argparse.Namespace, folder: Path) -> tuple[list[Docking], str]:
-    """Run all dockings with one server; return them and the table of its rates."""
-    found: list[Docking] = []
-    processes, client = Processes(folder), Client()
+    """Run all dockings, the robots at the same time; return them and the tables of the rates."""
+    processes, benches, cases = Processes(folder), list[Bench](), cases_of(options)
     try:
-        processes("simulated_robot", params=robot_parameters(options.speed))
-        server = processes("docking_server", params=server_parameters(options.speed))
-        bench = Bench(client, folder)
-        client.until(lambda: bench.reports)
-        Lifecycle(client, "docking_server").up()
-        processor = Processor(server.pid)
-        try:
-            for number in range(options.first, options.first + options.count):
-                spread = SPREADS["nav2" if number // 2 % 2 == 0 else "wider"]
-                found.append(bench.dock(case_of(number, spread, DETECTED), spread.name))
-                sys.stderr.write(f"{found[-1]}\n")
-        finally:
-            processor.end()
-        return found, rates(bench.commands, processor, options.speed)
+        for number in range(options.robots):
+            namespace = f"/robot{number + 1}" if number or options.namespaced else ""
+            benches.append(Bench(processes, namespace, options))
+        share = math.ceil(len(cases) / options.robots)
+        shares = [cases[begin : begin + share] for begin in range(0, len(cases), share)]
+        with ThreadPoolExecutor(options.robots) as pool:
+            found = [one for part in pool.map(Bench.dockings, benches, shares) for one in part]
+        told = [f"{one.namespace}\n{rates(one.commands, one.processor, options.speed)}" for one in benches]
+        return found, "\n".join(told).lstrip()
     finally:
-        client.end()
+        for bench in benches:
+            bench.end()
         processes.end()
         for process in processes.started:
-            (options.out / f"{process.name}.log").write_text(process.log())
+            (options.out / process.log_file.name).write_text(process.log())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run and print; return 1 if fewer than 98 % succeed or one collides."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100, help="dockings (default: %(default)s)")
+    parser.add_argument("--robots", type=int, default=1, help="robots that share the dockings, at the same time")
+    parser.add_argument("--namespaced", action="store_true", help="the first robot in a namespace, as the others")
+    parser.add_argument("--direction", choices=["both", "forward", "backward"], default="both", help="of the dockings")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--speed", type=float, default=0.0, help="of the clock; 0: real time (default)")
     parser.add_argument("--out", type=Path, default=Path("results") / "ros")

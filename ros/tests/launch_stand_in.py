@@ -1,15 +1,15 @@
 """The part of `launch` and `launch_ros` that the package's launch files use; neither can be installed from PyPI.
 
-It rejects unknown arguments, resolves substitutions, and returns the processes with their arguments. Signals,
-respawning and events of `ros2 launch` are missing.
+It evaluates a launch file to the command lines of its processes, in the order of launch_ros. Substitutions in parameter
+files, signals, respawning and events are missing.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import types
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 PACKAGE = Path(__file__).parents[1] / "optdock_ros"
 
@@ -30,127 +30,11 @@ class Started(NamedTuple):
 
 
 @dataclass
-class LaunchConfiguration:
-    """The value of a declared launch argument."""
+class Context:
+    """The values of the arguments, and the folder of new files."""
 
-    variable_name: str
-
-    def text(self, values: Mapping[str, str]) -> str:
-        """Return the value."""
-        return values[self.variable_name]
-
-
-@dataclass
-class FindPackageShare:
-    """The folder of this package; here that of the sources."""
-
-    package: str
-
-    def text(self, values: Mapping[str, str]) -> str:  # noqa: ARG002 - as the others
-        """Return the folder."""
-        assert self.package == "optdock_ros"
-        return str(PACKAGE)
-
-
-@dataclass
-class PathJoinSubstitution:
-    """A path of parts."""
-
-    substitutions: Sequence[Any]
-
-    def text(self, values: Mapping[str, str]) -> str:
-        """Return the joined path."""
-        return str(Path(*(text(part, values) for part in self.substitutions)))
-
-
-class ParameterValue:
-    """A parameter of a given type."""
-
-    def __init__(self, value: Any, *, value_type: type) -> None:
-        self.value, self.type = value, value_type
-
-    def resolved(self, values: Mapping[str, str]) -> Any:
-        """Return the value, which must be of the type."""
-        found = yaml.safe_load(text(self.value, values))
-        assert isinstance(found, self.type), f"{found!r} is no {self.type.__name__}"
-        return found
-
-
-@dataclass
-class IfCondition:
-    """A condition of an action."""
-
-    predicate_expression: Any
-
-    def holds(self, values: Mapping[str, str]) -> bool:
-        """Whether the action is carried out."""
-        return {"true": True, "1": True, "false": False, "0": False}[text(self.predicate_expression, values).lower()]
-
-
-@dataclass
-class DeclareLaunchArgument:
-    """An argument of a launch file."""
-
-    name: str
-    default_value: Any = None
-    description: str = ""
-    choices: Any = None
-
-
-@dataclass
-class PythonLaunchDescriptionSource:
-    """A launch file."""
-
-    launch_file_path: Any
-
-
-@dataclass
-class IncludeLaunchDescription:
-    """The inclusion of another launch file."""
-
-    launch_description_source: Any
-    launch_arguments: Iterable[tuple[str, Any]] = ()
-
-
-@dataclass(kw_only=True)
-class Node:
-    """A process with a ROS node."""
-
-    package: str
-    executable: str
-    name: str | None = None
-    namespace: Any = ""
-    parameters: Sequence[Any] = ()
-    remappings: Sequence[tuple[str, Any]] = ()
-    arguments: Sequence[Any] = ()
-    output: str = "log"
-    condition: IfCondition | None = None
-
-    def __post_init__(self) -> None:
-        assert self.package == "optdock_ros"
-        assert self.output in {"log", "screen", "both", "own_log", "full"}
-
-    def started(self, values: Mapping[str, str], folder: Path) -> Started:
-        """Return the process, with its arguments in the order of launch_ros."""
-        found = [text(argument, values) for argument in self.arguments]
-        found += ["--ros-args"]
-        found += ["-r", f"__node:={self.name}"] if self.name else []
-        namespace = text(self.namespace, values)
-        found += ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
-        for number, parameters in enumerate(self.parameters):
-            if isinstance(parameters, dict):
-                resolved = {
-                    key: value.resolved(values) if isinstance(value, ParameterValue) else value
-                    for key, value in parameters.items()
-                }
-                file = folder / f"{self.executable}-{number}.yaml"
-                file.write_text(yaml.safe_dump({"/**": {"ros__parameters": resolved}}))
-                found += ["--params-file", str(file)]
-            else:
-                found += ["--params-file", text(parameters, values)]
-        for origin, target in self.remappings:
-            found += ["-r", f"{origin}:={text(target, values)}"]
-        return Started(self.executable, tuple(found))
+    folder: Path
+    launch_configurations: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -160,53 +44,110 @@ class LaunchDescription:
     initial_entities: Sequence[Any]
 
 
-def text(value: Any, values: Mapping[str, str]) -> str:
-    """Return a text, or the text of a substitution."""
-    if isinstance(value, LaunchConfiguration | FindPackageShare | PathJoinSubstitution):
-        return value.text(values)
-    assert isinstance(value, str), f"{value!r}: must be text or a substitution"
-    return value
+@dataclass
+class DeclareLaunchArgument:
+    """An argument of a launch file; a value that is set already is kept, also that of an including launch file."""
+
+    name: str
+    default_value: str
+    description: str
 
 
-MODULES = {
-    "launch": (LaunchDescription,),
-    "launch.actions": (DeclareLaunchArgument, IncludeLaunchDescription),
-    "launch.conditions": (IfCondition,),
-    "launch.launch_description_sources": (PythonLaunchDescriptionSource,),
-    "launch.substitutions": (LaunchConfiguration, PathJoinSubstitution),
-    "launch_ros": (),
-    "launch_ros.actions": (Node,),
-    "launch_ros.parameter_descriptions": (ParameterValue,),
-    "launch_ros.substitutions": (FindPackageShare,),
+@dataclass
+class OpaqueFunction:
+    """A function that returns further actions."""
+
+    function: Callable[[Context], Sequence[Any]]
+
+
+@dataclass
+class IncludeLaunchDescription:
+    """The inclusion of another launch file."""
+
+    launch_description_source: Path
+    launch_arguments: Iterable[tuple[str, str]] = ()
+
+
+@dataclass
+class ParameterFile:
+    """A parameter file; here without substitutions."""
+
+    param_file: str
+    allow_substs: bool = False
+
+
+@dataclass(kw_only=True)
+class Node:
+    """A process with a ROS node; name and namespace are given."""
+
+    package: str
+    executable: str
+    name: str
+    namespace: str
+    parameters: Sequence[ParameterFile | dict[str, object]]
+    remappings: Sequence[tuple[str, str]]
+    arguments: Sequence[str]
+    output: str
+
+    def started(self, folder: Path) -> Started:
+        """Return the process; as in launch_ros, parameters of a dictionary are those of the node's full name."""
+        assert self.package == "optdock_ros"
+        assert self.namespace.startswith("/"), "a relative namespace is appended to a pushed one"
+        found = [*self.arguments, "--ros-args", "-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
+        for number, parameters in enumerate(self.parameters):
+            if isinstance(parameters, ParameterFile):
+                file = parameters.param_file
+                assert parameters.allow_substs == ("$(" in Path(file).read_text())
+            else:
+                full_name = f"{self.namespace.rstrip('/')}/{self.name}"
+                file = str(folder / f"{full_name.replace('/', '-')}-{number}.yaml")
+                Path(file).write_text(yaml.safe_dump({full_name: {"ros__parameters": parameters}}))
+            found += ["--params-file", file]
+        for rule in self.remappings:
+            found += ["-r", ":=".join(rule)]
+        return Started(self.executable, tuple(found))
+
+
+MODULES: dict[str, dict[str, Any]] = {
+    "launch": {"LaunchDescription": LaunchDescription},
+    "launch.actions": {
+        kind.__name__: kind for kind in (DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction)
+    },
+    "launch.launch_description_sources": {"PythonLaunchDescriptionSource": Path},
+    "launch.substitutions": {"PathJoinSubstitution": lambda parts: Path(*parts)},
+    "launch_ros": {},
+    "launch_ros.actions": {"Node": Node},
+    "launch_ros.parameter_descriptions": {"ParameterFile": ParameterFile},
+    "launch_ros.substitutions": {"FindPackageShare": {"optdock_ros": PACKAGE}.__getitem__},
 }
 
 
 def launched(file: str | Path, folder: Path, **arguments: str) -> list[Started]:
-    """Return the processes of `ros2 launch optdock_ros FILE NAME:=VALUE ...`; `folder` is for parameter files."""
+    """Return the processes of `ros2 launch optdock_ros FILE NAME:=VALUE ...`; `folder` is for parameter files.
+
+    The argument `ros_namespace` is a namespace that an including launch file has pushed.
+    """
     with pytest.MonkeyPatch.context() as patch:
         for name, members in MODULES.items():
-            module = types.ModuleType(name)
-            module.__dict__.update({member.__name__: member for member in members})
-            patch.setitem(sys.modules, name, module)
-        return list(_launched(PACKAGE / "launch" / file, folder, arguments))
+            patch.setitem(sys.modules, name, module := types.ModuleType(name))
+            module.__dict__.update(members)
+        return list(_launched(PACKAGE / "launch" / file, Context(folder, dict(arguments))))
 
 
-def _launched(file: Path, folder: Path, arguments: Mapping[str, str]) -> Iterator[Started]:
-    spec = importlib.util.spec_from_file_location(f"launch_file_{file.name.partition('.')[0]}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    entities = module.generate_launch_description().initial_entities
-    declared = [entity for entity in entities if isinstance(entity, DeclareLaunchArgument)]
-    assert set(arguments) <= {argument.name for argument in declared}, "no such launch argument"
-    values: dict[str, str] = {}
-    for argument in declared:
-        assert argument.description, f"{argument.name}: has no description"
-        values[argument.name] = arguments.get(argument.name) or text(argument.default_value, values)
-    for entity in entities:
-        if isinstance(entity, Node) and (entity.condition is None or entity.condition.holds(values)):
-            yield entity.started(values, folder)
+def _launched(file: Path, context: Context) -> Iterator[Started]:
+    loader = SourceFileLoader("python_launch_file", str(file))
+    module = types.ModuleType(loader.name)
+    module.__file__ = str(file)
+    loader.exec_module(module)
+    entities = list(module.generate_launch_description().initial_entities)
+    while entities:
+        entity = entities.pop(0)
+        if isinstance(entity, DeclareLaunchArgument):
+            context.launch_configurations.setdefault(entity.name, entity.default_value)
+        elif isinstance(entity, OpaqueFunction):
+            entities = [*entity.function(context), *entities]
         elif isinstance(entity, IncludeLaunchDescription):
-            inner = {name: text(value, values) for name, value in entity.launch_arguments}
-            yield from _launched(Path(text(entity.launch_description_source.launch_file_path, values)), folder, inner)
+            context.launch_configurations |= dict(entity.launch_arguments)
+            yield from _launched(entity.launch_description_source, context)
+        else:
+            yield entity.started(context.folder)

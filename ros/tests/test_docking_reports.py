@@ -34,9 +34,9 @@ class Ears:
         """Keep the message."""
         self.said.append(message)
 
-    def get_name(self) -> str:
-        """Return the name of the node."""
-        return "docking_server"
+    def get_fully_qualified_name(self) -> str:
+        """Return the name of the node in its namespace."""
+        return "/robot1/docking_server"
 
 
 @pytest.mark.parametrize(
@@ -52,6 +52,7 @@ def test_certificate_without_a_costmap_is_a_warning(costmap: Costmap | None, lev
     ears = Ears()
     Reports(ears, "odom").motion(DrivenMotion.of(plan_dock(problem)), "what is not seen", 1.0)  # type: ignore[arg-type]
     (told,) = [one for message in ears.said if isinstance(message, DiagnosticArray) for one in message.status]
+    assert told.name == "robot1/docking_server: certificate"
     assert told.level == level
     assert {item.value for item in told.values if item.key == "does not count"} == {"what is not seen"}
     assert ("what is not seen" in told.message) == (costmap is None)

@@ -182,9 +182,33 @@ def test_server_in_addition_to_nav2(client_node: Client, process: Processes, tmp
     assert 'server_name="optdock/smooth_path"' in HOWTO
 
 
+def test_server_in_a_namespace(client_node: Client, process: Processes, tmp_path: Path) -> None:
+    """With the launch file the page's parameters arrive; without it the server says that they are missing."""
+    text = section(HOWTO, "Several robots")
+    (words,) = commands(text)
+    arguments = dict(word.split(":=") for word in words[3:])
+    file = file_of("nav2_params.yaml", tmp_path)
+    (started,) = launched(words[2], tmp_path, **arguments | {"params_file": str(file)})
+    server = process(started.executable, args=started.arguments)
+    assert Lifecycle(client_node, "robot1/smoother_server").configure()
+    assert "Created smoother: certified of type CasadiSmoother" in server.log()
+    plain = process("docking_server", params=file, args=["-r", "__ns:=/robot1"])
+    assert not Lifecycle(client_node, "robot1/docking_server").configure()
+    ((_, told),) = blocks(text, "text")
+    assert told.strip() in plain.log().replace(f"{tmp_path}/", "")
+
+
 def test_the_launch_file_of_the_page(tmp_path: Path) -> None:
-    started = launched(file_of("servers_of_optdock.launch.py", tmp_path), tmp_path)
+    """The argument `autostart` of the including launch file is that of the lifecycle manager."""
+    nav2 = tmp_path / "params.yaml"
+    nav2.write_text("docking_server: {ros__parameters: {use_sim_time: true}}")
+    page = file_of("servers_of_optdock.launch.py", tmp_path)
+    page.write_text(page.read_text().replace("/path/to/nav2_params.yaml", str(nav2)))
+    started = launched(page, tmp_path, autostart="true", namespace="robot1")
     assert [one.executable for one in started] == ["smoother_server", "docking_server"]
+    for one in started:
+        (values,) = yaml.safe_load(Path(one.arguments[one.arguments.index("-r") :][7]).read_text()).values()
+        assert values == {"ros__parameters": {"autostart": False}}
 
 
 @pytest.mark.parametrize(

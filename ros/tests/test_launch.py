@@ -24,17 +24,12 @@ def test_all_servers_with_the_default_file(tmp_path: Path) -> None:
     found = launched("servers.launch.py", tmp_path)
     assert [one.executable for one in found] == SERVERS
     for one in found:
-        files = options(one, "--params-file")
-        assert Path(files[0]) == PACKAGE / "config" / "optdock.yaml"
-        assert yaml.safe_load(Path(files[1]).read_text())["/**"]["ros__parameters"] == {
-            "use_sim_time": False,
-            "autostart": False,
-        }
-        assert "cmd_vel:=cmd_vel" in options(one, "-r")
+        assert [Path(file) for file in options(one, "--params-file")] == [PACKAGE / "config" / "optdock.yaml"]
+        assert {"__ns:=/", "cmd_vel:=cmd_vel"} <= {*options(one, "-r")}
 
 
 def test_arguments_reach_the_nodes(tmp_path: Path) -> None:
-    found = launched(
+    (docking,) = launched(
         "servers.launch.py",
         tmp_path,
         namespace="robot1",
@@ -42,18 +37,35 @@ def test_arguments_reach_the_nodes(tmp_path: Path) -> None:
         autostart="True",
         smoother="false",
         cmd_vel_topic="cmd_vel_docking",
-        params_file="/etc/mine.yaml",
         log_level="debug",
     )
-    (docking,) = found
     assert docking.executable == "docking_server"
-    assert options(docking, "--params-file")[0] == "/etc/mine.yaml"
-    values = yaml.safe_load(Path(options(docking, "--params-file")[1]).read_text())["/**"]["ros__parameters"]
-    assert values == {"use_sim_time": True, "autostart": True}
-    assert {"__node:=docking_server", "__ns:=/robot1", "cmd_vel:=cmd_vel_docking", "/tf:=tf"} <= {
-        *options(docking, "-r")
-    }
+    values = yaml.safe_load(Path(options(docking, "--params-file")[1]).read_text())
+    assert values == {"/robot1/docking_server": {"ros__parameters": {"use_sim_time": True, "autostart": True}}}
+    names = {"__node:=docking_server", "__ns:=/robot1", "cmd_vel:=cmd_vel_docking", "/tf:=tf", "/tf_static:=tf_static"}
+    assert {*options(docking, "-r")} == names
     assert options(docking, "--log-level") == ["debug"]
+
+
+def test_transforms_of_all_robots(tmp_path: Path) -> None:
+    found = launched("servers.launch.py", tmp_path, namespace="robot1", remap_tf="false")
+    assert {*options(found[0], "-r")} == {"__node:=smoother_server", "__ns:=/robot1", "cmd_vel:=cmd_vel"}
+
+
+def test_substitutions_in_the_file_are_evaluated(tmp_path: Path) -> None:
+    """The stand-in evaluates none, and fails if they are not allowed for such a file."""
+    file = tmp_path / "params.yaml"
+    long = f"$(find-pkg-share my_robot)/{'a' * 100} $(env HOME)/docks.yaml"
+    file.write_text(f"docking_server: {{ros__parameters: {{dock_database: {long}}}}}")
+    (docking,) = launched("servers.launch.py", tmp_path, params_file=str(file), smoother="false", namespace="robot1")
+    assert f"dock_database: {long}}}" in Path(options(docking, "--params-file")[0]).read_text()
+
+
+def test_file_without_nodes_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("[a, b]")
+    with pytest.raises(RuntimeError, match="params_file: must be a mapping"):
+        launched("servers.launch.py", tmp_path, params_file=str(file), namespace="robot1")
 
 
 def test_misspelt_argument_of_a_node_is_an_error(tmp_path: Path) -> None:
@@ -61,15 +73,17 @@ def test_misspelt_argument_of_a_node_is_an_error(tmp_path: Path) -> None:
     text = (PACKAGE / "launch" / "servers.launch.py").read_text()
     broken.write_text(text.replace("executable=", "exec="))
     with pytest.raises(TypeError, match="exec"):
-        launched(broken, tmp_path)
+        launched(broken, tmp_path, params_file=str(PACKAGE / "config" / "optdock.yaml"))
 
 
 def test_robot_and_server_in_the_simulated_world(tmp_path: Path) -> None:
-    robot, server = launched("simulated_docking.launch.py", tmp_path)
+    robot, server = launched("simulated_docking.launch.py", tmp_path, namespace="robot1")
     assert (robot.executable, server.executable) == ("simulated_robot", "docking_server")
-    file = PACKAGE / "config" / "simulated_docking.yaml"
-    assert {options(one, "--params-file")[0] for one in (robot, server)} == {str(file)}
-    assert set(yaml.safe_load(file.read_text())) == {"simulated_robot", "docking_server"}
+    found = [yaml.safe_load(Path(options(one, "--params-file")[0]).read_text()) for one in (robot, server)]
+    assert found[0] == found[1]
+    assert set(found[0]) == {"/robot1/simulated_robot", "/robot1/docking_server"}
+    assert len(options(robot, "--params-file")) == 1  # it has no parameter autostart
+    assert "__ns:=/robot1" in options(robot, "-r")
 
 
 @pytest.mark.parametrize(("given", "found"), [(None, "1"), ("2", "2")])

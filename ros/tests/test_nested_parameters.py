@@ -29,6 +29,7 @@ from std_msgs.msg import Empty
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.model.robot import Drive
+from optdock.nav2.declared_parameters import Block
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,12 +52,19 @@ def test_values_are_plain() -> None:
 
 
 def test_unknown_names() -> None:
-    block = {"costmap_topik": 1, "FollowPath": {}, "use_sim_time": True, "introspection_mode": "", "odd": 1, "ours": 2}
-    faults, ignored = unknown_names(block, ("costmap_topic", "ours"), ("odd",))
+    block = {
+        "costmap_topik": 1,
+        "FollowPath": {},
+        "use_sim_time": True,
+        "introspection_mode": "",
+        "k_phi": 1,
+        "ours": 2,
+    }
+    faults, ignored = unknown_names(block, ("costmap_topic", "ours"), Block.CONTROLLER)
     assert faults == ["costmap_topik: unknown parameter; did you mean costmap_topic?"]
-    assert ignored == ["FollowPath", "odd"]
+    assert ignored == ["FollowPath", "k_phi"]
     for theirs in ("odom_topic", "map_topic", "local_costmap_topic", "costmap_update_timeout", "bond_timeout"):
-        assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout")) == ([], [theirs])
+        assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout"), Block.CONTROLLER) == ([], [theirs])
 
 
 def test_all_faults_are_reported_together() -> None:
@@ -64,9 +72,8 @@ def test_all_faults_are_reported_together() -> None:
     assert reader.attempt(lambda: clearance_parameters(0.1), None) is not None
     assert reader.attempt(lambda: clearance_parameters({"required": -1.0, "tapr": 1.0}), None) is None
     assert (reader.inner("controller"), reader.inner("robot")) == ({}, {})
-    assert reader.known({"costmap_topic": 1, "costmap_topik": 2, "other": 3}, ["costmap_topic"], owner="x") == {
-        "costmap_topic": 1
-    }
+    given = {"costmap_topic": 1, "costmap_topik": 2, "other": 3}
+    assert reader.known(given, ["costmap_topic"], Block.CONTROLLER, "x") == {"costmap_topic": 1}
     assert reader.ignored == ["x.other"]
     with pytest.raises(InvalidValue) as caught:
         reader.check()

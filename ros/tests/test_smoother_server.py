@@ -372,7 +372,7 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
 
 
 def test_interrupt_answers_the_active_goal(process: Processes, client_node: Client) -> None:
-    parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart": True, "costmap_topic": ""}
+    parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart_node": True, "costmap_topic": ""}
     started = process("smoother_server", parameters, args=["-r", "__node:=third", "-r", "smooth_path:=third_path"])
     started.wait_for("[third]: active")
     running = client_node.send(SmoothPath, "third_path", goal_of(smoother="", seconds=60.0))

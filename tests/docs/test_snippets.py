@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from experiments.cpu_budgets import count_cpu
 from tests.docs.snippets import PAGES, ROOT, blocks_of, run_page
 
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
@@ -14,6 +15,14 @@ EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 LANGUAGES = {"python", "sh", "yaml", "toml", "text", "xml", "bash"}
 WITH_ROS = {"ros2.md", "bags.md"}
 RUN = [page for page in PAGES if any(block.language in {"python", "sh"} for block in blocks_of(page))]
+
+
+@pytest.fixture(autouse=True)
+def slow_clock():
+    """The printed figures are those of a quiet machine; a busy one takes up to three times the CPU time."""
+    count_cpu(rate=0.25)
+    yield
+    count_cpu()
 
 
 @pytest.fixture(autouse=True)

@@ -17,11 +17,13 @@ from optdock.executor.checked_inputs import CheckedDockType
 from optdock.geometry.pose import Pose2
 from optdock.model.dock import DockDirection
 from optdock.model.measurements import Detection, Measurements
+from optdock.nav2.declared_parameters import NAV2_DOCKS
 from optdock.nav2.docks import docked_pose
 from optdock.plugins.interfaces import DockType
 from optdock.plugins.parameters import PluginParameters, closest, parse_parameters
 from optdock.plugins.registry import create_plugin, load_plugin
 from optdock.ros.transforms import Transform
+from optdock_ros.detection_rotation import detection_rotation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,11 +69,12 @@ class SimpleNonChargingDockParameters(PluginParameters):
     )
     external_detection_translation_y: float = Field(0.0, description="as above, along the y axis [m]")
     external_detection_rotation_roll: float = Field(
-        -1.57, description="rotation from the detection to the dock (z up, x into the dock): roll [rad]"
+        -1.57,
+        description="rotation from the detection to the dock (z up, x into the dock), in the order of "
+        "nav2_distribution: roll [rad]",
     )
-    external_detection_rotation_pitch: float = Field(1.57, description="as above: pitch, after the roll [rad]")
-    external_detection_rotation_yaw: float = Field(0.0, description="as above: yaw, after the pitch [rad]")
-    filter_coef: float = Field(0.1, description="without effect: the estimate weights detections by their sigmas")
+    external_detection_rotation_pitch: float = Field(1.57, description="as above: pitch [rad]")
+    external_detection_rotation_yaw: float = Field(0.0, description="as above: yaw [rad]")
     detection_position_sigma: float = Field(
         0.005, gt=0, description="standard deviation of a detection's x and y, each; not in Nav2 [m]"
     )
@@ -122,6 +125,7 @@ class DockPlugin:
     Args:
         name: Name of the instance, to which the `type` of a dock refers.
         parameters: Names and values, as in a parameter file.
+        distribution: Distribution of Nav2 for which they were written; empty if it is unknown.
 
     Raises:
         InvalidValue: If a parameter is unknown or invalid; one line per fault.
@@ -135,14 +139,18 @@ class DockPlugin:
     Parameters: type[SimpleNonChargingDockParameters] = SimpleNonChargingDockParameters
     is_charger = False
 
-    def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
+    def __init__(self, name: str, parameters: Mapping[str, object], distribution: str = "") -> None:
         self.name = name
         self.parameters = p = parse_parameters(self.Parameters, parameters, name)
         self.uses_battery = bool(getattr(p, "use_battery_status", False))
         self.contact_topic = str(getattr(p, "contact_topic", ""))
-        self._rotation = _quaternion(
+        angles = (
             p.external_detection_rotation_roll, p.external_detection_rotation_pitch, p.external_detection_rotation_yaw
-        )
+        )  # fmt: skip
+        try:
+            self._rotation = detection_rotation(*angles, distribution)
+        except InvalidValue as error:
+            raise InvalidValue(f"{name}.{error}") from error
 
     @classmethod
     def known_names(cls) -> frozenset[str]:
@@ -318,12 +326,12 @@ class OwnDock(DockPlugin):
     Parameters = OwnDockParameters
     entry_point = ""
 
-    def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
+    def __init__(self, name: str, parameters: Mapping[str, object], distribution: str = "") -> None:
         kind = load_plugin(DockType, self.entry_point)
         names = _own_names(kind)
         self._own = {key: value for key, value in parameters.items() if key in names}
         parse_parameters(kind.Parameters, self._own, name)  # name of the block in error messages
-        super().__init__(name, {key: value for key, value in parameters.items() if key not in names})
+        super().__init__(name, {key: value for key, value in parameters.items() if key not in names}, distribution)
         self.is_charger = self.waits_for_charge
 
     @classmethod
@@ -353,10 +361,7 @@ def _own_names(kind: type[DockType]) -> frozenset[str]:
     return frozenset(spec.alias or name for name, spec in kind.Parameters.model_fields.items())
 
 
-DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
-    "opennav_docking::SimpleChargingDock": SimpleChargingDock,
-    "opennav_docking::SimpleNonChargingDock": DockPlugin,
-}
+DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = dict(zip(NAV2_DOCKS, (SimpleChargingDock, DockPlugin), strict=True))
 """Dock plugins by Nav2's class names."""
 
 
@@ -387,14 +392,3 @@ def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
     except PluginError as error:
         raise DockNotValid(f"{name}.plugin: {error}") from error
     return type("OwnDock", (OwnDock,), {"entry_point": asked})
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Return the rotation about the fixed axes x, y and z, in this order, as (x, y, z, w)."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )

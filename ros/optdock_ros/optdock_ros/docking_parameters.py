@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -18,10 +19,14 @@ from optdock.io.quoting import printable
 from optdock.io.yaml_lines import Document
 from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock, DockTolerances
+from optdock.nav2.controller_settings import controller_settings
+from optdock.nav2.declared_parameters import Block
 from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
+from optdock.nav2.parameter_report import refused_parameters
 from optdock.plugins.interfaces import Controller, GoalChecker
 from optdock.plugins.parameters import PluginParameters, closest, parse_parameters
-from optdock.plugins.registry import PluginChoice, plugin_from
+from optdock.plugins.registry import PluginChoice, load_plugin, plugin_from
+from optdock_ros.detection_rotation import distribution_of
 from optdock_ros.dock_plugins import DockPlugin, plugin_class
 from optdock_ros.nested_parameters import BlockReader, ServerParameters, clearance_parameters, robot_parameters
 from optdock_ros.surroundings import nav2_footprint
@@ -55,6 +60,12 @@ class DockingParameters(ServerParameters):
     wait_charge_timeout: float = Field(5.0, gt=0, description="timeout of the wait for charging in contact [s]")
     dock_approach_timeout: float = Field(30.0, gt=0, description="largest delay of an approach behind its plan [s]")
     max_retries: int = Field(3, ge=0, description="approaches after the first one")
+    undock_linear_tolerance: float = Field(
+        0.05, gt=0, description="largest distance from the staging pose of an undocked robot [m]"
+    )
+    undock_angular_tolerance: float = Field(
+        0.05, gt=0, description="largest heading error at the staging pose of an undocked robot [rad]"
+    )
     base_frame: str = Field("base_link", min_length=1, description="frame of the robot")
     fixed_frame: str = Field("odom", min_length=1, description="frame of planning and driving, without jumps")
     dock_prestaging_tolerance: float = Field(
@@ -69,10 +80,15 @@ class DockingParameters(ServerParameters):
     )
     dock_database: str = Field("", description="file with the docks; empty: docks in the parameters")
     docks: list[str] = Field([], description="names of the docks; each has a block")
-    enable_stamped_cmd_vel: bool = Field(
-        default=True, description="publish TwistStamped, as Nav2 since Kilted; false: Twist"
+    enable_stamped_cmd_vel: bool | None = Field(
+        default=None, description="publish TwistStamped; false: Twist; not set: as in Nav2, false on Jazzy only"
     )
 
+    nav2_distribution: Literal["", "jazzy", "kilted", "lyrical", "main"] = Field(
+        "",
+        description="distribution that sets the order of external_detection_rotation_* and the default of "
+        "enable_stamped_cmd_vel; empty: ROS_DISTRO",
+    )
     use_realtime_priority: bool = Field(default=False, description="real-time scheduling during tasks; needs rtprio")
 
     stage_by_executor: bool = Field(
@@ -86,8 +102,25 @@ class DockingParameters(ServerParameters):
 class ControllerParameters(PluginParameters):
     """The block `controller`: the parameters of Nav2 that are used here."""
 
+    v_linear_min: float | None = Field(
+        None,
+        ge=0,
+        description="default of tracker.min_speed and least one of dock.approach_speed, if < v_linear_max [m/s]",
+    )
     v_linear_max: float = Field(0.25, gt=0, description="default of robot.limits.max_speed [m/s]")
     v_angular_max: float = Field(0.75, gt=0, description="default of robot.limits.max_yaw_rate [rad/s]")
+    deceleration_max: float | None = Field(
+        None, gt=0, description="largest default of robot.limits.max_deceleration [m/s^2]"
+    )
+    rotate_to_heading_angular_vel: float | None = Field(
+        None, gt=0, description="largest default of robot.limits.max_yaw_rate [rad/s]"
+    )
+    rotate_to_heading_max_angular_accel: float | None = Field(
+        None, gt=0, description="largest default of robot.limits.max_yaw_acceleration [rad/s^2]"
+    )
+    dock_collision_threshold: float | None = Field(
+        None, ge=0, description="default of dock.contact_margin plus 0.25 m; at most 0.3 [m]"
+    )
     use_collision_detection: bool = Field(
         default=True, description="check for obstacles; false: the station is the only obstacle"
     )
@@ -140,25 +173,12 @@ class DockParameters(PluginParameters):
         )
 
 
-# Parameters of Nav2 without an effect, because control law and control loop differ.
-NOT_READ = frozenset(
-    {
-        *("rotate_to_dock_timeout", "undock_linear_tolerance", "undock_angular_tolerance"),
-        *("rotation_angular_tolerance", "initial_rotation", "backward_blind"),
-        *("introspection_mode", "action_server_result_timeout"),
-    }
-)
-_LAW = frozenset(
-    {
-        *("k_phi", "k_delta", "beta", "lambda", "v_linear_min", "slowdown_radius", "deceleration_max"),
-        *("rotate_to_heading_angular_vel", "rotate_to_heading_max_angular_accel", "dock_collision_threshold"),
-        *("projection_time", "simulation_time_step", "simulation_step", "use_dynamic_window"),
-    }
-)
 # Settings of the executor that are set by a parameter of Nav2, by the dock type or by the goal.
 _DIRECTIONS: Mapping[bool | None, str] = {True: "backward", False: "forward"}  # by `dock_backwards`
 _SET_ELSEWHERE: Mapping[str, str] = {
     "max_retries": "max_retries",
+    "undock_linear_tolerance": "undock_linear_tolerance",
+    "undock_angular_tolerance": "undock_angular_tolerance",
     "initial_perception_timeout": "initial_perception_timeout",
     "wait_charge_timeout": "wait_charge_timeout",
     "dock_approach_timeout": "dock_approach_timeout",
@@ -262,6 +282,8 @@ class DockingSettings:
         dock_parameters: Block `dock` of every dock type.
         docks: Docks by name.
         not_read: Names in docks, dock types and blocks that are not read.
+        mapped: One line for every parameter of the controller that sets other parameters.
+        distribution: Distribution of Nav2; empty if it is unknown.
     """
 
     own: DockingParameters
@@ -275,6 +297,14 @@ class DockingSettings:
     dock_parameters: Mapping[str, DockParameters]
     docks: Mapping[str, DockEntry]
     not_read: tuple[str, ...]
+    mapped: tuple[str, ...]
+    distribution: str
+
+    @property
+    def sends_stamps(self) -> bool:
+        """Whether commands are of the type TwistStamped."""
+        given = self.own.enable_stamped_cmd_vel
+        return self.distribution != "jazzy" if given is None else given
 
     @property
     def period(self) -> float:
@@ -287,6 +317,8 @@ class DockingSettings:
         values: dict[str, object] = {
             **{name: value for name, value in self.executor.items() if name not in _OF_SIMPLE_DOCK},
             "max_retries": own.max_retries,
+            "undock_linear_tolerance": own.undock_linear_tolerance,
+            "undock_angular_tolerance": own.undock_angular_tolerance,
             "initial_perception_timeout": own.initial_perception_timeout,
             "wait_charge_timeout": own.wait_charge_timeout,
             "dock_approach_timeout": own.dock_approach_timeout,
@@ -314,44 +346,54 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
         InvalidValue: If a block is invalid; one line per fault.
     """
     read = BlockReader(block)
-    given = read.known(read.inner("controller"), ControllerParameters.model_fields, _LAW, "controller")
+    read.faults += refused_parameters(block)
+    given = read.known(read.inner("controller"), ControllerParameters.model_fields, Block.CONTROLLER, "controller")
     controller = read.attempt(
         lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters.model_validate({})
     )
-    robot = read.attempt(lambda: robot_parameters(_robot(read, controller)), robot_parameters({}))
+    effects = controller_settings(block)
+    read.faults += [f"controller.{name}: {one.words}" for name, one in effects.items() if one.is_refused]
+    mapped = {key: value for one in effects.values() for key, value in one.values.items()}
+    robot = read.attempt(lambda: robot_parameters(_robot(read, controller, mapped)), robot_parameters({}))
     clearance = read.attempt(lambda: clearance_parameters(block.get("clearance", {})), ClearanceRule())
     read.attempt(lambda: nav2_footprint(own.footprint, own.robot_radius, own.footprint_padding), None)
     if not own.dock_plugins:
         read.faults.append("dock_plugins: needs at least one name")
-    plugins: dict[str, DockPlugin] = {}
-    of_docks: dict[str, DockParameters] = {}
-    for name in own.dock_plugins:
-        _read_type(read, name, _DIRECTIONS.get(own.dock_backwards), plugins, of_docks)
+    distribution = own.nav2_distribution or distribution_of(os.environ)
+    common = _OfAllTypes(
+        _DIRECTIONS.get(own.dock_backwards),
+        distribution,
+        {**_mapped(mapped, "dock.", DockParameters), **read.inner("dock")},
+    )
+    types = {name: made for name in own.dock_plugins if (made := _read_type(read, name, common)) is not None}
     docks = read.attempt(lambda: docks_of_parameters(block), dict[str, DockEntry]())
     read.ignored.extend(f"{dock.name}.{key}" for dock in docks.values() for key in dock.unknown)
     settings = DockingSettings(
         own=own,
         controller=controller,
-        executor=_executor(read),
+        executor=_executor(read, mapped),
         robot=robot,
         clearance=clearance,
-        tracker=_choice(read, Controller, "tracker", "TrackingController"),
+        tracker=_tracker(read, mapped),
         goal_checker=_choice(read, GoalChecker, "goal_checker", "DockGoalChecker"),
-        plugins=plugins,
-        dock_parameters=of_docks,
+        plugins={name: plugin for name, (plugin, _) in types.items()},
+        dock_parameters={name: of_dock for name, (_, of_dock) in types.items()},
         docks=docks,
         not_read=tuple(read.ignored),
+        mapped=tuple(f"controller.{name}: {one.words}" for name, one in effects.items()),
+        distribution=distribution,
     )
     read.check()
     return settings
 
 
-def _executor(read: BlockReader) -> dict[str, object]:
-    """Return the block `executor`; settings that are set elsewhere are faults."""
+def _executor(read: BlockReader, mapped: Mapping[str, float]) -> dict[str, object]:
+    """Return the block `executor` with the server's defaults; settings that are set elsewhere are faults."""
     given = read.inner("executor")
     twice = [name for name in given if name in _SET_ELSEWHERE]
     read.faults.extend(f"executor.{name}: is {_SET_ELSEWHERE[name]} of this server" for name in twice)
-    own = {name: value for name, value in given.items() if name not in twice}
+    own = {**_mapped(mapped, "executor.", ExecutorSettings), **given}
+    own = {name: value for name, value in own.items() if name not in twice}
     try:
         ExecutorSettings(**own)
     except InvalidValue as error:
@@ -359,15 +401,25 @@ def _executor(read: BlockReader) -> dict[str, object]:
     return own
 
 
-def _robot(read: BlockReader, controller: ControllerParameters) -> dict[str, object]:
+def _robot(read: BlockReader, controller: ControllerParameters, mapped: Mapping[str, float]) -> dict[str, object]:
     """Return the block `robot` with the server's defaults."""
     given = read.inner("robot")
     speed = controller.v_linear_max
-    limits = {
-        "max_speed": speed, "max_reverse_speed": speed, "max_yaw_rate": controller.v_angular_max, **_LIMITS,
-        **read.inner("limits", given),
-    }  # fmt: skip
-    return {**given, "limits": limits, "tracking": {**_TUBE, **read.inner("tracking", given)}}
+    usual = {"max_speed": speed, "max_reverse_speed": speed, "max_yaw_rate": controller.v_angular_max, **_LIMITS}
+    limits = {name: min(value, mapped.get(f"robot.limits.{name}", value)) for name, value in usual.items()}
+    limits_given = {**limits, **read.inner("limits", given)}
+    return {**given, "limits": limits_given, "tracking": {**_TUBE, **read.inner("tracking", given)}}
+
+
+def _tracker(read: BlockReader, mapped: Mapping[str, float]) -> PluginChoice:
+    """Return the controller; its dead band is by default that of the parameters of Nav2."""
+    choice = _choice(read, Controller, "tracker", "TrackingController")
+    if "tracker.min_speed" not in mapped or read.faults:
+        return choice
+    if "min_speed" not in load_plugin(Controller, choice.name).Parameters.model_fields:
+        read.ignored.append(f"controller.v_linear_min for the tracker {choice.name}")
+        return choice
+    return PluginChoice(choice.name, {"min_speed": mapped["tracker.min_speed"], **choice.parameters})
 
 
 def _choice(read: BlockReader, interface: type[Plugin], owner: str, default: str) -> PluginChoice:
@@ -378,21 +430,36 @@ def _choice(read: BlockReader, interface: type[Plugin], owner: str, default: str
     return choice
 
 
-def _read_type(
-    read: BlockReader,
-    name: str,
-    direction: str | None,
-    plugins: dict[str, DockPlugin],
-    of_docks: dict[str, DockParameters],
-) -> None:
-    """Add a dock type and its block `dock`; `direction` is that of `dock_backwards`, None if it is not set."""
-    given, dock = dict(read.inner(name)), read.inner("dock")
+class _OfAllTypes(NamedTuple):
+    """Parameters that hold for all dock types.
+
+    Attributes:
+        direction: Gear by `dock_backwards`; None if it is not set.
+        distribution: Distribution of Nav2; empty if it is unknown.
+        dock: The block `dock` with its defaults.
+    """
+
+    direction: str | None
+    distribution: str
+    dock: Mapping[str, object]
+
+
+def _mapped(mapped: Mapping[str, float], prefix: str, model: type[PluginParameters]) -> dict[str, object]:
+    """Return the settings of a block that are set by the parameters of Nav2; speeds are not less than the defaults."""
+    found = {key.removeprefix(prefix): value for key, value in mapped.items() if key.startswith(prefix)}
+    least = {name: model.model_fields[name].default for name in found if name.endswith("_speed")}
+    return {name: max(value, least.get(name, value)) for name, value in found.items()}
+
+
+def _read_type(read: BlockReader, name: str, common: _OfAllTypes) -> tuple[DockPlugin, DockParameters] | None:
+    """Return a dock type and its block `dock`; None if it has faults."""
+    given, direction = dict(read.inner(name)), common.direction
     stated = given.setdefault("dock_direction", direction) if direction else direction
     if stated != direction:
         read.faults.append(f"{name}.dock_direction: {stated!r} contradicts dock_backwards, which means {direction!r}")
     special = read.inner("dock", given)
-    tolerances = {**read.inner("tolerances", dock), **read.inner("tolerances", special)}
-    values = {**dock, **special, **({"tolerances": tolerances} if tolerances else {})}
+    tolerances = {**read.inner("tolerances", common.dock), **read.inner("tolerances", special)}
+    values = {**common.dock, **special, **({"tolerances": tolerances} if tolerances else {})}
     parameters = read.attempt(
         lambda: parse_parameters(DockParameters, values, f"{name}.dock"), DockParameters.model_validate({})
     )
@@ -400,9 +467,11 @@ def _read_type(
     def made() -> DockPlugin | None:
         kind = plugin_class(name, given.get("plugin"))
         block = {key: value for key, value in given.items() if key not in {"plugin", "dock"}}
-        return kind(name, read.known(block, kind.known_names(), owner=name))
+        known = read.known(block, kind.known_names(), Block.DOCK_TYPE, name)
+        return kind(name, known, common.distribution)
 
     plugin = read.attempt(made, None)
-    if plugin is not None:
-        read.attempt(lambda: parameters.dock(plugin, Pose2(0.0, 0.0, 0.0)), None)
-        plugins[name], of_docks[name] = plugin, parameters
+    if plugin is None:
+        return None
+    read.attempt(lambda: parameters.dock(plugin, Pose2(0.0, 0.0, 0.0)), None)
+    return plugin, parameters

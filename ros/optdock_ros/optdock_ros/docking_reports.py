@@ -115,5 +115,5 @@ class Reports:
         self._publish("state", "warn" if trouble else "ok", f"idle{trouble and '; '}{trouble}", {}, now)
 
     def _publish(self, name: str, level: Any, text: str, values: Mapping[str, object], now: float) -> None:
-        full = f"{self._node.get_name()}: {name}"
+        full = f"{self._node.get_fully_qualified_name().lstrip('/')}: {name}"
         self._diagnostics.publish(ros.diagnostics_message(ros.imported, full, level, text, values, now))

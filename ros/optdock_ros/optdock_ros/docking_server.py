@@ -20,8 +20,9 @@ from optdock.errors import InvalidValue, OptdockError
 from optdock.executor import PlanningProcess
 from optdock.geometry.pose import Twist2
 from optdock.model.constant_jerk import braking_time
+from optdock.nav2.declared_parameters import Block
 from optdock_ros.control_loop import may_be_preferred
-from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, Docks, docking_settings
+from optdock_ros.docking_parameters import DockingParameters, DockingSettings, Docks, docking_settings
 from optdock_ros.docking_reports import Reports
 from optdock_ros.docking_task import DockingTask
 from optdock_ros.frame_lookup import TransformBuffer, now
@@ -45,11 +46,11 @@ class DockingServer(Server[DockingSettings]):
     """The node."""
 
     Parameters = DockingParameters
-    accepted = NOT_READ
+    place = Block.DOCKING
     fixed = frozenset(
         {
             *("controller_frequency", "base_frame", "fixed_frame", "odom_topic", "enable_stamped_cmd_vel"),
-            *("dock_plugins", "dock_database", "docks", "stage_by_executor"),
+            *("dock_plugins", "dock_database", "docks", "stage_by_executor", "nav2_distribution"),
             *("controller.costmap_topic", "controller.footprint_topic", "controller.map_topic"),
             "controller.use_collision_detection",
         }
@@ -60,7 +61,9 @@ class DockingServer(Server[DockingSettings]):
         names = [name for key in ("dock_plugins", "docks") for name in block.get(key) or () if isinstance(name, str)]  # type: ignore[attr-defined]
         own = self.own_parameters(block, (*_BLOCKS, *names))
         assert isinstance(own, DockingParameters)
-        return docking_settings(block, own)
+        # Frames of messages must not begin with a slash.
+        frames = {name: getattr(own, name).lstrip("/") for name in ("base_frame", "fixed_frame")}
+        return docking_settings(block, own.model_copy(update=frames))
 
     def set_up(self) -> None:
         """Create subscriptions, publishers, the service, the action servers, and the planning process."""
@@ -69,6 +72,8 @@ class DockingServer(Server[DockingSettings]):
         if own.use_realtime_priority and not may_be_preferred():
             raise InvalidValue("use_realtime_priority: is not permitted; set rtprio in /etc/security/limits.conf")
         self.log_ignored(settings.not_read)
+        for line in settings.mapped:
+            log.info(line)
         if not settings.docks:
             log.warning("there are no docks: goals must give a dock's pose, or reload_database must be called")
         if not settings.controller.use_collision_detection:
@@ -77,7 +82,7 @@ class DockingServer(Server[DockingSettings]):
         planner = parts.enter_context(closing(PlanningProcess()))
         frames = parts.enter_context(closing(TransformBuffer(self)))
         reports = parts.enter_context(closing(Reports(self, own.fixed_frame)))
-        self._command = self.create_publisher(TwistStamped if own.enable_stamped_cmd_vel else Twist, "cmd_vel", 1)
+        self._command = self.create_publisher(TwistStamped if settings.sends_stamps else Twist, "cmd_vel", 1)
         parts.callback(self.destroy_publisher, self._command)
         topics = parts.enter_context(closing(RobotTopics(self, settings, frames)))
         navigator = None if own.stage_by_executor else parts.enter_context(closing(Navigator(self)))
@@ -125,9 +130,8 @@ class DockingServer(Server[DockingSettings]):
             parts.close()
 
     def _send(self, command: Twist2) -> None:
-        own = self.settings.own
-        stamp, stamped = now(self), own.enable_stamped_cmd_vel
-        self._command.publish(ros.twist_message(ros.imported, command, own.base_frame, stamp, stamped=stamped))
+        frame, stamped = self.settings.own.base_frame, self.settings.sends_stamps
+        self._command.publish(ros.twist_message(ros.imported, command, frame, now(self), stamped=stamped))
 
     def _reload(
         self, request: ReloadDockDatabase.Request, response: ReloadDockDatabase.Response

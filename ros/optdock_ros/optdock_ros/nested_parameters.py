@@ -21,6 +21,7 @@ from optdock.config.scenario_keys import ClearanceDocument, RobotDocument, known
 from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
 from optdock.model.robot import Robot
+from optdock.nav2.declared_parameters import Block, names_of
 from optdock.plugins.parameters import PluginParameters, closest
 
 if TYPE_CHECKING:
@@ -53,19 +54,11 @@ class ServerParameters(PluginParameters):
     """Parameters of every server, at the top of a node's parameters."""
 
     autostart: bool = Field(default=False, description="configure and activate at once, without a lifecycle manager")
+    autostart_node: bool = Field(default=False, description="Nav2's name of autostart")
     bond_heartbeat_period: float = Field(
         0.1, ge=0, description="period of the heartbeat to the lifecycle manager; 0: no bond [s]"
     )
 
-
-# Names that rclpy declares, or that every Nav2 node has and that have no effect in a Python process.
-OF_EVERY_NODE = frozenset(
-    {
-        *("use_sim_time", "start_type_description_service", "qos_overrides"),
-        *("autostart_node", "use_realtime_priority", "introspection_mode"),
-        *("service_introspection_mode", "action_introspection_mode", "allow_parameter_qos_overrides"),
-    }
-)
 
 # difflib ratio: one letter in ten. Nav2's own names stay below it: `map_topic` and `costmap_topic` have 0.82,
 # `local_footprint_topic` and `footprint_topic` 0.83.
@@ -97,11 +90,11 @@ class BlockReader:
             return default
 
     def known(
-        self, given: Mapping[str, object], fields: Iterable[str], accepted: Iterable[str] = (), owner: str = ""
+        self, given: Mapping[str, object], fields: Iterable[str], place: Block, owner: str = ""
     ) -> dict[str, object]:
         """Return the entries of a block with known names; misspelt names become faults, the others are ignored."""
         names, prefix = set(fields), owner and f"{owner}."
-        wrong, ignored = unknown_names(given, names, accepted)
+        wrong, ignored = unknown_names(given, names, place)
         self.faults.extend(f"{prefix}{line}" for line in wrong)
         self.ignored.extend(f"{prefix}{key}" for key in ignored)
         return {key: value for key, value in given.items() if key in names}
@@ -190,23 +183,22 @@ def _has_ros_type(value: object) -> bool:
     return type(value) in {bool, int, float, str}
 
 
-def unknown_names(
-    block: Mapping[str, object], known: Iterable[str], accepted: Iterable[str] = ()
-) -> tuple[list[str], list[str]]:
+def unknown_names(block: Mapping[str, object], known: Iterable[str], place: Block) -> tuple[list[str], list[str]]:
     """Return fault lines for the misspelt names of a block, and the other names that are not read.
 
     A misspelt name is a fault, because a limit or a topic that is silently ignored is dangerous. Other names, such as
-    parameters of other versions of Nav2 and the `accepted` ones, are only listed.
+    parameters of Nav2 without an effect at this place, are only listed; those of every node are not.
     """
-    ours, others = set(known), {*accepted, *OF_EVERY_NODE}
+    ours, everywhere = set(known), names_of(Block.ANY_NODE)
+    others = everywhere | names_of(place)
     faults, ignored = [], []
     for name in block:
         if name in ours:
             continue
-        hint = closest(name, ours - others, _MISSPELT) if name not in others else ""
+        hint = closest(name, ours, _MISSPELT) if name not in others else ""
         if hint:
             faults.append(f"{name}: unknown parameter{hint}")
-        elif name not in OF_EVERY_NODE:
+        elif name not in everywhere:
             ignored.append(name)
     return faults, ignored
 

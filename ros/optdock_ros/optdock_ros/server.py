@@ -26,9 +26,17 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
+from optdock.nav2.declared_parameters import Block, names_of
 from optdock.plugins.parameters import parse_parameters
 from optdock_ros.bond import Bond
-from optdock_ros.nested_parameters import BlockReader, ServerParameters, declare, declare_overrides, parameters_of
+from optdock_ros.nested_parameters import (
+    BlockReader,
+    ServerParameters,
+    declare,
+    declare_overrides,
+    parameters_of,
+)
+from optdock_ros.parameter_files import ParameterBlock, blocks_of, missing_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,11 +64,12 @@ class Server(LifecycleNode, Generic[S]):
         settings: Result of `check`; set from configure to cleanup.
         is_active: Whether the node is active.
         owns_process: Whether the node is the only one of the process; set by `run`.
+        files: Blocks of the parameter files of the process; set by `run`.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
-    accepted: ClassVar[frozenset[str]] = frozenset()
-    """Names of Nav2 without an effect here; they are logged once."""
+    place: ClassVar[Block] = Block.ANY_NODE
+    """Place of the node's parameters in the table of Nav2's parameters."""
     fixed: ClassVar[frozenset[str]] = frozenset()
     """Names of parameters and blocks that cannot be changed while configured."""
 
@@ -83,6 +92,7 @@ class Server(LifecycleNode, Generic[S]):
         declare_overrides(self, given)
         declare(self, self.Parameters)
         self.owns_process = False
+        self.files: list[ParameterBlock] = []
         self._has_begun = False  # whether there is something to tear down
         self._is_configured = False
         self.is_active = False
@@ -125,7 +135,7 @@ class Server(LifecycleNode, Generic[S]):
         fields = {spec.alias or name for name, spec in self.Parameters.model_fields.items()}
         own = {name: value for name, value in block.items() if name in fields}
         reader = BlockReader(block)
-        reader.known(block, {*fields, *blocks}, self.accepted)
+        reader.known(block, {*fields, *blocks}, self.place)
         parsed = reader.attempt(lambda: parse_parameters(self.Parameters, own, self.get_name()), None)
         reader.check()
         assert parsed is not None
@@ -150,6 +160,7 @@ class Server(LifecycleNode, Generic[S]):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Validate all parameters and set up."""
         try:
+            _check_files(self)
             block = parameters_of(self)
             self.settings = self.check(block)
             self._has_begun = True
@@ -254,6 +265,17 @@ class Server(LifecycleNode, Generic[S]):
             self.log_error(error, "a change of parameters failed")
 
 
+def _check_files(server: Server[Any]) -> None:
+    """Raise `InvalidValue` if the files have parameters of a server in another namespace only; log if none."""
+    shared = names_of(Block.ANY_NODE) | ServerParameters.model_fields.keys()
+    known = server.Parameters.model_fields.keys() - shared
+    why, is_elsewhere = missing_parameters(server.files, server.get_fully_qualified_name(), known, shared)
+    if is_elsewhere:
+        raise InvalidValue(f"{why}; the namespaces must be the same, or use /**/{server.get_name()}")
+    if why:
+        server.get_logger().warning(f"{why}; all parameters have their defaults")
+
+
 def _require_changeable(server: Server[Any], parameter: Parameter[Any]) -> None:
     """Raise `InvalidValue` for a new value of a parameter that is read at configure only."""
     fixed = server.fixed | ServerParameters.model_fields.keys()
@@ -349,11 +371,12 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
         rclpy.try_shutdown()
         return 1
     server.owns_process = True
+    server.files = blocks_of(sys.argv if args is None else args)
     executor = SingleThreadedExecutor()
     executor.add_node(server)
     thread = threading.Thread(target=spin, args=(executor,), name="executor", daemon=True)
     thread.start()
-    if server.get_parameter("autostart").value is True:
+    if any(server.get_parameter(name).value is True for name in ("autostart", "autostart_node")):
         executor.create_task(_autostart, server)
     while not ended.wait(1.0) and thread.is_alive():
         pass

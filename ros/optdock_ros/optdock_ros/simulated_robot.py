@@ -45,11 +45,12 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from optdock import ros, simulation
-from optdock.errors import OptdockError
+from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
 from optdock.model.costmap import Costmap as Grid
 from optdock.model.costs import LETHAL
 from optdock.ros.transforms import quaternion_product, rotated
+from optdock_ros.parameter_files import blocks_of, missing_parameters
 from optdock_ros.simulation_parameters import PARAMETERS, SimulationParameters, about_z
 
 if TYPE_CHECKING:
@@ -108,6 +109,11 @@ class SimulatedRobotNode:
             if not self.node.has_parameter(name):
                 about = ParameterDescriptor(description=description, dynamic_typing=True)
                 self.node.declare_parameter(name, default, about)
+        why, is_elsewhere = missing_parameters(
+            blocks_of(sys.argv), self.node.get_fully_qualified_name(), PARAMETERS, SHARED
+        )
+        if is_elsewhere:
+            raise InvalidValue(f"{why}; the namespaces must be the same")
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self.failed = False
@@ -344,7 +350,7 @@ class SimulatedRobotNode:
             "commands": self._commands,
             "watchdog_stops": self._watchdog_stops,
         }
-        name = f"{self.node.get_name()}: the truth"
+        name = f"{self.node.get_fully_qualified_name().lstrip('/')}: the truth"
         text = "collided" if collided else "in contact" if contact else "free"
         make = ros.diagnostics_message
         self._topics.report.publish(make(ros.imported, name, "error" if collided else "ok", text, values, stamp))

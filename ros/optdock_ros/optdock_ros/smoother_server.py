@@ -28,6 +28,7 @@ from optdock.model.clearance_rule import ClearanceRule
 from optdock.model.dock import Dock
 from optdock.model.path import Path, PolylineSegment, may_be_one_frame
 from optdock.model.problem import DockingProblem
+from optdock.nav2.declared_parameters import Block
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
 from optdock.nav2.provided_plugins import provided
@@ -239,6 +240,7 @@ class SmootherServer(Server[SmootherSettings]):
     """The node."""
 
     Parameters = SmootherServerParameters
+    place = Block.SMOOTHING
     fixed = frozenset(
         {
             *("costmap_topic", "footprint_topic", "robot_base_frame"),
@@ -273,6 +275,8 @@ class SmootherServer(Server[SmootherSettings]):
     def set_up(self) -> None:
         """Create subscriptions, the publisher and the action server."""
         own, parts = self.settings.own, self._parts
+        if own.smoother_plugins == (_DEFAULT,) and not self.get_parameters_by_prefix(_DEFAULT):
+            self.get_logger().warning(f"smoother_plugins: is not set; the only smoother is {_DEFAULT_CLASS}")
         for plugin in self.settings.plugins.values():
             # Undeclared at the end: they would be unknown parameters of a class that is configured later.
             added = declare(self, load_plugin(Smoother, plugin.choice.name).Parameters, f"{plugin.name}.")

@@ -367,6 +367,44 @@ def test_undocking_out_of_contact(lawful):
     assert abs(docking.world.error.y) < 0.02
 
 
+@pytest.mark.parametrize(("tolerance", "driven"), [(0.05, 0.95), (0.9, 0.14)])
+def test_undocking_ends_within_its_tolerance_of_the_staging_pose(lawful, tolerance, driven):
+    """The robot backs straight out of contact first."""
+    settings = ExecutorSettings(undock_linear_tolerance=tolerance)
+    docking = run(simulated(TRUE_DOCK, sensors=PERFECT), problem_with(TRUE_DOCK), settings, task="undock")
+    assert lawful(docking).kind is EndingKind.UNDOCKED
+    assert docking.world.error.x == pytest.approx(-driven, abs=0.02)
+    assert not docking.said("staging pose missed")
+
+
+@pytest.mark.parametrize("speed", [None, 0.16])
+@pytest.mark.parametrize("task", ["dock", "undock"])
+def test_speeds_above_a_wide_dead_band(task, speed):
+    """Slower commands do not move this drive: it would not leave the dock, and its rest would count as contact."""
+    limits = dataclasses.replace(LIMITS, max_speed=0.18, max_reverse_speed=0.18)
+    robot = dataclasses.replace(ROBOT, limits=limits)
+    plant = DifferentialDrive(robot, dataclasses.replace(SLUGGISH, linear_dead_band=0.12))
+    world = simulated(CLOSE if task == "dock" else TRUE_DOCK, plant=plant, station=Station(), seed=2)
+    problem = problem_with(TRUE_DOCK)
+    problem = dataclasses.replace(problem, robot=robot, dock=dataclasses.replace(problem.dock, approach_speed=0.16))
+    speeds = {"contact_speed": speed, "back_out_speed": speed} if speed else {}
+    settings = ExecutorSettings(contact="touch", max_retries=0, **speeds)
+    controller = PluginChoice("TrackingController", {"min_speed": speed or 0.0})
+    docking = run(world, problem, settings, rate=20.0, task=task, controller=controller)
+    if task == "dock":
+        assert docking.ending
+        assert (abs(world.error.x) < 0.005) is (speed is not None)
+    else:
+        assert bool(docking.ending) is (speed is not None)
+
+
+def test_undocking_fails_outside_its_tolerance():
+    settings = ExecutorSettings(undock_linear_tolerance=1e-7)
+    docking = run(simulated(TRUE_DOCK), problem_with(TRUE_DOCK), settings, task="undock")
+    assert docking.ending.kind is EndingKind.FAILED_TO_STAGE
+    assert "staging pose missed" in docking.ending.reason
+
+
 def test_staging_from_afar(lawful):
     docking = run(simulated(Pose2(-1.5, 0.4, 0.4), sensors=PERFECT), problem_with(TRUE_DOCK), rate=10.0)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE

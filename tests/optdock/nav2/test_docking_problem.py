@@ -211,6 +211,8 @@ def test_a_scenario_and_nav2_files_exclude_each_other(arguments):
 def test_plugins_lists_the_plugins_of_a_nav2_file(files):
     result = CliRunner().invoke(app, ["plugins", "--nav2-params", str(files / "params.yaml")])
     assert result.exit_code == 0
-    first, second = result.stdout.splitlines()
+    first, second, *parameters = result.stdout.splitlines()
     assert first.startswith("docking_server  charger  opennav_docking::SimpleChargingDock  not provided: ")
     assert second.startswith("global_costmap  0.1 m  footprint 0.6 m x 0.4 m, padded by 0.02 m")
+    assert parameters
+    assert all(line.startswith("docking_server  read  ") for line in parameters)

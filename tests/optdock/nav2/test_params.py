@@ -100,6 +100,16 @@ def test_a_robot_that_backs_into_its_dock_looks_the_other_way(direction):
     assert docked_pose(docked, direction).distance_to(dock) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize(("backwards", "other"), [("true", "forward"), ("false", "backward")])
+def test_dock_backwards_is_the_gear_of_all_dock_types(tmp_path, backwards, other):
+    """The only way to state it on Jazzy."""
+    text = f"docking_server: {{ros__parameters: {{dock_backwards: {backwards}, dock_plugins: [a], a: {{plugin: D}}}}}}"
+    gear = DockDirection.BACKWARD if backwards == "true" else DockDirection.FORWARD
+    assert loaded(tmp_path, text).dock_types["a"].dock_direction is gear
+    with pytest.raises(InvalidFile, match=r"a\.dock_direction: contradicts dock_backwards, which means"):
+        loaded(tmp_path, text.replace("plugin: D", f"plugin: D, dock_direction: {other}"))
+
+
 def test_a_namespace_before_the_node_is_kept(tmp_path):
     params = loaded(tmp_path, "robot1:\n  planner_server:\n    ros__parameters: {tolerance: 0.5}\n")
     assert dict(params.nodes) == {"robot1/planner_server": {"tolerance": 0.5}}
