@@ -80,7 +80,7 @@ class _Once(logging.Filter):
 
 
 def listen(*, verbose: bool) -> None:
-    """Log warnings of the library to stderr, each once; with `verbose` also information."""
+    """Log every warning of the library once to stderr; with `verbose`, also log information."""
     handler = logging.StreamHandler()
     handler.setFormatter(_Console())
     handler.addFilter(_Once())

@@ -166,7 +166,7 @@ def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingPr
 
 
 def _warn_of_outside_origin(source: Path, outline: Footprint) -> None:
-    """Warn if the origin is outside the outline; usually the outline is then given in another frame."""
+    """Warn if the origin is outside the outline; usually the outline is then given in a different frame."""
     if not any(np.all(body.offsets >= 0.0) for body in outline.bodies):
         logger.warning(
             "%s: robot.footprint does not contain [0, 0], the point of the robot that follows the path; is it in "

@@ -466,7 +466,7 @@ class DockTypeContract(PluginContract[DockType]):
     def approach(self) -> Iterator[AtDock]:
         """Yield the cycles of an approach: half a metre, pressing for a second, then a contact signal at rest.
 
-        Override this method if contact is detected in another way.
+        Override this method if contact is detected in a different way.
         """
         stamp = 0.0
         for cycle in range(350):
