@@ -118,7 +118,7 @@ SMOOTHERS = (CasadiSmoother, SimpleSmoother, SavitzkyGolaySmoother)
 @pytest.mark.parametrize("kind", SMOOTHERS)
 @pytest.mark.parametrize("poses", [[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], np.zeros((3, 3)), None])
 def test_poses_instead_of_a_path_are_refused_with_a_hint(kind, poses):
-    with pytest.raises(InvalidPath, match=r"path: must be a Path.*Path.from_poses\(poses\) makes one"):
+    with pytest.raises(InvalidPath, match=r"path: must be a Path.*Path.from_poses\(poses\) returns a Path"):
         kind().smooth(poses, 1.0, problem=instance("open_s", 0).problem)
 
 
