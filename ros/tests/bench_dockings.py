@@ -3,11 +3,14 @@
     make bench-ros ARGS='--count 100'          # in real time: 20 minutes
     python ros/tests/bench_dockings.py --speed 4   # on a clock four times as fast, the server at four times its rate
     python ros/tests/bench_dockings.py --robots 2  # one robot without and one in a namespace, at the same time
+    python ros/tests/bench_dockings.py --world field   # the study's robot with all imperfections, see field_robot.py
 
 The worlds are those of the docking study, `experiments.docking`, with detections: a bay with posts about, the dock up
 to 10 cm and 5 degrees from where it is stored, lag and latency in the drive, noisy localization and pictures, of which
 some show nothing. Every second docking is backward, every second pair from further away. What counts is the true pose:
 within 10 mm, 10 mm and 1.5 degrees of the true dock, and nothing touched but the station.
+
+In a field world the robot is the one of `experiments.docking --world`, with the same seeds.
 
 The rate is that of the stamps in cmd_vel (with a clock of its own: of their arrival). A command falls into the time of
 planning where the server's planning process used the processor since the one before.
@@ -39,7 +42,10 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from experiments.docking.cases import SPREADS, STATION
+from experiments.docking.cases import SPREADS, STATION, Layout
+from experiments.docking.field.outcome import FieldTask
+from experiments.docking.field.run import set_up
+from experiments.docking.field.worlds import FIELD_WORLDS
 from experiments.docking.worlds import DETECTED, case_of
 from optdock.config import Scenario, save_scenario
 from optdock.geometry.pose import Pose2
@@ -48,14 +54,24 @@ from optdock.model.dock import DockDirection
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from experiments.docking.worlds import Case
 
 ALONG, CROSS, YAW = 0.010, 0.010, math.radians(1.5)  # of a docking that counts [m], [m], [rad]
 OVERLAP = -0.0075  # [m] with the station, which is touched: the front corners of a robot turned by 1.5 degrees
 FREQUENCY = 50.0  # [Hz] of the server, on the simulated clock
 SAMPLING = 0.01  # [s]: the kernel counts processor time in such ticks
 LONGEST = 120.0  # [s] for one docking, of wall clock
+FIELD_ROBOT = Path(__file__).with_name("field_robot.py")
+BACKWARD_WORLD = "field, rear camera"  # for every second docking in the world "field", which is forward
 SETTLED = 0.5  # [s] after the end, until the report is believed
+
+
+class Start(NamedTuple):
+    """A docking: its number, world and spread by name, and problem and true dock."""
+
+    number: int
+    world: str
+    spread: str
+    layout: Layout
 
 
 class Docking(NamedTuple):
@@ -127,19 +143,23 @@ def text_of(vertices: Any) -> str:
     return "[" + ", ".join(f"[{x:.6g}, {y:.6g}]" for x, y in vertices.tolist()) + "]"
 
 
-def server_parameters(speed: float) -> dict[str, object]:
+def server_parameters(speed: float, world: str) -> dict[str, object]:
     """Return the parameters of the docking server, with a dock type for each gear; goals contain the docks."""
     dock, pose = DETECTED.dock, DETECTED.pose
     assert dock is not None
+    executor: dict[str, float] = {"position_sigma": pose.position_sigma, "yaw_sigma": pose.yaw_sigma}
+    sigmas = dock.position_sigma, dock.yaw_sigma
+    if world in FIELD_WORLDS:  # of the localization: defaults; of the camera: at a distance of 1 m
+        executor, sigmas = dict(FIELD_WORLDS[world].executor_settings), FIELD_WORLDS[world].camera.sigmas(1.0)
     kind = {
         "plugin": "opennav_docking::SimpleChargingDock",
         "use_external_detection_pose": True,
         "external_detection_timeout": 1.0,
-        "detection_position_sigma": dock.position_sigma,
-        "detection_yaw_sigma": dock.yaw_sigma,
+        "detection_position_sigma": sigmas[0],
+        "detection_yaw_sigma": sigmas[1],
         "staging_x_offset": -0.7,
     }
-    return {
+    blocks: dict[str, object] = {
         "use_sim_time": speed > 0.0,
         "controller_frequency": FREQUENCY * (speed or 1.0),
         "dock_plugins": ["forward", "backward"],
@@ -150,9 +170,12 @@ def server_parameters(speed: float) -> dict[str, object]:
             "staging_yaw_offset": math.pi,
             "dock": {"footprint": text_of(-STATION.vertices)},
         },
-        "executor": {"position_sigma": pose.position_sigma, "yaw_sigma": pose.yaw_sigma},
+        "executor": executor,
         "clearance": {"required": 0.05, "at_dock": 0.0, "taper": 0.5},
     }
+    if world in FIELD_WORLDS:
+        blocks["dock"] = {"tolerances": {"along": ALONG, "cross": CROSS, "yaw": YAW}}
+    return {name: block for name, block in blocks.items() if block != {}}
 
 
 def robot_parameters(speed: float) -> dict[str, object]:
@@ -189,12 +212,18 @@ class Bench:
         self.namespace, self.folder = namespace, processes.folder / (namespace.strip("/") or "root")
         self.folder.mkdir()
         file = self.folder / "parameters.yaml"
-        blocks = {
-            "simulated_robot": robot_parameters(options.speed),
-            "docking_server": server_parameters(options.speed),
-        }
+        self.world = options.world
+        blocks = {"docking_server": server_parameters(options.speed, options.world)}
+        if self.world not in FIELD_WORLDS:
+            blocks["simulated_robot"] = robot_parameters(options.speed)
         file.write_text(yaml.safe_dump({name: {"ros__parameters": block} for name, block in blocks.items()}))
         found = launched("simulated_docking.launch.py", self.folder, params_file=str(file), namespace=namespace)
+        if self.world in FIELD_WORLDS:
+            program = self.folder / "field_robot"
+            program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{FIELD_ROBOT}" "$@"\n')
+            program.chmod(0o755)
+            processes(str(program), args=["-r", f"__ns:={namespace or '/'}", "-r", "/tf:=tf"])
+            found = [one for one in found if one.executable != "simulated_robot"]
         own_clock = ["-r", "/clock:=clock"] if namespace else []
         *_, server = [processes(one.executable, args=[*one.arguments, *own_clock]) for one in found]
         self.client = Client(f"client_{self.folder.name}")
@@ -211,11 +240,11 @@ class Bench:
         self.processor.end()
         self.client.end()
 
-    def dockings(self, cases: Sequence[tuple[str, Case]]) -> list[Docking]:
-        """Run dockings, each with the name of its spread."""
+    def dockings(self, starts: Sequence[Start]) -> list[Docking]:
+        """Run dockings."""
         found = []
-        for spread, case in cases:
-            found.append(self.dock(case, spread))
+        for start in starts:
+            found.append(self.dock(start))
             sys.stderr.write(f"{found[-1]}\n")
         return found
 
@@ -223,12 +252,16 @@ class Bench:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self.commands.append((time.time(), stamp, message.twist.linear.x, message.twist.angular.z))
 
-    def place(self, case: Case) -> None:
-        """Put the robot in front of the dock of a case."""
-        file = self.folder / f"{case.seed}.yaml"
-        save_scenario(file, Scenario(case.problem))
-        offset = case.true_dock.in_frame_of(case.problem.goal)
-        values = {"scenario": str(file), "dock_offset": [offset.x, offset.y, offset.yaw], "seed": case.seed}
+    def place(self, start: Start) -> None:
+        """Put the robot in front of the dock."""
+        problem, seed = start.layout.problem, start.number
+        if self.world in FIELD_WORLDS:
+            values: dict[str, object] = {"world": start.world, "spread": start.spread, "seed": seed}
+        else:
+            file = self.folder / f"{seed}.yaml"
+            save_scenario(file, Scenario(problem))
+            offset = start.layout.true_dock.in_frame_of(problem.goal)
+            values = {"scenario": str(file), "dock_offset": [offset.x, offset.y, offset.yaw], "seed": seed}
         request = SetParameters.Request(
             parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         )
@@ -238,12 +271,13 @@ class Bench:
         assert answer.success, answer.message
         time.sleep(SETTLED)
 
-    def dock(self, case: Case, spread: str) -> Docking:
+    def dock(self, start: Start) -> Docking:
         """Run one docking."""
-        self.place(case)
-        backward = case.direction is DockDirection.BACKWARD
-        into = case.problem.goal @ Pose2(0.0, 0.0, math.pi if backward else 0.0)
-        goal = DockRobot.Goal(use_dock_id=False, dock_type=case.direction.value, navigate_to_staging_pose=False)
+        self.place(start)
+        direction = start.layout.direction
+        backward = direction is DockDirection.BACKWARD
+        into = start.layout.problem.goal @ Pose2(0.0, 0.0, math.pi if backward else 0.0)
+        goal = DockRobot.Goal(use_dock_id=False, dock_type=direction.value, navigate_to_staging_pose=False)
         goal.dock_pose.header.frame_id = "map"
         goal.dock_pose.pose.position.x, goal.dock_pose.pose.position.y = into.x, into.y
         goal.dock_pose.pose.orientation.z = math.sin(0.5 * into.yaw)
@@ -257,8 +291,8 @@ class Bench:
         result = reply.result
         still = not self.commands or self.commands[-1][2:] == (0.0, 0.0)
         return Docking(
-            self.namespace, case.seed, spread, case.direction.value, result.error_code, result.success,
-            result.num_retries, *numbers, duration, still, result.error_msg,
+            self.namespace, start.number, SPREADS[start.spread].name, direction.value, result.error_code,
+            result.success, result.num_retries, *numbers, duration, still, result.error_msg,
         )  # fmt: skip
 
 
@@ -309,28 +343,32 @@ def rates(commands: Sequence[tuple[float, ...]], processor: Processor, speed: fl
     return "\n".join(lines)
 
 
-def cases_of(options: argparse.Namespace) -> list[tuple[str, Case]]:
-    """Return the cases of the command line, each with the name of its spread."""
-    found: list[tuple[str, Case]] = []
+def starts_of(options: argparse.Namespace) -> list[Start]:
+    """Return the dockings of the command line."""
+    found: list[Start] = []
     number = options.first
     while len(found) < options.count:
-        spread = SPREADS["nav2" if number // 2 % 2 == 0 else "wider"]
-        case = case_of(number, spread, DETECTED)
-        if options.direction in {"both", case.direction.value}:
-            found.append((spread.name, case))
+        world, spread = options.world, "nav2" if number // 2 % 2 == 0 else "wider"
+        if world in FIELD_WORLDS:
+            world = BACKWARD_WORLD if number % 2 and world == "field" else world
+            layout = set_up(FieldTask("", world, spread, FREQUENCY, number))[0]
+        else:
+            layout = Layout(*case_of(number, SPREADS[spread], DETECTED)[1:])
+        if options.direction in {"both", layout.direction.value}:
+            found.append(Start(number, world, spread, layout))
         number += 1
     return found
 
 
 def docked(options: argparse.Namespace, folder: Path) -> tuple[list[Docking], str]:
     """Run all dockings, the robots at the same time; return them and the tables of the rates."""
-    processes, benches, cases = Processes(folder), list[Bench](), cases_of(options)
+    processes, benches, starts = Processes(folder), list[Bench](), starts_of(options)
     try:
         for number in range(options.robots):
             namespace = f"/robot{number + 1}" if number or options.namespaced else ""
             benches.append(Bench(processes, namespace, options))
-        share = math.ceil(len(cases) / options.robots)
-        shares = [cases[begin : begin + share] for begin in range(0, len(cases), share)]
+        share = math.ceil(len(starts) / options.robots)
+        shares = [starts[begin : begin + share] for begin in range(0, len(starts), share)]
         with ThreadPoolExecutor(options.robots) as pool:
             found = [one for part in pool.map(Bench.dockings, benches, shares) for one in part]
         told = [f"{one.namespace}\n{rates(one.commands, one.processor, options.speed)}" for one in benches]
@@ -352,6 +390,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--direction", choices=["both", "forward", "backward"], default="both", help="of the dockings")
     parser.add_argument("--first", type=int, default=0, help="number of the first one")
     parser.add_argument("--speed", type=float, default=0.0, help="of the clock; 0: real time (default)")
+    parser.add_argument(
+        "--world", choices=["detected", *FIELD_WORLDS], default="detected", help="of the robot (default: %(default)s)"
+    )
     parser.add_argument("--out", type=Path, default=Path("results") / "ros")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
