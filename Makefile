@@ -100,20 +100,20 @@ bench-docking: $(STAMP)
 # The stamp's name is the content of what it was made from, so that a checkout, which touches files, makes nothing anew.
 $(ROS_STAMP):
 	@echo "making an environment in $(ROS_VENV)"
-	rm -rf $(ROS_VENV)
-	$(PYTHON) -m venv $(ROS_VENV)
+	@rm -rf $(ROS_VENV)
+	@$(PYTHON) -m venv $(ROS_VENV)
 	@echo "installing optdock and rclpy of $(ROS_DISTRO) from PyPI: 250 MB of wheels, a minute or two"
-	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bag,plot]' -r $(ROS_WHEELS) || { echo "make: \
-	no environment for the ROS package: the wheels of $(ROS_WHEELS) exist for x86-64 Linux" >&2; exit 1; }
-	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
-	touch $(ROS_STAMP)
+	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bag,plot]' -r $(ROS_WHEELS) || { echo "make: \
+	no environment for the ROS package: the wheels of $(ROS_WHEELS) exist for x86-64 Linux and Python 3.10 to 3.13" >&2; exit 1; }
+	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
+	@touch $(ROS_STAMP)
 
 ros-env: $(ROS_STAMP)
 	@echo "compiling nav2_msgs, tf2_msgs and bond with cc and c++ unless they are up to date: 15 s"
-	$(ROS_BIN)/python ros/interfaces/build.py
+	@$(ROS_BIN)/python ros/interfaces/build.py
 
 ros-demo: ros-env
-	$(ROS_BIN)/python ros/tests/demo.py $(ARGS)
+	@$(ROS_BIN)/python ros/tests/demo.py $(ARGS)
 
 # Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
 # The types are those of the newer NumPy and rclpy.
