@@ -8,7 +8,6 @@ ARGS :=
 BENCHES := conversions smooth_path dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
-ROS_TESTS := ros/tests
 ROS_SUFFIX := $(addprefix -,$(filter-out kilted,$(ROS_DISTRO)))
 ROS_VENV := .venv-ros$(ROS_SUFFIX)
 ROS_BIN := $(ROS_VENV)/bin
@@ -32,8 +31,7 @@ help:
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
 	@echo "make ros-demo     a simulated robot docked by the ROS 2 server: recording and pictures in ros-demo/; no ROS needed"
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros);"
-	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros;"
-	@echo "                  ROS_TESTS='ros/tests/test_bond.py' some of the files"
+	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros"
 	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
@@ -119,7 +117,7 @@ ros-demo: ros-env
 # The types are those of the newer NumPy and rclpy.
 test-ros: ros-env
 	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
-	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini $(ROS_TESTS)
+	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from demo_pictures import draw
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, TwistStamped
-from harness import LATCHED, Client, Processes, free_domain, ros
+from harness import LATCHED, Client, Processes, die_with_parent, free_domain, ros
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rosbags.typesys import Stores, get_typestore
@@ -96,7 +96,9 @@ def dock(parameters: Path, folder: Path, recording: Path, step: Callable[[str], 
         server.wait_for("active", STARTED)
         step(f"simulated_robot and docking_server are active in ROS domain {os.environ['ROS_DOMAIN_ID']}")
         step(f"{CLIENT.name} docks and undocks: about 20 s")
-        subprocess.run([sys.executable, str(CLIENT)], timeout=LONGEST, check=True)
+        command = [sys.executable, str(CLIENT)]
+        # In a session of its own, as the servers: ctrl-C interrupts only the demo, which then ends the others.
+        subprocess.run(command, timeout=LONGEST, check=True, start_new_session=True, preexec_fn=die_with_parent)
         write_bag(recording, recorder.messages, KEPT)
         step(f"written: {recording}, {len(recorder.messages)} messages on {len(TOPICS)} topics")
     except (AssertionError, subprocess.SubprocessError):

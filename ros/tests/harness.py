@@ -97,7 +97,7 @@ class Process:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **ours, **(env or {})},
                 start_new_session=True,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
+                preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
             )
 
     @property
@@ -178,7 +178,7 @@ class Processes:
         self.everywhere.remove(self)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have the kernel kill this child when its parent thread ends."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
