@@ -10,103 +10,81 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from demo_pictures import draw
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PolygonStamped, PoseStamped, TwistStamped
-from harness import LATCHED, Client, Processes, die_with_parent, free_domain, ros
-from nav_msgs.msg import Odometry
-from nav_msgs.msg import Path as PathMessage
-from rosbags.typesys import Stores, get_typestore
-from rosgraph_msgs.msg import Clock
-from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
+from demo_recorder import KEPT, TOPICS, Recorder
+from harness import Client, Processes, die_with_parent, free_domain, ros
 
-from optdock.ros.bag import BagMessage, write_bag
+from optdock.ros.bag import write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 PACKAGE = Path(__file__).resolve().parents[1] / "optdock_ros"
 CLIENT = PACKAGE / "examples" / "dock_and_undock.py"
-KEPT = {
-    "/tf_static": TFMessage,
-    "/dock_pose": PoseStamped,
-    "/docking_trajectory": PathMessage,
-    "/docking_server/markers": MarkerArray,
-    "/simulated_robot/obstacles": MarkerArray,
-}  # by the middleware, for late subscribers
-TOPICS = {
-    **KEPT,
-    "/tf": TFMessage,
-    "/odom": Odometry,
-    "/cmd_vel": TwistStamped,
-    "/detected_dock_pose": PoseStamped,
-    "/diagnostics": DiagnosticArray,
-    "/local_costmap/published_footprint": PolygonStamped,
-    "/simulated_robot/truth": Odometry,
-    "/simulated_robot/report": DiagnosticArray,
-}
 STARTED = 60.0  # [s] until the server is active, on a busy computer
 LONGEST = 120.0  # [s] for docking and undocking, which take 20 s
+INTERRUPTED = threading.Event()  # by ctrl-C
 
 
-class Recorder:
-    """Messages of all `TOPICS`, with the time of the simulated clock."""
+def wait(condition: Callable[[], object], seconds: float, what: str) -> None:
+    """Wait until a condition is true.
 
-    def __init__(self, client: Client) -> None:
-        self._now = 0.0
-        self._store = get_typestore(Stores.ROS2_KILTED)
-        self.messages: list[BagMessage] = []
-        client.create_subscription(Clock, "/clock", self._tick, 10)
-        for topic, kind in TOPICS.items():
-            client.create_subscription(kind, topic, self._of(topic, kind), LATCHED if topic in KEPT else 100, raw=True)
-
-    def _tick(self, message: Clock) -> None:
-        self._now = message.clock.sec + 1e-9 * message.clock.nanosec
-
-    def _of(self, topic: str, kind: Any) -> Callable[[bytes], None]:
-        name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
-
-        def keep(data: bytes) -> None:
-            self.messages.append(BagMessage(topic, self._now, self._store.deserialize_cdr(data, name)))
-
-        return keep
+    Raises:
+        AssertionError: After the given time.
+        KeyboardInterrupt: After ctrl-C, whose signal itself raises nothing: callbacks would swallow an exception.
+    """
+    end = time.monotonic() + seconds
+    while not condition():
+        if INTERRUPTED.is_set():
+            raise KeyboardInterrupt
+        assert time.monotonic() < end, f"{what} takes longer than {seconds} s"
+        time.sleep(0.05)
 
 
 def dock(parameters: Path, folder: Path, recording: Path, step: Callable[[str], None]) -> None:
     """Dock, undock, and write the recording.
 
     Raises:
-        AssertionError: If a process ends or does not start.
-        subprocess.SubprocessError: If the client fails.
+        AssertionError: If a process fails or takes too long.
+        KeyboardInterrupt: After ctrl-C.
     """
-    processes, client = Processes(folder), Client("recorder")
+    processes, node = Processes(folder), Client("recorder")
     try:
-        recorder = Recorder(client)
+        recorder = Recorder(node)
         # The simulated clock waits for a busy computer; the result does not depend on the load.
         processes("simulated_robot", parameters, ("-p", "speed:=1.0"))
         server = processes("docking_server", parameters, ("-p", "use_sim_time:=true", "-p", "autostart:=true"))
-        server.wait_for("active", STARTED)
+        wait(lambda: "active" in server.log() or not server.is_running, STARTED, "the start of the server")
         step(f"simulated_robot and docking_server are active in ROS domain {os.environ['ROS_DOMAIN_ID']}")
         step(f"{CLIENT.name} docks and undocks: about 20 s")
-        command = [sys.executable, str(CLIENT)]
-        # In a session of its own, as the servers: ctrl-C interrupts only the demo, which then ends the others.
-        subprocess.run(command, timeout=LONGEST, check=True, start_new_session=True, preexec_fn=die_with_parent)
+        # As the servers in a session of its own, which ctrl-C does not interrupt.
+        client = subprocess.Popen(
+            [sys.executable, str(CLIENT)],
+            start_new_session=True,
+            preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
+        )
+        try:
+            wait(lambda: client.poll() is not None, LONGEST, CLIENT.name)
+        finally:
+            client.kill()
+        assert client.returncode == 0, f"{CLIENT.name} ended with {client.returncode}"
         write_bag(recording, recorder.messages, KEPT)
         step(f"written: {recording}, {len(recorder.messages)} messages on {len(TOPICS)} topics")
-    except (AssertionError, subprocess.SubprocessError):
+    except AssertionError:
         for process in processes.started:
             sys.stderr.write(f"--- log of {process.name}\n{process.log()}")
         raise
     finally:
-        client.end()
+        node.end()
         processes.end()
 
 
@@ -116,6 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("ros-demo"), help="folder (default: %(default)s)")
     parser.add_argument("--params", type=Path, default=PACKAGE / "config" / "simulated_docking.yaml")
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGINT, lambda *_: INTERRUPTED.set())
     options.out.mkdir(parents=True, exist_ok=True)
     recording, began = options.out / "docking.mcap", time.monotonic()
 
@@ -134,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             print("interrupted; the processes have ended", file=sys.stderr)
             return 130
-        except (AssertionError, subprocess.SubprocessError) as error:
+        except AssertionError as error:
             print(f"the demo failed: {error}", file=sys.stderr)
             return 1
     return 0

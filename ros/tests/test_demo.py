@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import yaml
-from demo import PACKAGE, TOPICS
+from demo import PACKAGE
+from demo_recorder import TOPICS
 
 from optdock.ros.bag import open_bag
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import setuptools
 import yaml
-from demo import CLIENT, KEPT, PACKAGE, TOPICS
+from demo import CLIENT, PACKAGE
+from demo_recorder import KEPT, TOPICS
 from nav2_msgs.action import DockRobot, SmoothPath, UndockRobot
 
 if TYPE_CHECKING:
