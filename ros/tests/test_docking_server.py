@@ -252,14 +252,22 @@ def test_goals_with_invalid_docks(bay: Bay, goal: dict[str, Any], code: int, wor
     assert bay.commands == []
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "code"), [("faults__detections", True, 904), ("battery__charging_current", 0.0, 906)]
-)
-def test_no_detection_and_no_charge(bay: Bay, name: str, value: object, code: int) -> None:
-    bay.reset(**{name: value})
+def test_no_detection(bay: Bay) -> None:
+    bay.reset(faults__detections=True)
     reply = bay.dock().reply(30.0)
+    assert (reply.status, reply.result.error_code) == (ABORTED, 904), reply.result
+
+
+def test_no_charge_and_another_attempt(bay: Bay) -> None:
+    """The feedback never claims that the second attempt waits for the charge before it has begun."""
+    assert set_parameters(bay.client, "docking_server", max_retries=1)[0].successful
+    bay.reset(battery__charging_current=0.0)
+    reply = bay.dock().reply(60.0)
+    assert set_parameters(bay.client, "docking_server", max_retries=0)[0].successful
     bay.set(battery__charging_current=2.0)
-    assert (reply.status, reply.result.error_code) == (ABORTED, code), reply.result
+    assert (reply.status, reply.result.error_code, reply.result.num_retries) == (ABORTED, 906, 1), reply.result
+    states = [message.state for message in reply.feedback if message.num_retries == 1]
+    assert states[0] == DockRobot.Feedback.RETRY, states
     bay.assert_stopped()
 
 

@@ -7,11 +7,15 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
-from harness import DOMAINS, Processes, free_domain
+from harness import DOMAINS, Client, Processes, free_domain
+from optdock_ros.navigator import answer_of
+from rclpy.task import Future
 
 TEST = """
     import sys, time
@@ -99,3 +103,16 @@ def test_two_runs_have_different_domains_and_parameters_are_passed_in_a_file(dom
         assert "b: true" in Path(cat.log().split()[-1]).read_text()
     finally:
         processes.end()
+
+
+def test_calls_of_action_clients_are_made_by_the_thread_of_the_executor(client_node: Client) -> None:
+    callers = []
+
+    def ask() -> Future[Any]:
+        callers.append(threading.current_thread())
+        answer: Future[Any] = Future()
+        answer.set_result("answer")
+        return answer
+
+    assert client_node.wait(answer_of(client_node, ask)) == "answer"
+    assert callers == [client_node._own_thread]

@@ -349,13 +349,15 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
         "robot": {"footprint": outline, "limits": {"max_curvature": 1, "max_curvature_rate": 4.0}},
         "clearance": {"required": 0.1},
         "footprint_topic": "",
+        "costmap_topic": "/global_costmap/costmap_raw",
     }
-    started = process("smoother_server", parameters, args=["-r", "__node:=second", "-r", "smooth_path:=second_path"])
-    started.wait_for("[second]: active")
+    # Jazzy cannot remap the name of an action.
+    started = process("smoother_server", parameters, args=["-r", "__ns:=/second"])
+    started.wait_for("[second.smoother_server]: active")
     world.costmap()
 
     def _reply() -> Any:
-        found = client_node.send(SmoothPath, "second_path", goal_of(smoother="", check=True)).reply()
+        found = client_node.send(SmoothPath, "second/smooth_path", goal_of(smoother="", check=True)).reply()
         return None if "no costmap yet" in found.result.error_msg else found
 
     reply = client_node.until(_reply, what="a costmap")
@@ -364,7 +366,7 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     assert np.abs(np.diff(np.unwrap(poses[:, 2])) / steps).max() < 1.01
     assert "not read: w_curve" in started.log()
-    running = client_node.send(SmoothPath, "second_path", goal_of(smoother=""))
+    running = client_node.send(SmoothPath, "second/smooth_path", goal_of(smoother=""))
     began = time.monotonic()
     assert started.stop(signal.SIGTERM) == 0
     assert time.monotonic() - began < 5.0
@@ -373,9 +375,9 @@ def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Clie
 
 def test_interrupt_answers_the_active_goal(process: Processes, client_node: Client) -> None:
     parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart_node": True, "costmap_topic": ""}
-    started = process("smoother_server", parameters, args=["-r", "__node:=third", "-r", "smooth_path:=third_path"])
-    started.wait_for("[third]: active")
-    running = client_node.send(SmoothPath, "third_path", goal_of(smoother="", seconds=60.0))
+    started = process("smoother_server", parameters, args=["-r", "__ns:=/third"])
+    started.wait_for("[third.smoother_server]: active")
+    running = client_node.send(SmoothPath, "third/smooth_path", goal_of(smoother="", seconds=60.0))
     time.sleep(0.2)  # until it is asked for its result
     assert started.stop(signal.SIGINT) == 0
     reply = running.reply()

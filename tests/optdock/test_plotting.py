@@ -20,7 +20,7 @@ from optdock.errors import (
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.obstacles import ObstacleSet
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, transform_points
 from optdock.model.camera import Camera
 from optdock.model.constant_jerk import TimeLaw
 from optdock.model.costmap import Costmap
@@ -32,9 +32,12 @@ from optdock.model.robot import Robot
 from optdock.model.trajectory import Trajectory
 from optdock.plotting import plan_picture, save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
+from optdock.plotting.marker_picture import draw_marker_array
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
 from optdock.plotting.scene import _cone, draw_scene, view_of
+from optdock.ros import path_markers
+from optdock.ros.bag import bag_types
 from optdock.simulation import Run
 from optdock.verification import certify_path
 
@@ -410,3 +413,18 @@ def test_a_cone_is_drawn_with_the_marker_inside_exactly_where_it_is_seen(path, p
             assert Polygon(_cone(view, pose)).contains(Point(view.marker)) == (margin > 0.0)
             seen += margin > 0.0
     assert seen > 10
+
+
+def test_markers_are_drawn_in_the_frame_of_the_axes_with_a_label_for_each_namespace(problem, path):
+    kept = {"footprint": problem.robot.footprint, "obstacles": problem.all_obstacles}
+    drawn = path_markers(bag_types, path, "map", 0.0, certificate=certify_path(path, problem), **kept)
+    frame, ends = Pose2(3.0, -1.0, 0.5 * np.pi), []
+    for pose in (Pose2(0.0, 0.0, 0.0), frame):
+        axes = new_figure(4.0, 4.0).add_subplot()
+        draw_marker_array(axes, drawn, pose)
+        assert set(axes.get_legend_handles_labels()[1]) == {"path", "swept footprint", "goal", "closest"}
+        (line,) = (one for one in axes.collections if one.get_label() == "path")
+        (arrow,) = (one for one in axes.texts if not one.get_text())
+        ends.append(np.array([line.get_segments()[-1][1], arrow.xyann, arrow.xy]))
+    assert ends[0][:2] == pytest.approx(np.tile(path.end.as_array()[:2], (2, 1)))
+    assert ends[1] == pytest.approx(transform_points(frame.as_array()[None], ends[0])[0])

@@ -39,6 +39,7 @@ __all__ = ["DockingServer", "main"]
 
 _CODES = range(901, 908)  # error codes of Nav2's docking actions
 _UNKNOWN = DockRobot.Result.UNKNOWN
+_OF_UNDOCKING = (0, 902, 905, 907, 999)  # the messages of Jazzy lack the name of 907, TIMEOUT
 _BLOCKS = ("controller", "executor", "robot", "clearance", "tracker", "goal_checker", "dock")
 
 
@@ -156,8 +157,8 @@ class DockingServer(Server[DockingSettings]):
 
     def _undock(self, goal: Goal) -> GoalOutcome:
         outcome = self._reported(DockingTask(self._resources, goal).undock)
-        of_action = (0, UndockRobot.Result.DOCK_NOT_VALID, UndockRobot.Result.TIMEOUT, UndockRobot.Result.UNKNOWN)
-        return outcome if outcome.code in of_action else outcome._replace(code=UndockRobot.Result.FAILED_TO_CONTROL)
+        known = outcome.code in _OF_UNDOCKING
+        return outcome if known else outcome._replace(code=UndockRobot.Result.FAILED_TO_CONTROL)
 
     def _reported(self, work: Callable[[], GoalOutcome]) -> GoalOutcome:
         """Return the outcome of the work on a goal, with one of the actions' error codes, and report it."""

@@ -9,15 +9,15 @@ from action_msgs.msg import GoalStatus
 from nav2_msgs.action import NavigateToPose
 from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from geometry_msgs.msg import PoseStamped
     from rclpy.node import Node
-    from rclpy.task import Future
 
-__all__ = ["Navigator"]
+__all__ = ["Navigator", "answer_of"]
 
 _ATTEMPTS = 2  # as Nav2's docking server
 _ANSWER = 2.0  # [s] for the server to appear, and for it to accept a goal, as in Nav2's docking server
@@ -56,14 +56,14 @@ class Navigator:
     def _attempt(self, wanted: NavigateToPose.Goal, until: float, is_over: Callable[[], bool]) -> str:
         if not _waited(self._client.server_is_ready, min(until, time.monotonic() + _ANSWER), is_over):
             return "there is no such server"
-        sent = self._client.send_goal_async(wanted)
+        sent = answer_of(self._node, lambda: self._client.send_goal_async(wanted))
         if not _waited(sent.done, min(until, time.monotonic() + _ANSWER), is_over):
             sent.add_done_callback(_cancel_when_accepted)
             return "it does not respond"
         handle = sent.result()
         if handle is None or not handle.accepted:
             return "the goal was rejected"
-        ended = handle.get_result_async()
+        ended = answer_of(self._node, handle.get_result_async)
         if not _waited(ended.done, until, is_over):
             handle.cancel_goal_async()
             return "the staging pose was not reached in time"
@@ -73,6 +73,18 @@ class Navigator:
         if found.status == GoalStatus.STATUS_SUCCEEDED and code == 0:
             return ""
         return f"it ended with status {found.status}, code {code} {getattr(found.result, 'error_msg', '')}".rstrip()
+
+
+def answer_of(node: Node, ask: Callable[[], Future[Any]]) -> Future[Any]:
+    """Return the answer of an action client to a call that the executor's thread makes.
+
+    Before Kilted, rclpy loses an answer that the executor receives before a call in another thread has returned.
+    """
+    answer: Future[Any] = Future()
+    executor = node.executor
+    assert executor is not None, "the node is in no executor"
+    executor.create_task(lambda: ask().add_done_callback(lambda found: answer.set_result(found.result())))
+    return answer
 
 
 def _waited(condition: Callable[[], bool], until: float, is_over: Callable[[], bool]) -> bool:

@@ -267,9 +267,11 @@ class TaskDrive:
         state = (step.state, step.feedback.num_retries)
         is_new = state != self._state
         if is_new or time.monotonic() - self._feedback_at >= _FEEDBACK:
+            # Planning and waiting at rest have no state of Nav2: they keep the previous one, or begin another attempt.
+            is_retry = self._state is not None and state[1] > self._state[1]
+            kept = DockRobot.Feedback.RETRY if is_retry else self._feedback
             self._state, self._feedback_at = state, time.monotonic()
-            # Planning and waiting at rest have no state of Nav2 and keep the previous one.
-            self._feedback = int(step.feedback.state) or self._feedback
+            self._feedback = int(step.feedback.state) or kept
             self._goal.publish_progress(self._feedback, step.feedback.num_retries)
             stored = self._plugin.stored_pose(self.executor.dock)
             reports.pose("dock_pose", stored, time_now)
