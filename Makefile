@@ -111,7 +111,7 @@ ros-env: $(ROS_STAMP)
 	@$(ROS_BIN)/python ros/interfaces/build.py
 
 ros-demo: ros-env
-	@$(ROS_BIN)/python ros/tests/demo.py $(ARGS)
+	@$(ROS_BIN)/python ros/tests/ros_demo.py $(ARGS)
 
 # Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
 # The types are those of the newer NumPy and rclpy.

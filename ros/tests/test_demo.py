@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 
 import yaml
-from demo import PACKAGE
 from demo_recorder import TOPICS
+from ros_demo import PACKAGE
 
 from optdock.ros.bag import open_bag
 
-DEMO = Path(__file__).with_name("demo.py")
+DEMO = Path(__file__).with_name("ros_demo.py")
 PATIENCE = 240.0  # [s] for the whole demo on a busy computer
 PNG = b"\x89PNG"
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import setuptools
 import yaml
-from demo import CLIENT, PACKAGE
 from demo_recorder import KEPT, TOPICS
 from nav2_msgs.action import DockRobot, SmoothPath, UndockRobot
+from ros_demo import CLIENT, PACKAGE
 
 if TYPE_CHECKING:
     import pytest
