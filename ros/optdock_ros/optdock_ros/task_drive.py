@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 from nav2_msgs.action import DockRobot
@@ -48,6 +48,7 @@ T = TypeVar("T")
 
 STOPPING = 2.0  # [s] in addition to the braking time, after which a stop has failed or a thread hangs
 _FIRST_MESSAGES = 2.0  # [s] for the first costmap (1 Hz or more), footprint and transforms
+_DISCOVERY = 10.0  # [s] after configure, in which a new node may not have discovered all publishers on a busy computer
 _WARM = 60.0  # [s] for the start of the planning process on a slow computer
 _FEEDBACK, _REPORT = 0.1, 0.5  # [s]: periods of feedback and /diagnostics while the state does not change
 _PRESSES = (State.APPROACHING, State.PRESSING)
@@ -70,6 +71,7 @@ class DockingResources:
         send: Publishes a command.
         docked: Last docked pose; None if unknown.
         loop: Control loop of the last drive; None before the first one.
+        made_at: Time of configure on the monotonic clock [s].
     """
 
     node: Server[DockingSettings]
@@ -83,14 +85,24 @@ class DockingResources:
     send: Callable[[Twist2], None]
     docked: DockedAt | None = None
     loop: ControlLoop | None = None
+    made_at: float = field(default_factory=time.monotonic)
 
     def now(self) -> float:
         """Return the time of the node [s]."""
         return now(self.node)
 
+    def wait_at_start(self, goal: Goal, condition: Callable[[], bool]) -> None:
+        """Wait for a condition, at most until 10 s after configure, while the goal is active."""
+        while not condition() and time.monotonic() < self.made_at + _DISCOVERY:
+            goal.check_end()
+            time.sleep(POLL)
+
     def waited(self, goal: Goal, ask: Callable[[], T]) -> T:
-        """Return the result of `ask`; repeat the call for 2 s while it raises `OptdockError` and the goal is active."""
-        until = time.monotonic() + _FIRST_MESSAGES
+        """Return the result of `ask`; repeat the call while it raises `OptdockError` and the goal is active.
+
+        The wait ends after 2 s, but not before 10 s after configure.
+        """
+        until = max(time.monotonic() + _FIRST_MESSAGES, self.made_at + _DISCOVERY)
         while True:
             goal.check_end()
             try:
