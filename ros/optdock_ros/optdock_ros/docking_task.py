@@ -16,9 +16,9 @@ from optdock.errors import DockNotValid, InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
 from optdock.nav2.docks import DockEntry
-from optdock_ros.goal_queue import Ended, GoalOutcome, done, failed
+from optdock_ros.goal_queue import POLL, Ended, GoalOutcome, done, failed
 from optdock_ros.measuring import Measuring
-from optdock_ros.robot_topics import BATTERY, POLL
+from optdock_ros.robot_topics import BATTERY
 from optdock_ros.surroundings import nav2_footprint
 from optdock_ros.task_drive import DockedAt, TaskDrive, measurement_rules
 
@@ -155,7 +155,7 @@ class DockingTask:
     def _is_in_dock(self, plugin: DockPlugin, robot: Pose2, docked: list[Pose2]) -> bool:
         """Whether the battery is charging or the robot is at one of the docked poses."""
         if plugin.uses_battery:
-            self._resources.wait_at_start(self._goal, lambda: self._resources.topics.newest(BATTERY) is not None)
+            self._goal.waits_for(lambda: self._resources.topics.newest(BATTERY), self._resources.started_at)
         return self._is_charging(plugin) or any(
             robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked
         )

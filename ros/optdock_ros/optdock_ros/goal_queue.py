@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 
     from optdock_ros.server import Server
 
-__all__ = ["Ended", "Goal", "GoalAction", "GoalOutcome", "GoalQueue", "done", "failed"]
+__all__ = ["POLL", "Ended", "Goal", "GoalAction", "GoalOutcome", "GoalQueue", "done", "failed"]
 
 T = TypeVar("T")
 
+POLL = 0.05  # [s]: period at which the thread of a goal checks for messages, cancellations and reports
 _CANCELLED = "cancelled"
 
 
@@ -110,6 +111,15 @@ class Goal:
         """Raise `Ended` if the goal is to end early."""
         if self.ending:
             raise Ended(self.stopped())
+
+    def waits_for(self, condition: Callable[[], object], until: float) -> bool:
+        """Whether a condition becomes true before a monotonic time [s]; raise `Ended` if the goal is to end early."""
+        while not condition():
+            self.check_end()
+            if time.monotonic() > until:
+                return False
+            time.sleep(POLL)
+        return True
 
     def stopped(self, where: str = "", retries: int = 0) -> GoalOutcome:
         """Return the outcome of a goal that was ended early."""
