@@ -281,7 +281,7 @@ def test_plans_that_run_out_of_time_get_twice_the_time_until_one_succeeds():
 
         def poll(self, stamp):
             result = super().poll(stamp)
-            late = len(self.jobs) != 6
+            late = len(self.jobs) != 3
             if result is None or len(self.jobs) > 6:
                 return result
             return result._replace(outcome=Outcome.FAILED, motion=None, code=207 if late else 208)
@@ -295,7 +295,7 @@ def test_plans_that_run_out_of_time_get_twice_the_time_until_one_succeeds():
         return measurements._replace(held=executor.state is State.APPROACHING)
 
     run(perfect(), problem_with(), chosen, rate=10.0, before=before, planning=planning, timeout=12.0)
-    assert [job.budget for job in planning.jobs[:8]] == [1.0, 2.0, 4.0, 8.0, 8.0, 8.0, 8.0, 1.0]
+    assert [job.budget for job in planning.jobs[:8]] == [1.0, 2.0, 4.0, 4.0, 8.0, 8.0, 8.0, 1.0]
 
 
 def stands_at(distance):
