@@ -161,11 +161,12 @@ class DockingTask:
         )
 
     def _navigate(self, entry: DockEntry, plugin: DockPlugin, dock: Pose2, limit: float) -> None:
-        """Navigate a distant robot to the staging pose; raise `Ended` on failure."""
-        own, staging = self._settings.own, plugin.staging_pose(dock)
+        """Navigate a robot that is neither there nor in the dock to the staging pose; raise `Ended` on failure."""
+        own, staging, robot = self._settings.own, plugin.staging_pose(dock), self._robot_pose()
         self._resources.reports.pose("staging_pose", staging, self._resources.now())
-        gap = self._robot_pose().in_frame_of(staging)
-        if math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
+        gap = robot.in_frame_of(staging)
+        is_in_dock = robot.distance_to(plugin.docked_pose(dock)) < plugin.parameters.docking_threshold
+        if is_in_dock or math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
             return
         assert self._resources.navigator is not None
         pose = ros.pose_message(ros.imported, plugin.staging_pose(entry.pose), entry.frame, self._resources.now())
