@@ -27,7 +27,7 @@ help:
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros)"
-	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
+	@echo "make bench-ros    the ROS 2 servers measured: round trips, heartbeat, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 # What the demo needs, and what everything else needs beside it.
