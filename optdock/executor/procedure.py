@@ -54,12 +54,12 @@ __all__ = ["Procedure", "Travel"]
 
 logger = logging.getLogger(__name__)
 
-# [m] beyond the distance over which no rotation is allowed, for errors of the estimate and of the braking distance.
-_UNDOCKING_MARGIN = 0.03
-_PLANNING_PATIENCE = 5.0  # [s] beyond the budget: a planning thread may share its core
 # On a busy computer a plan takes a multiple of its usual time.
 _OUT_OF_TIME = frozenset(kind.code for kind in (PlannerTimedOut, SmootherTimedOut, TimingTimedOut))
 _LARGEST_FACTOR = 8.0
+# [m] beyond the distance over which no rotation is allowed, for errors of the estimate and of the braking distance.
+_UNDOCKING_MARGIN = 0.03
+_PLANNING_PATIENCE = 5.0  # [s] beyond the budget: a planning thread may share its core
 _MOST_BLOCKS = 5  # stops in one approach or drive until it counts as failed
 
 
