@@ -237,13 +237,6 @@ def test_backward_touch_and_third_party_docks(bay: Bay, kind: str, yaw: float) -
     bay.assert_stopped()
 
 
-def test_robot_in_a_dock_without_a_charger_is_not_navigated_out_of_it(bay: Bay) -> None:
-    bay.reset(start=[3.0, 1.0, 0.0], dock_offset=[0.0, 0.0, 0.0])
-    wanted = {"use_dock_id": False, "dock_type": "quay", "dock_pose": pose("map"), "navigate_to_staging_pose": True}
-    reply = bay.dock(**wanted).reply(30.0)  # there is no server of navigate_to_pose
-    assert (reply.status, reply.result.error_code) == (SUCCEEDED, 0), reply.result
-
-
 def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStamped:
     """Return the pose of a dock."""
     message = PoseStamped()

@@ -137,17 +137,17 @@ class DockingTask:
         return found
 
     def _robot_pose(self) -> Pose2:
-        """Return the pose of the robot in the fixed frame; wait for its transform."""
-        return self._resources.waited(self._goal, self._located)
+        """Return the pose of the robot in the fixed frame; wait for a transform that is new enough."""
+        own, most = self._settings.own, max(_FRESH, self._settings.controller.transform_tolerance)
 
-    def _located(self) -> Pose2:
-        """Return the pose of the robot in the fixed frame; raise `TransformError` if it is too old."""
-        own = self._settings.own
-        found = self._resources.frames.lookup(own.fixed_frame, own.base_frame)
-        age = self._resources.now() - found.stamp
-        if age > max(_FRESH, self._settings.controller.transform_tolerance):
-            raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
-        return found.planar()
+        def _located() -> Pose2:
+            found = self._resources.frames.lookup(own.fixed_frame, own.base_frame)
+            age = self._resources.now() - found.stamp
+            if age > most:
+                raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
+            return found.planar()
+
+        return self._resources.waited(self._goal, _located)
 
     def _is_charging(self, plugin: DockPlugin) -> bool:
         return plugin.is_charging(self._resources.topics.newest(BATTERY), self._resources.now())
@@ -161,12 +161,11 @@ class DockingTask:
         )
 
     def _navigate(self, entry: DockEntry, plugin: DockPlugin, dock: Pose2, limit: float) -> None:
-        """Navigate a robot that is neither there nor in the dock to the staging pose; raise `Ended` on failure."""
-        own, staging, robot = self._settings.own, plugin.staging_pose(dock), self._robot_pose()
+        """Navigate a distant robot to the staging pose; raise `Ended` on failure."""
+        own, staging = self._settings.own, plugin.staging_pose(dock)
         self._resources.reports.pose("staging_pose", staging, self._resources.now())
-        gap = robot.in_frame_of(staging)
-        is_in_dock = robot.distance_to(plugin.docked_pose(dock)) < plugin.parameters.docking_threshold
-        if is_in_dock or math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
+        gap = self._robot_pose().in_frame_of(staging)
+        if math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
             return
         assert self._resources.navigator is not None
         pose = ros.pose_message(ros.imported, plugin.staging_pose(entry.pose), entry.frame, self._resources.now())
