@@ -20,6 +20,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent, RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -34,6 +35,7 @@ T = TypeVar("T")
 
 POLL = 0.05  # [s]: period at which the thread of a goal checks for messages, cancellations and reports
 _CANCELLED = "cancelled"
+_GOALS = QoSProfile(depth=100)  # requests that may arrive at once; the default, 10, drops the others without an answer
 
 
 class GoalOutcome(NamedTuple):
@@ -156,6 +158,7 @@ class GoalQueue:
                 handle_accepted_callback=partial(self._accept, kind),
                 cancel_callback=self._cancel,
                 callback_group=MutuallyExclusiveCallbackGroup(),
+                goal_service_qos_profile=_GOALS,
                 result_timeout=max(1, round(result_timeout)),
             )
             for kind, action in actions.items()
