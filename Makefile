@@ -5,7 +5,7 @@ SECONDS := 600
 SEED := 1
 JOBS := 1
 ARGS :=
-BENCHES := conversions smooth_path dockings
+BENCHES := conversions smooth_path heartbeat dockings
 BIN := $(VENV)/bin
 ROS_DISTRO := kilted
 ROS_SUFFIX := $(addprefix -,$(filter-out kilted,$(ROS_DISTRO)))
@@ -32,7 +32,7 @@ help:
 	@echo "make ros-demo     a simulated robot docked by the ROS 2 server: recording and pictures in ros-demo/; no ROS needed"
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros);"
 	@echo "                  ROS_DISTRO=jazzy with that of Jazzy (.venv-ros-jazzy), also in ros-demo and bench-ros"
-	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
+	@echo "make bench-ros    the ROS 2 servers measured: round trips, heartbeat, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 # What the demo needs, and what everything else needs beside it.

@@ -85,6 +85,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
         return
     cycles.state = State.PERCEIVING
     since, before = cycles.now, detections.count
+    most = f"max_detection_offset is {settings.max_detection_offset:.3f} m"
     while detections.count - before < settings.least_detections:
         if cycles.now - since > settings.initial_perception_timeout:
             found, far = detections.count - before, detections.too_far
@@ -92,7 +93,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
                 EndingKind.FAILED_TO_DETECT_DOCK,
                 f"{found} detections in {cycles.now - since:.1f} s, at least {settings.least_detections} are required; "
                 f"{detections.rejected} were rejected so far"
-                + (f"; the last was {far:.3f} m from the stored dock, more than max_detection_offset" if far else ""),
+                + (f"; the last one was {far:.3f} m from the stored dock, {most}" if far else ""),
             )
         yield from cycles.cycle(STOP)
 

@@ -121,6 +121,7 @@ class DockingExecutor:
         self._last_stamp = -math.inf
         self._offset = 0.0
         self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
+        self._late: list[float] = []  # periods of the late cycles [s]
         self._repeats = 0
         self._faults: set[str] = set()  # of the last cycle
         self._detections_fail = False
@@ -246,9 +247,15 @@ class DockingExecutor:
         if self._cycle_count == 1:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):
-            self._report("late cycle", f"{period:.3f} s passed since the last one")
+            self._count_late(period)
         self._usual_period = min(period, _LATE * self._usual_period)  # one late cycle does not change the rate
         return period, period
+
+    def _count_late(self, period: float) -> None:
+        """Report the first late cycle; the number of all is reported at the end."""
+        self._late.append(period)
+        if len(self._late) == 1:
+            self._report("late cycle", f"{period:.3f} s passed since the last one; further ones are counted")
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
@@ -262,6 +269,8 @@ class DockingExecutor:
                 target = next(self._cycles)
             except StopIteration as over:
                 kind, reason = over.value
+                if len(self._late) > 1:
+                    self._report("late cycles", f"{len(self._late)}, the longest of {max(self._late):.3f} s")
                 self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
                 self._report(kind.value, reason)
                 self._planning.close()

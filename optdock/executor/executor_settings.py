@@ -157,7 +157,11 @@ class ExecutorSettings(PluginParameters):
     )
 
     # Planning.
-    time_budget: float = Field(default=1.0, gt=0.0, description="wall-clock time of a plan from rest [s]")
+    time_budget: float = Field(
+        default=1.0,
+        gt=0.0,
+        description="wall-clock time of a plan from rest [s]; doubled, up to 8 times, while plans run out of it",
+    )
     replan_budget: float = Field(default=0.02, gt=0.0, description="wall-clock time of a plan in motion [s]")
     replanning: bool = Field(default=True, description="plan in motion if the dock has moved")
     replan_pause: float = Field(default=0.2, ge=0.0, description="least time between two plans in motion [s]")

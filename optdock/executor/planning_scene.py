@@ -160,6 +160,12 @@ class StagingPoses:
         gaps = [self.perception.robot.in_frame_of(place) for place in self.poses()]
         return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
 
+    @property
+    def is_passed(self) -> bool:
+        """Whether the robot is nearer to the dock than every staging pose."""
+        dock = self.perception.dock
+        return self.estimate.distance < min(dock.distance_to(place) for place in self.poses()) - _ARRIVED[0]
+
     def turned_round(self) -> tuple[Pose2, ...]:
         """Return the staging poses rotated by 180 degrees, to detect a dock that is entered in reverse."""
         return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.poses())

@@ -10,6 +10,7 @@ import dataclasses
 import logging
 from typing import TYPE_CHECKING
 
+from optdock.errors import PlannerTimedOut, SmootherTimedOut, TimingTimedOut
 from optdock.executor.control_cycles import STOP, ControlCycles, Situation
 from optdock.executor.dock_contact import (
     Nudge,
@@ -53,6 +54,9 @@ __all__ = ["Procedure", "Travel"]
 
 logger = logging.getLogger(__name__)
 
+# On a busy computer a plan takes a multiple of its usual time.
+_OUT_OF_TIME = frozenset(kind.code for kind in (PlannerTimedOut, SmootherTimedOut, TimingTimedOut))
+_LARGEST_FACTOR = 8.0
 # [m] beyond the distance over which no rotation is allowed, for errors of the estimate and of the braking distance.
 _UNDOCKING_MARGIN = 0.03
 _PLANNING_PATIENCE = 5.0  # [s] beyond the budget: a planning thread may share its core
@@ -120,15 +124,23 @@ class Procedure:
                 if situation.dock_type.waits_for_charge:
                     yield from self._wait_for_charge()
                 return kind, ""
-            except AttemptFailed as failure:
-                if self.num_retries >= settings.max_retries:
-                    raise
-                self.cycles.report("attempt failed", f"{failure.kind.value}: {failure.reason}")
-                yield from self.cycles.stop()
-                self.num_retries += 1
-                is_blocked = isinstance(failure, NoWay)
-            yield from back_out(self.cycles)
-            yield from self._return(is_blocked=is_blocked)
+            except AttemptFailed as over:
+                failure = over
+            yield from self._prepare_retry(failure)
+
+    def _prepare_retry(self, failure: AttemptFailed) -> Cycles:
+        """Return to a staging pose for another attempt; after the last one, raise its failure there."""
+        most = self._situation.settings.max_retries
+        if most == 0:
+            raise failure
+        self.cycles.report("attempt failed", f"{failure.kind.value}: {failure.reason}")
+        yield from self.cycles.stop()
+        if self.num_retries == most:
+            yield from self._leave()
+            raise failure
+        self.num_retries += 1
+        yield from back_out(self.cycles)
+        yield from self._return(is_blocked=isinstance(failure, NoWay))
 
     def _undock(self) -> Generator[Target, None, tuple[EndingKind, str]]:
         situation = self._situation
@@ -228,6 +240,16 @@ class Procedure:
         else:
             yield from self._travel.drive_to(places, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
 
+    def _leave(self) -> Cycles:
+        """Drive a robot that is nearer to the dock than its staging poses to one of them; report why if it cannot."""
+        if not self._situation.staging.is_passed:
+            return
+        try:
+            yield from back_out(self.cycles)
+            yield from self._return(is_blocked=False)
+        except TaskFailed as failure:
+            self.cycles.report("not returned to a staging pose", failure.reason)
+
     def _wait_for_charge(self) -> Cycles:
         """Wait at rest until the battery is charging; raise AttemptFailed after the timeout."""
         cycles, situation = self.cycles, self._situation
@@ -249,20 +271,26 @@ class Travel:
         self._cycles, self._situation = cycles, cycles.situation
         self._controller, self._goal_checker = controller, goal_checker
         self._requests = PlanRequests(planning, cycles.report)
+        self._budget_factor = 1.0
 
     def planned(self, problem: DockingProblem) -> Generator[Target, None, PlanResult]:
-        """Plan from rest and return the result."""
+        """Plan from rest and return the result; after plans that ran out of time with up to 8 times the budget."""
         cycles = self._cycles
         cycles.state = State.PLANNING
-        since, budget = cycles.now, self._situation.settings.time_budget
-        number = self._requests.submit(Job(0, since, problem, budget))
-        while True:
+        since, budget = cycles.now, self._budget_factor * self._situation.settings.time_budget
+        number, result = self._requests.submit(Job(0, since, problem, budget)), None
+        while result is None:
             yield from cycles.cycle(STOP)
             result = self._requests.result(cycles.now)
-            if result is not None:
-                return result
-            if cycles.now - since > budget + _PLANNING_PATIENCE:
-                return PlanResult(number, Outcome.FAILED, reason="planning does not respond")
+            if result is None and cycles.now - since > budget + _PLANNING_PATIENCE:
+                result = PlanResult(
+                    number, Outcome.FAILED, reason="planning does not respond", code=PlannerTimedOut.code
+                )
+        if result.code in _OUT_OF_TIME:
+            self._budget_factor = min(2.0 * self._budget_factor, _LARGEST_FACTOR)
+        elif result.motion is not None:
+            self._budget_factor = 1.0
+        return result
 
     def planned_to(self, places: tuple[Pose2, ...]) -> Generator[Target, None, PlanResult]:
         """Plan to the poses in order; return the result for the first reachable pose, or for the last pose."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from bond.msg import Status
+from optdock_ros import bond
+from rclpy.lifecycle import LifecycleNode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,6 +63,23 @@ def test_a_bond_forms_lives_and_ends_with_the_server(
     client_node.until(lambda: manager.sister not in {"", first}, 2.0, "a bond of another instance")
     assert started.stop() == 0
     assert manager.sister == "", "who ends says so: else the manager would wait for the timeout"
+
+
+def test_heartbeat_continues_during_a_long_callback_and_pauses_if_it_hangs(
+    client_node: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manager, node = Manager(client_node, "hanging"), LifecycleNode("hanging")
+    made = bond.Bond(node, 0.02)
+    monkeypatch.setattr(bond, "TIMEOUT", 0.0)
+    made.start()  # no executor runs this node
+    client_node.until(lambda: len(manager.heard) > 20, what="a heartbeat without the executor")
+    monkeypatch.setattr(bond, "HANGING", 0.0)
+    time.sleep(0.2)
+    count = len(manager.heard)
+    time.sleep(0.2)
+    assert len(manager.heard) == count
+    made.end()
+    node.destroy_node()
 
 
 def test_no_bond_with_period_zero(

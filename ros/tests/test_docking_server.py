@@ -145,6 +145,19 @@ def bay(module_process: Processes, client_node: Client) -> Bay:
     return Bay(client_node, module_process)
 
 
+def test_goal_right_after_activation_waits_for_the_robot(process: Processes, client_node: Client) -> None:
+    """As on a busy computer, on which the server has not discovered the publishers yet."""
+    process("docking_server", params=SERVER)
+    Lifecycle(client_node, "docking_server").up()
+    request = DockRobot.Goal(dock_id="home", navigate_to_staging_pose=False)
+    goal = client_node.send(DockRobot, "dock_robot", request)
+    time.sleep(3.0)  # longer than the wait for messages of known publishers
+    assert not goal.is_done, goal.reply().result
+    process("simulated_robot", params={"start": NEAR})
+    reply = goal.reply(40.0)
+    assert (reply.status, reply.result.error_code) == (SUCCEEDED, 0), reply.result
+
+
 def test_a_docking_and_an_undocking(bay: Bay) -> None:
     client = bay.client
     heard = {
@@ -202,7 +215,8 @@ def test_docked_robot_stays_and_undocks(bay: Bay) -> None:
     assert (reply.status, reply.result.success) == (ABORTED, False)
     assert reply.result.error_code == 902, "two types, and nobody has docked"
     reply = bay.undock(dock_type="bay").reply()
-    assert "nothing to undock from" in reply.result.error_msg
+    assert (reply.status, reply.result.success, reply.result.error_code) == (ABORTED, False, 902)
+    assert "no dock of the type 'bay', there is nothing to undock from" in reply.result.error_msg
 
 
 @pytest.mark.parametrize(("kind", "yaw"), [("blind", math.pi), ("felt", 0.0), ("own", 0.0)])
@@ -269,6 +283,14 @@ def test_no_charge_and_another_attempt(bay: Bay) -> None:
     states = [message.state for message in reply.feedback if message.num_retries == 1]
     assert states[0] == DockRobot.Feedback.RETRY, states
     bay.assert_stopped()
+
+
+@pytest.mark.parametrize("kind", ["bay", "blind"])
+def test_detected_dock_far_from_its_stored_pose_is_904(bay: Bay, kind: str) -> None:
+    bay.reset()
+    reply = bay.dock(use_dock_id=False, dock_type=kind, dock_pose=pose("map", y=1.4)).reply(30.0)
+    assert (reply.status, reply.result.error_code) == (ABORTED, 904), reply.result
+    assert "m from the stored dock, max_detection_offset is 0.250 m" in reply.result.error_msg
 
 
 def test_no_costmap_at_the_start_is_905(bay: Bay) -> None:

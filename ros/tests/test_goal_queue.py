@@ -12,6 +12,8 @@ from harness import spinning
 from nav2_msgs.action import DockRobot, SmoothPath
 from optdock_ros.goal_queue import Goal, GoalAction, GoalOutcome, GoalQueue, done
 from optdock_ros.server import Server
+from rclpy.action import ActionClient
+from rclpy.qos import QoSProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,6 +74,14 @@ def queue(client_node: Client) -> Iterator[Queue]:
 def answer(goal: Any) -> tuple[int, int, str]:
     status, result, _ = goal.reply()
     return status, result.error_code, result.error_msg
+
+
+def test_all_of_60_goals_at_once_are_answered(queue: Queue) -> None:
+    depth = QoSProfile(depth=60)  # of the client's queue for the answers
+    action: ActionClient[Any, Any, Any] = ActionClient(queue.client, SmoothPath, "path", goal_service_qos_profile=depth)
+    assert action.wait_for_server(20.0)
+    answers = [action.send_goal_async(SmoothPath.Goal()) for _ in range(60)]
+    queue.client.until(lambda: all(answer.done() for answer in answers), what="all answers")
 
 
 def test_goals_preempt_wait_are_replaced_and_cancelled(queue: Queue) -> None:

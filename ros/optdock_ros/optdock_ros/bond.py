@@ -22,13 +22,14 @@ __all__ = ["Bond"]
 
 TOPIC = "bond"  # relative to the namespace of the node, as the manager's
 TIMEOUT = 4.0  # [s] without a heartbeat after which the manager regards the server as dead: Nav2's default
+HANGING = 30.0  # [s] in one callback that count as hanging; rclpy needs up to 10 s to receive a path of 100,000 poses
 
 
 class Bond:
     """The server's side of a bond.
 
     The heartbeat has its own thread, so that a busy executor does not delay it. It pauses if the executor of the node
-    has not run for `TIMEOUT`, so that the bond of a node that hangs is broken.
+    has not run for `HANGING`, so that the bond of a node that hangs is broken.
 
     Args:
         node: The server; its name is the id of the bond.
@@ -77,7 +78,7 @@ class Bond:
     def _beat(self, ended: threading.Event) -> None:
         with suppress(InvalidHandle):  # the node has been destroyed
             while not ended.is_set():
-                if time.monotonic() - self._executor_ran_at < TIMEOUT:
+                if time.monotonic() - self._executor_ran_at < HANGING:
                     self._publish()
                 ended.wait(self._period)
 

@@ -16,9 +16,9 @@ from optdock.errors import DockNotValid, InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.model.problem import DockingProblem
 from optdock.nav2.docks import DockEntry
-from optdock_ros.goal_queue import Ended, GoalOutcome, done, failed
+from optdock_ros.goal_queue import POLL, Ended, GoalOutcome, done, failed
 from optdock_ros.measuring import Measuring
-from optdock_ros.robot_topics import BATTERY, POLL
+from optdock_ros.robot_topics import BATTERY
 from optdock_ros.surroundings import nav2_footprint
 from optdock_ros.task_drive import DockedAt, TaskDrive, measurement_rules
 
@@ -56,7 +56,7 @@ class DockingTask:
         dock = self._stored_dock(entry)
         # A pose alone does not prove the charge.
         known = [] if plugin.waits_for_charge else [plugin.docked_pose(dock)]
-        if plugin.is_charger and self._is_in_dock(plugin, known):
+        if plugin.is_charger and self._is_in_dock(plugin, self._robot_pose(), known):
             return done("the robot is docked or charging already")
         stages = bool(request.navigate_to_staging_pose)
         if stages and not own.stage_by_executor:
@@ -67,7 +67,7 @@ class DockingTask:
         )
         docked = plugin.docked_pose(dock)
         if plugin.parameters.rotate_to_dock and settings.use_detections:
-            docked = self._detected_at_rest(plugin, settings)
+            docked = self._detected_at_rest(plugin, docked, settings)
             settings = settings.model_copy(update={"use_detections": False})
         drive = self._drive(plugin, docked, settings, "dock")
         outcome = drive.run()
@@ -83,8 +83,10 @@ class DockingTask:
         robot = self._robot_pose()
         known = [plugin.docked_pose(pose) for pose in self._stored_docks(plugin)]
         known += [last.pose] if last is not None else []
-        if plugin.is_charger and not self._is_in_dock(plugin, known):
-            return done("the robot is in no dock, there is nothing to undock from")
+        if plugin.is_charger and not self._is_in_dock(plugin, robot, known):
+            # Nav2 aborts as well, with code 0 and without a message.
+            text = f"the robot is in no dock of the type {plugin.name!r}, there is nothing to undock from"
+            return failed(UndockRobot.Result.DOCK_NOT_VALID, text)
         limit = self._limit(request.max_undocking_time, "max_undocking_time")
         settings = self._settings.executor_settings(
             plugin, use_detections=False, max_undocking_time=limit, timeout=limit
@@ -135,30 +137,28 @@ class DockingTask:
         return found
 
     def _robot_pose(self) -> Pose2:
-        """Return the pose of the robot in the fixed frame; wait for its transform."""
-        return self._resources.waited(self._goal, self._located)
+        """Return the pose of the robot in the fixed frame; wait for a transform that is new enough."""
+        own, most = self._settings.own, max(_FRESH, self._settings.controller.transform_tolerance)
 
-    def _located(self) -> Pose2:
-        """Return the pose of the robot in the fixed frame; raise `TransformError` if it is too old."""
-        own = self._settings.own
-        found = self._resources.frames.lookup(own.fixed_frame, own.base_frame)
-        age = self._resources.now() - found.stamp
-        if age > max(_FRESH, self._settings.controller.transform_tolerance):
-            raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
-        return found.planar()
+        def _located() -> Pose2:
+            found = self._resources.frames.lookup(own.fixed_frame, own.base_frame)
+            age = self._resources.now() - found.stamp
+            if age > most:
+                raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
+            return found.planar()
+
+        return self._resources.waited(self._goal, _located)
 
     def _is_charging(self, plugin: DockPlugin) -> bool:
         return plugin.is_charging(self._resources.topics.newest(BATTERY), self._resources.now())
 
-    def _is_in_dock(self, plugin: DockPlugin, docked: list[Pose2]) -> bool:
+    def _is_in_dock(self, plugin: DockPlugin, robot: Pose2, docked: list[Pose2]) -> bool:
         """Whether the battery is charging or the robot is at one of the docked poses."""
-        if self._is_charging(plugin):
-            return True
-        try:
-            robot = self._located()
-        except OptdockError:
-            return False
-        return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
+        if plugin.uses_battery:
+            self._goal.waits_for(lambda: self._resources.topics.newest(BATTERY), self._resources.started_at)
+        return self._is_charging(plugin) or any(
+            robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked
+        )
 
     def _navigate(self, entry: DockEntry, plugin: DockPlugin, dock: Pose2, limit: float) -> None:
         """Navigate a distant robot to the staging pose; raise `Ended` on failure."""
@@ -193,8 +193,12 @@ class DockingTask:
         except OptdockError as error:
             raise Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
-    def _detected_at_rest(self, plugin: DockPlugin, settings: ExecutorSettings) -> Pose2:
-        """Return the docked pose as the median of detections before the robot turns round; raise `Ended` if missing."""
+    def _detected_at_rest(self, plugin: DockPlugin, stored: Pose2, settings: ExecutorSettings) -> Pose2:
+        """Return the docked pose as the median of detections before the robot turns round.
+
+        Raises:
+            Ended: If the dock is not detected, or too far from its stored docked pose.
+        """
         own, resources, goal = self._settings.own, self._resources, self._goal
         rules = measurement_rules(self._settings, plugin)
         measuring = Measuring(rules, resources.frames, plugin.detection, lambda _: None)
@@ -213,7 +217,12 @@ class DockingTask:
             text = f"{len(seen)} detections in {settings.initial_perception_timeout:g} s {measuring.faults or ''}"
             raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, text))
         gaps = np.array([pose.in_frame_of(seen[0]).as_array() for pose in seen])
-        return seen[0] @ Pose2(*np.median(gaps, axis=0).tolist())
+        docked = seen[0] @ Pose2(*np.median(gaps, axis=0).tolist())
+        far, most = docked.distance_to(stored), settings.max_detection_offset
+        if far > most:
+            text = f"the dock is {far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m"
+            raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, text))
+        return docked
 
     def _drive(
         self, plugin: DockPlugin, docked: Pose2, settings: ExecutorSettings, what: Literal["dock", "undock"]

@@ -20,6 +20,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent, RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,11 +29,13 @@ if TYPE_CHECKING:
 
     from optdock_ros.server import Server
 
-__all__ = ["Ended", "Goal", "GoalAction", "GoalOutcome", "GoalQueue", "done", "failed"]
+__all__ = ["POLL", "Ended", "Goal", "GoalAction", "GoalOutcome", "GoalQueue", "done", "failed"]
 
 T = TypeVar("T")
 
+POLL = 0.05  # [s]: period at which the thread of a goal checks for messages, cancellations and reports
 _CANCELLED = "cancelled"
+_GOALS = QoSProfile(depth=100)  # requests that may arrive at once; the default, 10, drops the others without an answer
 
 
 class GoalOutcome(NamedTuple):
@@ -111,6 +114,15 @@ class Goal:
         if self.ending:
             raise Ended(self.stopped())
 
+    def waits_for(self, condition: Callable[[], object], until: float) -> bool:
+        """Whether a condition becomes true before a monotonic time [s]; raise `Ended` if the goal is to end early."""
+        while not condition():
+            self.check_end()
+            if time.monotonic() > until:
+                return False
+            time.sleep(POLL)
+        return True
+
     def stopped(self, where: str = "", retries: int = 0) -> GoalOutcome:
         """Return the outcome of a goal that was ended early."""
         code = 0 if self.ending.startswith(_CANCELLED) else self.action.code_of_end
@@ -146,6 +158,7 @@ class GoalQueue:
                 handle_accepted_callback=partial(self._accept, kind),
                 cancel_callback=self._cancel,
                 callback_group=MutuallyExclusiveCallbackGroup(),
+                goal_service_qos_profile=_GOALS,
                 result_timeout=max(1, round(result_timeout)),
             )
             for kind, action in actions.items()

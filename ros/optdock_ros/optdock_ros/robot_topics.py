@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from optdock_ros.goal_queue import Goal
     from optdock_ros.measuring import Measuring
 
-__all__ = ["BATTERY", "JOINTS", "POLL", "RobotTopics"]
+__all__ = ["BATTERY", "JOINTS", "RobotTopics"]
 
-POLL = 0.05  # [s]: period at which the thread of a goal checks for messages, cancellations and reports
 _DETECTIONS = "detected_dock_pose"
 BATTERY, JOINTS = "battery_state", "joint_states"
 
@@ -142,19 +141,16 @@ class RobotTopics:
         if service is None:
             return
         what = f"{service.srv_name}: the detector is not switched on"
-        timeout, answer = plugin.parameters.detector_service_timeout, None
-        until = time.monotonic() + timeout
-        while answer is None or not answer.done():
-            goal.check_end()
-            if time.monotonic() > until:
-                why = "there is no such service" if answer is None else f"no answer within {timeout:g} s"
-                raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, f"{what}: {why}"))
-            if answer is None and service.service_is_ready():
-                answer = service.call_async(Trigger.Request())
-            time.sleep(POLL)
+        timeout = plugin.parameters.detector_service_timeout
+        until, no_dock = time.monotonic() + timeout, DockRobot.Result.FAILED_TO_DETECT_DOCK
+        if not goal.waits_for(service.service_is_ready, until):
+            raise Ended(failed(no_dock, f"{what}: there is no such service"))
+        answer = service.call_async(Trigger.Request())
+        if not goal.waits_for(answer.done, until):
+            raise Ended(failed(no_dock, f"{what}: no answer within {timeout:g} s"))
         reply = answer.result()
         if reply is None or not reply.success:
-            raise Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, f"{what}: {reply and reply.message}"))
+            raise Ended(failed(no_dock, f"{what}: {reply and reply.message}"))
 
     def _switch_off(self, plugin: DockPlugin) -> None:
         """Switch the detector off without waiting for the answer: the server may be shutting down."""

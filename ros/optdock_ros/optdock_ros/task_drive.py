@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 from nav2_msgs.action import DockRobot
@@ -16,10 +16,10 @@ from optdock.executor.planning_scene import contact_reach
 from optdock.geometry.pose import Pose2
 from optdock_ros.control_loop import ControlLoop, TaskRun
 from optdock_ros.frame_lookup import now
-from optdock_ros.goal_queue import Ended, GoalOutcome, failed
+from optdock_ros.goal_queue import POLL, Ended, GoalOutcome, failed
 from optdock_ros.measuring import MeasurementRules, Measuring
 from optdock_ros.merged_costmap import joined, moved
-from optdock_ros.robot_topics import BATTERY, JOINTS, POLL
+from optdock_ros.robot_topics import BATTERY, JOINTS
 from optdock_ros.surroundings import SurroundingsError
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ T = TypeVar("T")
 
 STOPPING = 2.0  # [s] in addition to the braking time, after which a stop has failed or a thread hangs
 _FIRST_MESSAGES = 2.0  # [s] for the first costmap (1 Hz or more), footprint and transforms
+_DISCOVERY = 10.0  # [s] that a new node may need on a busy computer to discover all publishers
 _WARM = 60.0  # [s] for the start of the planning process on a slow computer
 _FEEDBACK, _REPORT = 0.1, 0.5  # [s]: periods of feedback and /diagnostics while the state does not change
 _PRESSES = (State.APPROACHING, State.PRESSING)
@@ -70,6 +71,7 @@ class DockingResources:
         send: Publishes a command.
         docked: Last docked pose; None if unknown.
         loop: Control loop of the last drive; None before the first one.
+        started_at: Monotonic time at which all publishers have been discovered, even on a busy computer [s].
     """
 
     node: Server[DockingSettings]
@@ -83,14 +85,18 @@ class DockingResources:
     send: Callable[[Twist2], None]
     docked: DockedAt | None = None
     loop: ControlLoop | None = None
+    started_at: float = field(default_factory=lambda: time.monotonic() + _DISCOVERY)
 
     def now(self) -> float:
         """Return the time of the node [s]."""
         return now(self.node)
 
     def waited(self, goal: Goal, ask: Callable[[], T]) -> T:
-        """Return the result of `ask`; repeat the call for 2 s while it raises `OptdockError` and the goal is active."""
-        until = time.monotonic() + _FIRST_MESSAGES
+        """Return the result of `ask`; repeat the call while it raises `OptdockError` and the goal is active.
+
+        The wait ends after 2 s, but not before 10 s after configure.
+        """
+        until = max(time.monotonic() + _FIRST_MESSAGES, self.started_at)
         while True:
             goal.check_end()
             try:
@@ -193,11 +199,8 @@ class TaskDrive:
 
     def _wait_for_planner(self) -> None:
         """Wait until the planning process is warm, some seconds after configure."""
-        until = time.monotonic() + _WARM
-        while not self._resources.planner.wait_until_warm(POLL):
-            self._goal.check_end()
-            if time.monotonic() > until:
-                raise Ended(failed(DockRobot.Result.UNKNOWN, "the planning process does not start"))
+        if not self._goal.waits_for(lambda: self._resources.planner.wait_until_warm(0.0), time.monotonic() + _WARM):
+            raise Ended(failed(DockRobot.Result.UNKNOWN, "the planning process does not start"))
 
     def _driven(self) -> TaskRun:
         """Return the task after its end; the robot is at rest, even after an exception."""

@@ -228,6 +228,76 @@ def test_range_of_contact_includes_the_uncertainty(sigma, is_within):
         assert (docking.ending.kind is kind) is is_within, docking.ending
 
 
+@pytest.mark.parametrize(("offset", "is_near"), [(0.2, True), (0.4, False)])
+def test_detected_dock_beyond_max_detection_offset_is_not_driven_to(offset, is_near, lawful):
+    chosen = ExecutorSettings(**QUICK, max_detection_offset=0.25, navigate_to_staging_pose=False)
+    docking = run(perfect(), problem_with(Pose2(0.0, offset, 0.0)), chosen, rate=10.0, timeout=12.0)
+    assert (State.APPROACHING in docking.states) is is_near
+    if not is_near:
+        ending = lawful(docking)
+        assert ending.kind.code == 904
+        assert "0.400 m from the stored dock, max_detection_offset is 0.250 m" in ending.reason
+
+
+class Refusing(InlinePlanning):
+    """Refuses plans to staging poses while `refuses` is set."""
+
+    refuses = False
+
+    def poll(self, stamp):
+        result = super().poll(stamp)
+        is_away = result is not None and result.motion is not None and result.motion.problem.goal.x < -0.5
+        return PlanResult(result.number, Outcome.FAILED, reason="a wall") if is_away and self.refuses else result
+
+
+@pytest.mark.parametrize("way", ["free", "blocked", "cancelled", "no retries", "timeout"])
+def test_robot_returns_to_the_staging_pose_after_the_last_failure(way, lawful):
+    """As Nav2's docking server, with a positive `max_retries`; the first failure is the reason."""
+    planning, last = Refusing(), []
+
+    def before(executor, world, measurements):
+        if executor._procedure.num_retries == chosen["max_retries"] and executor.state is State.WAITING_FOR_CHARGE:
+            last.append(world.time)
+        planning.refuses = way == "blocked" and bool(last)
+        if way == "cancelled" and last and executor.state is State.RETURNING:
+            executor.cancel()
+
+    chosen = QUICK | {"wait_for_charge": True, "max_retries": int(way != "no retries"), "staging_distance": 0.8}
+    chosen |= {"timeout": 17.0} if way == "timeout" else {}
+    docking = run(perfect(), problem_with(), ExecutorSettings(**chosen), rate=10.0, before=before, planning=planning)
+    ending = lawful(docking)
+    assert ending.kind is (EndingKind.CANCELLED if way == "cancelled" else EndingKind.FAILED_TO_CHARGE)
+    assert ending.reason.startswith("while returning" if way == "cancelled" else "no signal for")
+    assert ending.num_retries == chosen["max_retries"]
+    away = docking.world.state.pose.distance_to(TRUE_DOCK)
+    assert (away == pytest.approx(0.8, abs=0.06)) is (way == "free"), away
+    assert (away < 0.01) is (way == "no retries"), away
+    assert len(docking.said("not returned to a staging pose")) == (way in {"blocked", "timeout"})
+
+
+def test_plans_that_run_out_of_time_get_twice_the_time_until_one_succeeds():
+    class Slow(Recording):
+        """Runs out of time five times, and finds no path once."""
+
+        def poll(self, stamp):
+            result = super().poll(stamp)
+            late = len(self.jobs) != 3
+            if result is None or len(self.jobs) > 6:
+                return result
+            return result._replace(outcome=Outcome.FAILED, motion=None, code=207 if late else 208)
+
+    planning = Slow()
+    chosen = ExecutorSettings(**(QUICK | {"time_budget": 1.0, "obstacle_patience": 60.0}))
+
+    def before(executor, world, measurements):
+        if len(planning.jobs) == 7:
+            world.state = world.state._replace(pose=AHEAD)
+        return measurements._replace(held=executor.state is State.APPROACHING)
+
+    run(perfect(), problem_with(), chosen, rate=10.0, before=before, planning=planning, timeout=12.0)
+    assert [job.budget for job in planning.jobs[:8]] == [1.0, 2.0, 4.0, 4.0, 8.0, 8.0, 8.0, 1.0]
+
+
 def stands_at(distance):
     """Stop the robot at this distance before the dock."""
 
@@ -385,14 +455,19 @@ def test_plan_from_rest_ignores_the_start_state_of_the_problem(start):
     assert (asked.start_speed, asked.start_acceleration, asked.start_curvature) == (0.0, 0.0, None)
 
 
-def test_one_late_cycle_does_not_change_the_rate():
-    """Two periods of 0.1 s at a rate of 50 Hz."""
-    executor, stamp, late = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
-    for period in (*[0.02] * 20, 0.1, 0.1, *[0.02] * 5):
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_late_cycles_do_not_change_the_rate_and_are_counted(count):
+    """Periods of 0.1 s at a rate of 50 Hz; the first one is reported at once, the number at the end."""
+    executor, stamp, events = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
+    for period in (*[0.02] * 20, *[0.1] * count, *[0.02] * 5):
         stamp += period
-        step = executor.step(Measurements(stamp, AHEAD))
-        late += [period for event in step.events if event.name == "late cycle"]
-    assert late == [0.1, 0.1]
+        events += executor.step(Measurements(stamp, AHEAD)).events
+    executor.cancel()
+    events += executor.step(Measurements(stamp + 0.02, AHEAD)).events
+    assert [event.detail[:7] for event in events if event.name == "late cycle"] == ["0.100 s"] * min(count, 1)
+    counted = [event.detail for event in events if event.name == "late cycles"]
+    assert counted == ([f"{count}, the longest of 0.100 s"] if count > 1 else [])
+    assert events[-1].name == "cancelled"
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
