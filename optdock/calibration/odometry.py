@@ -1,4 +1,4 @@
-"""Odometry: scales, drift and the errors of wheels that cause them, window of the twist, age of the poses."""
+"""Odometry: scales and drift, the wheel errors that cause them, window of the twist, and age of the poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a
 def odometry_quantities(motion: RecordedMotion, track_width: float) -> list[Quantity]:
     """Return the scales of distances and turns, the turn per metre and the delay of the detections.
 
-    With a track width, also return the errors of the wheels' radii and of the track width.
+    If the track width is known, also return the errors of the wheel radii and of the track width.
 
     Args:
         motion: Smoothed recordings.
@@ -121,7 +121,7 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
 class _Increments:
     """Distance and yaw in one recording, computed from the poses and from integrals of the twists.
 
-    Integrals over a span are compared, because increments over a short window are mostly jitter of the stamps.
+    Integrals over a span are compared, because the jitter of the stamps dominates increments over a short window.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -149,6 +149,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    """Cluster indices of the residuals; each part has a linear and an angular residual at every time."""
+    """Return the cluster indices of the residuals; each part has a linear and an angular residual at every time."""
     found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
     return np.concatenate([number for number in found for _ in range(2)])

@@ -1,4 +1,4 @@
-"""Collision check of a command: checks the footprint along the motion to a stop against the obstacles of the context.
+"""Collision check of a command: the footprint along the motion to a stop is checked against the obstacles.
 
 The motion consists of the commands that the drive has not yet executed, one period of the new command, and braking.
 """
@@ -39,7 +39,7 @@ class Obstruction(NamedTuple):
 
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
-    """Return poses along successive arcs from `pose`, each a velocity and its duration [s]. Shape (n, 3)."""
+    """Return poses along successive arcs from `pose`; each arc is a velocity and a duration [s]. Shape (n, 3)."""
     radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
     for twist, duration in phases:
         reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
@@ -52,7 +52,7 @@ def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, 
 
 
 class LookAhead:
-    """Search for obstacles along motions, with a cache of the obstacles around the robot until they change."""
+    """Search for obstacles along motions; the obstacles around the robot are cached until they change."""
 
     def __init__(self) -> None:
         self._around: _Around | None = None
@@ -60,11 +60,11 @@ class LookAhead:
     def obstruction(
         self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
     ) -> Obstruction | None:
-        """Return the obstacle that the footprint enters deepest along a motion; None without a collision.
+        """Return the obstacle that the footprint penetrates deepest along a motion; None without a collision.
 
         If the robot overlaps an obstacle at the first pose, the depth must not increase. Contact with the station is
-        intended, and so is contact near a pose of `contacts` with the obstacles touched at that pose. Intended contact
-        may be as deep as `tolerance`.
+        intended. Near a pose of `contacts`, contact with the obstacles touched at that pose is also intended. Intended
+        contact may be as deep as `tolerance`.
 
         Args:
             context: Footprint and obstacles; without a footprint nothing is checked.

@@ -1,6 +1,7 @@
 """The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
 
-A new trajectory may take over in motion: the reference then changes to the beginning of the new trajectory.
+A new trajectory may take over while the robot moves; the reference then continues at the beginning of the new
+trajectory.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class TrajectoryReference:
     The commands are ahead of the reference by a preview that compensates the delay of the drive. If the preview or the
     rate changes, the reference shifts and the commands stay continuous. A rate below 1 scales the speed by the rate and
     every acceleration by its square. A change of rate adds `speed * d rate/dt`. The change begins and ends smoothly,
-    and is bounded so that the sum `rate^2 * acceleration + speed * d rate/dt` keeps the limits.
+    and is bounded so that the sum `rate^2 * acceleration + speed * d rate/dt` satisfies the limits.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -245,8 +246,8 @@ class TrajectoryReference:
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of the first gear if the robot is not at the start.
 
-        At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. From rest, the
-        reference begins later by the drive's `delay` [s], so that no command is omitted.
+        At the first rate the reference is no faster than the robot, whose speed is `linear` [m/s]. If the robot is at
+        rest, the reference begins later by the drive's `delay` [s], so that no command is omitted.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
@@ -331,7 +332,7 @@ def _next_rest(trajectory: Trajectory, s: float) -> float:
 
 
 def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:
-    """Return gear and turn of a `ReferenceState`."""
+    """Return the gear and the turn of a `ReferenceState`."""
     path, speed = trajectory.path, float(row.speed[0])
     gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
     return gear, math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
@@ -361,13 +362,13 @@ def peaks(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:
-    """Return the bounds of d rate/dt [1/s] within which playback keeps the acceleration and deceleration limits."""
+    """Return the bounds of d rate/dt [1/s] within which playback satisfies acceleration and deceleration limits."""
     rise, fall = limits
     return min(0.0, -(fall + acceleration) / speed), max(0.0, (rise - acceleration) / speed)
 
 
 def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: MotionLimits, drive: Drive) -> float:
-    """Return the largest rate [1] that leaves a share of the yaw acceleration (proportional to rate^2) to feedback.
+    """Return the largest rate [1] that reserves a share of the yaw acceleration (proportional to rate^2) for feedback.
 
     Args:
         reference: The moving reference.

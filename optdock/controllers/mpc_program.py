@@ -1,4 +1,4 @@
-"""The tracking problem of a short horizon as a quadratic program, solved by DAQP.
+"""The tracking problem over a short horizon as a quadratic program, solved by DAQP.
 
 The state is z = (along, cross, yaw error, speed, yaw rate) relative to the moving reference. Over one step of length h
 the reference moves along an arc with the mean velocity (v, w). The errors are linearized about this arc [DeLuca2001],

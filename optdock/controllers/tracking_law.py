@@ -73,7 +73,7 @@ class Gains(NamedTuple):
 
 
 class DelayBounds(NamedTuple):
-    """Bounds on the gains under a delay: the largest `along` and `turn` [1/s], the least convergence distance [m]."""
+    """Bounds on the gains for a given delay: largest `along` and `turn` [1/s], smallest convergence distance [m]."""
 
     rate: float
     distance: float
@@ -173,7 +173,7 @@ class FeedbackGains:
         delay: float,
         finished: bool,
     ) -> Gains:
-        """Return `usual` within the bounds of the delay, or other gains if these would leave too large an error.
+        """Return `usual` within the bounds of the delay, or other gains if the error at the end would be too large.
 
         Lateral and heading errors are measured in units of the accepted errors. They are smoothed, and errors within
         the noise are ignored, because higher gains would amplify the noise. A lateral error is removed by turning the
@@ -220,7 +220,7 @@ class FeedbackGains:
 
 
 class DeadBandPush:
-    """Offset that is added to the commands at the end, and grows while the drive does not move."""
+    """Offset that is added to the commands at the end and grows until the drive moves."""
 
     def __init__(self) -> None:
         self._push = [0.0, 0.0]

@@ -53,7 +53,7 @@ _MOST_VALUES = 300_000  # JSON values of a line: a plan of 300 m has 20,000; thi
 
 
 class Task(NamedTuple):
-    """The task of a log; without a dock type, the dock is described by the settings."""
+    """The task of a log; if there is no dock type, the settings describe the dock."""
 
     problem: DockingProblem
     settings: ExecutorSettings

@@ -51,7 +51,7 @@ class Perception:
         costmap: The newest costmap; None before the first.
         detections: Detections of the dock, and the robot in the frame of the dock.
         way: Distance driven, by odometry [m].
-        forward: Signed distance driven, negative in reverse, by odometry [m].
+        forward: Signed distance driven by odometry, negative in reverse [m].
         turned: Signed angle turned to the left, by odometry [rad].
         has_twist: Whether the next measurements contain a body velocity.
     """
@@ -100,7 +100,7 @@ class Perception:
 
     @property
     def costmap_age(self) -> float:
-        """Time since the last costmap, even if unchanged, or if there was none, since the first measurements [s]."""
+        """Time since the last costmap, even if unchanged, or since the first measurements without a costmap [s]."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
@@ -115,7 +115,7 @@ class Perception:
 
     @property
     def unseen_turn(self) -> float:
-        """Rotation of the localization against the odometry since the last detection [rad].
+        """Rotation of the localization relative to the odometry since the last detection [rad].
 
         A rotation by wheel slip changes the localization, but not the odometry.
         """
@@ -230,7 +230,7 @@ class Perception:
         )
 
     def _report_lost(self) -> None:
-        """Report once when poses or detections are missing, and when they return."""
+        """Report once when poses or detections are missing, and once when they are available again."""
         lost = self.pose_age > _MISSED
         if lost != self._pose_was_lost:
             self._pose_was_lost = lost
@@ -302,7 +302,7 @@ class DockDetections:
         return self._robot.pose @ self.filter.pose.inverse() if self.is_any else self._stored
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """Return the distance from the position of the last (`times=2`: last but one) detection [m]; may be inf."""
+        """Return the distance from the position of the last detection (`times=2`: the last but one) [m]; may be inf."""
         seen = self._stamps[-times] if len(self._stamps) >= times else -math.inf
         if not seen >= self.filter.remembered_from:
             return math.inf
@@ -382,7 +382,7 @@ class DockDetections:
 
 
 def covariance_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
-    """Return the covariance of the robot in the frame of the dock, from errors of the dock in the frame of the robot.
+    """Return the robot's covariance in the frame of the dock, given the errors of the dock in the frame of the robot.
 
     Let D be the pose of the dock in the frame of the robot, and T the inverse of D. An error of D's yaw rotates the
     robot about the dock.

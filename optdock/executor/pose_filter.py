@@ -2,11 +2,11 @@
 
 `DeadReckoning` integrates poses and twists of the odometry. `PoseFilter` is an extended Kalman filter ([Thrun2005] ch.
 3 and 7, [BarShalom2001]) of the pose in a fixed frame, the map or the frame of a dock. Its state also contains
-systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements against the
-odometry.
+systematic errors: a scale error of the distance, a rotation per distance, and the delay of the measurements relative to
+the odometry.
 
-Measurements outside the gate are set aside; if a few of them agree within a short time, the estimate moves to them.
-Innovations with a persistent sign contradict the model and increase the covariance.
+Measurements outside the gate are stored separately; if a few of them agree within a short time, the estimate moves to
+them. Innovations with a persistent sign contradict the model, and the covariance is then increased.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class OdometryErrors(NamedTuple):
         yaw_wander: Random walk of the fixed frame's yaw [rad/s^0.5].
         scale: Systematic error of the distance, such as a wrong wheel radius [1].
         drift: Systematic rotation per distance, such as unequal wheels [rad/m].
-        delay: Systematic delay of the measurements against the odometry [s].
+        delay: Systematic delay of the measurements relative to the odometry [s].
         jitter: Random delay of the measurements [s].
     """
 
@@ -273,7 +273,7 @@ class PoseFilter:
         self.covariance[:3, :3] = covariance
 
     def predict(self, stamp: float, step: Pose2) -> Pose2:
-        """Predict the estimate at `stamp` and return it.
+        """Return the estimate predicted for `stamp`.
 
         Args:
             stamp: Present time [s].
@@ -371,7 +371,7 @@ class PoseFilter:
         return "accepted"
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
-        """Add an alternative pose; a single measurement that agrees with it moves the estimate there.
+        """Add an alternative pose; a single measurement that agrees with this pose moves the estimate to it.
 
         Args:
             pose: Alternative present pose.
@@ -487,7 +487,7 @@ class PoseFilter:
 
 
 class _Outside(NamedTuple):
-    """A measured or supposed pose outside the gate.
+    """A measured or alternative pose outside the gate.
 
     Attributes:
         stamp: Stamp of the measurement [s].
@@ -495,7 +495,7 @@ class _Outside(NamedTuple):
         reckoned: Pose according to dead reckoning at the arrival of the measurement.
         noise: Covariance, Shape (3, 3).
         accepted_since: Number of measurements accepted since then.
-        is_measured: False for a supposed pose.
+        is_measured: False for an alternative pose given to `suppose`.
     """
 
     stamp: float

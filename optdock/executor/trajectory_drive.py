@@ -139,7 +139,7 @@ class TrajectoryDrive:
 
     @property
     def _allowance(self) -> float:
-        """Time that the drive may take beyond its plan [s]."""
+        """Time by which the drive may exceed the duration of its plan [s]."""
         settings, state = self._situation.settings, self._state
         if state is State.STAGING:
             return settings.max_staging_time
@@ -508,7 +508,7 @@ class ShorterWay:
         self._submitted_at = -math.inf
 
     def check_next_costmap(self) -> None:
-        """Let the next call of `may_exist` compare its costmap with the costmap of the plan."""
+        """Make the next call of `may_exist` compare its costmap with the costmap of the plan."""
         self._is_new = True
 
     def may_exist(self, motion: DrivenMotion, time: float, pose: Pose2, costmap: Costmap | None) -> bool:
@@ -533,7 +533,7 @@ class ShorterWay:
         return _has_gone(before, costmap, between, situation.problem.robot.footprint.circumscribed_radius + _AROUND)
 
     def job(self, motion: DrivenMotion, time: float, here: DockingProblem, costmap: Costmap | None) -> Job:
-        """Return a job that plans from the pose of a stop; the start and costmap of the problem `here` are replaced."""
+        """Return a job that plans from the pose of a stop, with this start and a new costmap in the problem `here`."""
         situation, trajectory = self._situation, motion.trajectory
         now = trajectory.at(min(max(time, 0.0), trajectory.duration))
         speed = abs(situation.twist.linear)

@@ -64,9 +64,9 @@ class Footprint(FrozenArrays):
     def from_radius(cls, radius: float) -> Footprint:
         """Return the regular polygon of 32 sides circumscribed about the circle of `radius` [m], for a round robot.
 
-        The corners exceed the radius by 0.5 %. Sides face forward, left, backward and right, so length and width equal
-        the diameter, and padding moves every side outwards by at least the padding. (Nav2's polygon is inscribed in the
-        circle and therefore smaller than the robot.)
+        The distance of the corners from the centre exceeds the radius by 0.5 %. Sides face forward, left, backward and
+        right, so length and width equal the diameter, and padding moves every side outwards by at least the padding.
+        (Nav2's polygon is inscribed in the circle and therefore smaller than the robot.)
 
         Raises:
             InvalidValue: If the radius is not a finite number > 0.

@@ -137,7 +137,7 @@ class _Document(BaseModel):
 def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
     """Return the proof that the final straight is blocked in every gear that the dock allows, or None.
 
-    The clearances of poses one centimetre apart are measured, which takes about a millisecond.
+    The clearances are measured at poses one centimetre apart, which takes about a millisecond.
     """
     straight, slack = problem.dock.final_straight, _slack(problem)
     if straight <= 0.0 or len(problem.all_obstacles) == 0:

@@ -1,4 +1,4 @@
-"""Error messages of files: `file:line: key: rule, got value`."""
+"""Error messages for files, in the form `file:line: key: rule, got value`."""
 
 from __future__ import annotations
 

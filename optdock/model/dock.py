@@ -65,8 +65,8 @@ class Dock:
     Args:
         pose: Pose of the docked robot.
         footprint: Outline of the station in the frame of the docked robot, or None. The station is an obstacle.
-        direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear by
-            the side on which the start lies.
+        direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear
+            according to the side on which the start lies.
         final_straight: Length of the straight line at the end of the path [m].
         approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
         approach_distance: Length of the speed zone at the end of the path [m]; 0 for no zone.

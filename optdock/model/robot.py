@@ -33,9 +33,9 @@ class TrackingTube:
     """Largest deviation of the robot from its path; a certificate holds for every pose within the tube.
 
     A position error `cross` and a heading error `yaw` move no point of the footprint by more than cross + 2 R sin(yaw /
-    2), where R is the circumscribed radius. The path keeps this distance in addition to the required clearance. Near
-    the dock the tube tapers like the clearance, because the robot comes to rest in contact. `optdock simulate` prints
-    the tube that a drive needs.
+    2), where R is the circumscribed radius. The path has this distance from obstacles in addition to the required
+    clearance. Near the dock the tube tapers like the clearance, because the robot comes to rest in contact. `optdock
+    simulate` prints the width of the tube that a drive needs.
 
     Args:
         cross: Largest distance from the path [m].

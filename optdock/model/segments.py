@@ -2,7 +2,7 @@
 
 A turn in place covers no distance, so arc length cannot distinguish its poses. It therefore occupies an interval of the
 path coordinate s as long as the arc of a point 1 m from the robot's origin, which is 1 m per rad. Every s then has
-exactly one pose, and a time law over s describes a turn like a curve, with the yaw rate as speed and the yaw
+exactly one pose. A time law over s describes a turn in the same way as a curve, with the yaw rate as speed and the yaw
 acceleration as acceleration. Proofs, samples and files treat turns like other segments. Only driven distances must
 exclude turns.
 """
@@ -211,14 +211,14 @@ class PolylineSegment(FrozenArrays):
 class TurnSegment(FrozenArrays):
     """A turn in place: constant position, yaw from one heading to another.
 
-    Only robots with `turns_in_place` can drive it. The robot is at rest at both ends.
+    Only robots with `turns_in_place` can execute a turn. The robot is at rest at both ends.
 
     Args:
         pose: Pose at the beginning.
         turn: Angle, left positive; may exceed a whole turn [rad].
 
     Attributes:
-        knots: Begin and end of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
+        knots: Bounds of the interval of s, whose length is `TURN_RADIUS` * |turn|, Shape (2,) [m].
 
     Raises:
         InvalidValue: If `pose` is not a `Pose2`, or the turn is 0, not finite, or leads beyond 1e6 rad.
@@ -241,7 +241,7 @@ class TurnSegment(FrozenArrays):
 
     @property
     def direction(self) -> Direction:
-        """Neither gear."""
+        """The value for neither gear, 0."""
         return Direction.IN_PLACE
 
     @property

@@ -1,4 +1,4 @@
-"""Every parameter that Nav2's docking and smoother servers declare, by distribution, and its meaning here.
+"""All parameters that Nav2's docking and smoother servers declare, by distribution, and their use in optdock.
 
 `DECLARED` is the single table: the servers of `optdock_ros`, `optdock plugins --nav2-params` and the reference use it.
 """
@@ -43,7 +43,7 @@ class Block(str, Enum):
 
 
 class Use(str, Enum):
-    """Use of a parameter of Nav2."""
+    """How optdock uses a parameter of Nav2."""
 
     READ = "read"
     MAPPED = "mapped"
@@ -57,9 +57,10 @@ class DeclaredParameter(NamedTuple):
     Attributes:
         block: Place in a file.
         name: Name within the block.
-        use: Use here.
+        use: Use in optdock.
         words: Setting to which it is mapped, reason why it has no effect on the motion, or the setting to use instead.
-        distributions: Distributions whose servers declare it; none for names of development versions and other nodes.
+        distributions: Distributions whose servers declare it; empty for names in development versions and in other
+            nodes.
     """
 
     block: Block
@@ -280,5 +281,5 @@ def found(block: Block, name: str) -> DeclaredParameter | None:
 
 
 def names_of(block: Block, *uses: Use) -> frozenset[str]:
-    """Return the names of Nav2's parameters in a block, of these uses or all."""
+    """Return the names of Nav2's parameters in a block, all or only those with the given uses."""
     return frozenset(row.name for row in DECLARED.values() if row.block is block and (not uses or row.use in uses))

@@ -26,9 +26,9 @@ __all__ = ["DockPlanner", "DockPlannerParameters"]
 class DockPlanner(GlobalPlanner):
     """Plan a two-segment NURBS path into a dock.
 
-    The robot's footprint and the costmap come from the context, or from the problem of the context, so the planner must
-    be configured before it plans. If the parameters `footprint_dock` (null) and `direction` (auto) are not set, outline
-    and direction of the dock in the context's problem are used. A dock without an outline has length 0.
+    The planner takes the robot's footprint and the costmap from its context, or from the problem of the context, so it
+    must be configured before a call. If the parameters `footprint_dock` (null) and `direction` (auto) are not set,
+    outline and direction of the dock in the context's problem are used. A dock without an outline has length 0.
 
     Args:
         **parameters: See `DockPlannerParameters`.
@@ -104,7 +104,7 @@ class DockPlanner(GlobalPlanner):
 
 
 def _check_free(path: Path, obstacles: ObstacleSet) -> None:
-    """Check that no obstacle lies on the path of the robot's origin, in analogy to the check of the costmap."""
+    """Check that no obstacle lies on the path of the robot's origin, as the curve sampler checks the costmap."""
     points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
     rows = obstacles.rows_at(points)
     blocked = np.flatnonzero(rows >= 0)

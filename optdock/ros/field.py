@@ -1,4 +1,4 @@
-"""Recorded dockings: path, drive, costmap and outline of a recording, and their scenarios for the certificate."""
+"""Recorded dockings: path, drive, costmap and outline from a recording, and scenarios for their certificates."""
 
 from __future__ import annotations
 
@@ -347,7 +347,8 @@ class _RecordingReader:
 def kept_poses(poses: FloatArray) -> tuple[int, ...]:
     """Return the rows of measured poses, Shape (n, 3), that form a path.
 
-    Consecutive rows differ by at least some centimetres or a small turn; both ends and every reversal are included.
+    Consecutive rows differ by at least some centimetres or a small turn; the first and the last row and every reversal
+    are included.
     """
     yaw = unwrap_yaw(poses[:, 2])
     step = np.diff(poses[:, :2], axis=0)
@@ -407,7 +408,7 @@ def judged_poses(
         found: The docking.
         rule: Required clearance of the path and the drive.
         contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
-            edge of the outline, inside and outside, are taken as free [m]. None for the diagonal of a cell.
+            edge of the outline, inside and outside, are treated as free [m]. None for the diagonal of a cell.
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)

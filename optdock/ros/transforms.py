@@ -94,9 +94,9 @@ _Sample: TypeAlias = tuple[Vector, Quaternion]
 class _Track:
     """Parent of one frame, and the poses of the frame over time.
 
-    A sample takes 64 bytes in two arrays, because recordings have millions of samples. Samples are only appended, and
-    the time is appended after the values, so that other threads read complete samples. Any other change creates a new
-    track.
+    Samples are stored compactly, in two arrays with 64 bytes per sample, because a recording can contain millions of
+    samples. Samples are only appended, and the time is appended after the values, so other threads read only complete
+    samples. Any other change creates a new track.
     """
 
     __slots__ = ("is_static", "parent", "times", "values")

@@ -1,12 +1,12 @@
 """Bicycle model [DeLuca2001] of a car driven by velocity commands, and selection of a plant by the robot's drive.
 
 The robot's origin is the middle of the rear axle; the yaw rate is speed / wheelbase * tan(steering angle). A command
-requests the curvature angular / linear, and thus the steering angle atan(wheelbase * curvature).
+requests the curvature angular / linear, and therefore the steering angle atan(wheelbase * curvature).
 
 A command with zero speed has no curvature. For such a command most base controllers, such as the steering controllers
-of ros2_control and the converter of teb_local_planner, steer straight, which is also the default of this model; others
-hold the last angle. To steer the wheels of a car at rest, command the required ratio at a speed that has no effect: a
-speed within the dead band, or 1e-6 m/s.
+of ros2_control and the converter of teb_local_planner, steer straight, which is also the default of this model; other
+controllers hold the last angle. To steer the wheels of a car at rest, command the required ratio at a speed that has no
+effect, such as a speed within the dead band or 1e-6 m/s.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Steering:
 
 @dataclass(frozen=True, eq=False)
 class Bicycle:
-    """Plant of a car; `PlantState.drive` contains the speed and the measured steering angle.
+    """Plant model of a car; `PlantState.drive` contains the speed and the measured steering angle.
 
     The result is exact on circles. While speed or angle change, each sub-step follows the arc of its mean speed and yaw
     rate.

@@ -57,8 +57,8 @@ class SimulationSettings:
         position_noise: Standard deviation of the white noise of the measured x and y [m].
         yaw_noise: Standard deviation of the white noise of the measured yaw [rad].
         seed: Seed of the noise.
-        start: True pose at the beginning; None: start of the trajectory. The initial velocity is the initial velocity
-            of the trajectory.
+        start: True pose at the beginning; None: start of the trajectory. The robot begins at the initial velocity of
+            the trajectory.
         obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
 
     Raises:
@@ -144,7 +144,7 @@ class Run(FrozenArrays):
 
     @property
     def fault(self) -> str:
-        """Description of a collision or of a failure to dock; empty if neither occurred."""
+        """Description of a collision or of a failed docking; empty if neither occurred."""
         if self.collided:
             return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
         return "" if self.docked else f"not docked: {self.reason}"
@@ -275,8 +275,8 @@ class RemainingPath:
     """A sampled path with the monotonic progress of the robot along the path, up to the last two poses.
 
     The position of the robot is the nearest of the next samples of the present gear segment, without turns in place;
-    the next segment begins at the sample of the cusp. Thus the overlapping segments at a cusp are distinguished, and
-    the path-length rule of the checkers applies only to the last segment.
+    the next segment begins at the sample of the cusp. Overlapping segments at a cusp are thus distinguished, and the
+    path-length rule of the checkers applies only to the last segment.
 
     Args:
         path: The whole path.

@@ -1,8 +1,8 @@
-"""The plant: a differential drive with latency, lag, dead bands, wheel errors and slip.
+"""The plant model: a differential drive with latency, lag, dead bands, wheel errors and slip.
 
 The effects are applied in this order: limits of the robot, dead band and gains, latency, wheels (gain, dead band,
 saturation), lag, a stuck wheel, slip. Between arrivals of commands the target is constant and the lag is integrated
-exactly, so that steps may have any duration.
+exactly, so steps may have any duration.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _Target = tuple[float, float]
 
 @dataclass(frozen=True)
 class Actuation:
-    """Response of the drive to commands; the default is perfect.
+    """Response of the drive to commands; by default, the drive is perfect.
 
     Args:
         linear_lag: Time constant of the first-order lag of the speed [s]; 0: no lag.
@@ -285,7 +285,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DifferentialDrive:
-    """Plant of a robot with two driven wheels.
+    """Plant model of a robot with two driven wheels.
 
     A step is split at the arrivals of commands. Between arrivals, the robot follows the arc of its mean velocity, in
     sub-steps if there is a lag. The result is exact for constant velocities. Accelerations are not limited; the

@@ -50,9 +50,9 @@ class Sensors:
 class Station:
     """Stop and contact switch of a dock, without forces.
 
-    The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot from
-    the side or from behind passes through the plane, and collides with the outline of the station if the obstacles
-    contain this outline.
+    The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot that
+    comes from the side or from behind passes through the plane. It collides with the outline of the station if the
+    obstacles contain this outline.
 
     Args:
         direction: Gear of the last motion, forward or backward.
@@ -131,8 +131,8 @@ class SimulatedRobot:
     """A plant, its sensors and a dock with a common clock, which begins at 0.
 
     Each sensor has a separate random stream, so a change of one sensor does not affect the others. `start`, `dock_pose`
-    and the obstacles are given in the fixed frame. The simulation does not contain the stored dock, which only the
-    planner uses.
+    and the obstacles are given in the fixed frame. The stored dock, which only the planner uses, is not part of the
+    simulation.
 
     Args:
         plant: Plant of the robot.
@@ -215,7 +215,7 @@ class SimulatedRobot:
         return min((executed_clearance(footprint, poses[i:], those) for i, those in self._obstacles), default=math.inf)
 
     def record(self) -> Record:
-        """Return the record until now."""
+        """Return the record up to the present time."""
         rows = np.array(self._rows, dtype=np.float64)
         commands = np.array([*self._commands, (0.0, 0.0)], dtype=np.float64)
         delivered = np.array([time for time, _ in self._detections], dtype=np.float64)
@@ -234,7 +234,7 @@ class SimulatedRobot:
         )
 
     def forget(self) -> None:
-        """Clear the record, to bound the memory of long runs; `clearance` is restarted."""
+        """Clear the record, which bounds the memory of long runs; `clearance` is restarted."""
         self._rows = self._rows[-1:]
         self._commands.clear()
         self._detections.clear()

@@ -49,7 +49,7 @@ def duration_of(phases: Phases) -> float:
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
-    """Return the same motion from rest, slowed down by `factor` >= 1; every limit that was kept is still kept.
+    """Return the same motion from rest, slowed down by `factor` >= 1; limits satisfied before remain satisfied.
 
     Speeds are divided by the factor, accelerations by its square, jerk by its cube.
     """

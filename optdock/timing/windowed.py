@@ -1,6 +1,6 @@
 """The windowed method: constant limits in windows in which they vary little, one ruckig motion per window.
 
-The method is simple and keeps every limit by construction: a window uses the strictest value of every limit, the
+The method is simple and satisfies every limit by construction. Each window uses the strictest value of every limit, the
 acceleration is zero at every window boundary, and the speeds there can be reached in the windows on both sides.
 """
 

@@ -1,4 +1,4 @@
-"""Time of impact: how long a footprint can move at a constant body velocity before it is too close to an obstacle.
+"""Time of impact: the time after which a footprint at constant body velocity is too close to an obstacle.
 
 Between two evaluations of the scene the bound of `conservative_advancement` holds: along the axis n that attains the
 distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and M
@@ -6,7 +6,7 @@ distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a 
 step.
 
 If pieces may touch, their unions are checked as in `contact_tolerance`: a needle between two adjacent obstacles, or a
-post in a fan of thin pieces, must not enter deeper than 3 micrometres.
+post in a fan of thin pieces, must not penetrate them by more than 3 micrometres.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
     clearance: float = 0.0,
     overlap: float = _SHALLOW,
 ) -> Sweep:
-    """Return the duration for which the footprint keeps its clearance from every obstacle along the continuous motion.
+    """Return the duration for which the footprint has the clearance from every obstacle along the continuous motion.
 
     If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, the motion is only required
     not to come closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.
@@ -99,7 +99,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
 
 
 class _Group(NamedTuple):
-    """Bodies that move as one, their obstacles, and the distance to keep from each obstacle, Shape (m,) [m]."""
+    """Bodies that move together, their obstacles, and the required distance from each obstacle, Shape (m,) [m]."""
 
     bodies: tuple[ConvexBody, ...]
     scene: ObstacleSet
@@ -107,7 +107,7 @@ class _Group(NamedTuple):
 
 
 def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
-    """Return the duration for which every group keeps its distances, at most `duration` [s], and the final pose."""
+    """Return the duration, at most `duration` [s], for which every group has its distances, and the final pose."""
     time = 0.0
     for _ in range(_MOST_STEPS):
         step = min(

@@ -42,8 +42,8 @@ class ViewProof(NamedTuple):
 
     Attributes:
         margin: Proven lower bound of the margin of the marker in the view on the stretch [m]; not sharp, because cells
-            are bisected only until they are proven. If poses violate the rule, it is the smallest margin found; if no
-            view is required, it is inf.
+            are bisected only until they are proven. If poses violate the rule, the value is the smallest margin found;
+            if no view is required, the value is inf.
         violations: The worst violating pose, or the worst cell given up; empty if the proof holds.
     """
 

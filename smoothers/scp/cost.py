@@ -67,7 +67,7 @@ class CostModel:
 
     @cached_property
     def _stiffness(self) -> FloatArray:
-        """Integrals over u of products of the slopes of hat functions, weighted by `easing`."""
+        """Return the integrals over u of products of the slopes of hat functions, weighted by `easing`."""
         basis = self.basis
         if self.easing is None:
             return basis.stiffness
@@ -78,7 +78,7 @@ class CostModel:
 
     @cached_property
     def _turned(self) -> FloatArray:
-        """Weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
+        """Return weighted changes of steering at cusps, as a matrix for the knot curvatures. Shape (cusps, knots)."""
         basis = self.basis
         rows = np.zeros((basis.num_gears - 1, basis.num_knots))
         cusps = np.arange(basis.num_gears - 1)

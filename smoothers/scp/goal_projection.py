@@ -162,7 +162,7 @@ def rate_is_kept(basis: Basis, variables: Variables, bounds: VariableBounds) -> 
 
 
 def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: float) -> Path:
-    """Return the path of clothoid splines with the final straight, closed onto the goal to rounding (S20)."""
+    """Return the path of clothoid splines and the final straight, whose end is the goal except for rounding (S20)."""
     basis, ends, settings = nlp.basis, nlp.ends, nlp.settings.projection
     target = ends.target
     back = float(ends.signs[-1]) * final_straight

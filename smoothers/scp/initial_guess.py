@@ -127,7 +127,7 @@ class InitialGuesses:
 
     @cached_property
     def _first(self) -> Variables:
-        """The fit or the pursuit; the tracked path if it is better where they hit obstacles or miss the goal."""
+        """The fit or the pursuit, unless it collides or misses the goal and the tracked path is better."""
         nlp, first = self.nlp, self._untracked
         is_near = first is self.fitted and largest_deviation(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
         if is_near or self.is_late():
@@ -153,7 +153,7 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> SearchGuess:
-        """Return a guess without an earlier result, with more iterations of patience for longer paths."""
+        """Return a guess without an earlier result; longer paths are allowed more iterations without improvement."""
         settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
         patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return SearchGuess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)

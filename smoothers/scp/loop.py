@@ -39,7 +39,7 @@ __all__ = ["Iterate", "Progress", "SearchGuess", "evaluated", "judged", "search"
 
 
 class SearchGuess(NamedTuple):
-    """First variables of a search, and first bounds of its steps."""
+    """Initial variables of a search, and initial bounds on its steps."""
 
     variables: Variables  # curvatures and lengths
     trust_region: float  # first bound of the heading changes of a step [rad]
@@ -222,7 +222,8 @@ class _State:
     def overshoot(self, current: Iterate) -> float:
         """Clearance added to the buffer before the first feasible iterate [m].
 
-        When a side rolls around a corner, the shortfall after a step is about the same as after the previous step.
+        While a side of the body pivots around the corner of an obstacle, the shortfall hardly changes from step to
+        step.
         """
         return current.shortfall if not self.found and current.shortfall < self.settings.overshot else 0.0
 
@@ -233,7 +234,7 @@ class _State:
         self.rejections = 0
 
     def reject(self, moved: float) -> None:
-        """Shrink the trust region after a rejected step that moved by `moved`."""
+        """Shrink the trust region after a rejected step of size `moved`."""
         self.trust_region = self.settings.trust_cut * min(self.trust_region, max(moved, 1e-6))
         self.proximal *= self.settings.proximal_growth
         self.rejections += 1

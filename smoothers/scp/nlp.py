@@ -110,7 +110,7 @@ def formulate(
     lengths: FloatArray | None,
     settings: Settings,
 ) -> NonlinearProgram:
-    """Return the program of smoothing `path` for `problem`.
+    """Return the nonlinear program that smooths `path` for `problem`.
 
     Args:
         path: Input.
@@ -177,7 +177,7 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 
 
 def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
-    """Return the number of spans of each gear, proportional to its length and at least four, and of intervals per span.
+    """Return the number of spans of each gear (at least four, proportional to length) and of intervals per span.
 
     Args:
         lengths: Lengths of the gears, Shape (num_gears,) [m].
@@ -244,7 +244,7 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """Return the cost of steering from 0 to `curvature` at rest: the distance at full speed in the same time [m]."""
+    """Return the cost of steering from 0 to `curvature` at rest: the distance driven at full speed in that time [m]."""
     if limits.wheelbase <= 0.0:
         return 0.0
     return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed

@@ -161,8 +161,8 @@ class TurningSolver:
 def with_turns(path: Path) -> Path:
     """Return the path in which large turns without motion in polylines are turn segments.
 
-    Grid and lattice planners make such steps. A turn at the end of a path is kept unchanged, because planners overwrite
-    the heading of the last pose with the heading of the goal.
+    Grid and lattice planners produce such steps. A turn at the end of a path is kept unchanged, because planners
+    overwrite the heading of the last pose with the heading of the goal.
     """
     segments: list[Segment] = []
     for segment in path.segments:
@@ -214,7 +214,7 @@ def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment],
 
 
 def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
-    """Return the straight line between two poses if the piece is straight and both are on one axis, else None."""
+    """Return the straight line between two poses if the piece is straight and both poses are on one axis."""
     line = straight_line(part, start, end, settings)
     if line is None:
         return None

@@ -260,7 +260,7 @@ _POOLS = _Pools()
 
 
 def pool_of_this_thread() -> ProgramPool:
-    """Return the pool shared by all smoothers of the calling thread, because building programs takes a long time."""
+    """Return the pool of the calling thread, which its smoothers share to avoid building programs more than once."""
     return _POOLS.pool
 
 

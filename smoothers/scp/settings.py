@@ -204,7 +204,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """Rows of the required view, and penalties with which an infeasible search violates the view, not the goal."""
+    """Rows of the required view, and penalties that let an infeasible search violate the view rather than the goal."""
 
     reach: float = 0.35  # [m]: larger margins have no row; as `LoopSettings.most_reach`
     goal_penalty: float = 3000.0  # [1/m]; 6000 makes no difference

@@ -97,7 +97,7 @@ def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]
 
 
 def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray, ahead: FloatArray) -> FloatArray:
-    """Return poses a little ahead of nodes, on arcs with the curvature at the nodes. Shape (p, 3)."""
+    """Return poses at distances after the nodes, extrapolated with the curvature at the nodes. Shape (p, 3)."""
     sign = bound.signs[basis.node_gear[node]]
     turn = ahead * rollout.curvature[node]
     x, y, yaw = rollout.poses[node].T
@@ -106,7 +106,7 @@ def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray,
 
 
 def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the marker in the robot frame (n, 2), and inward normals (edges, n, 2) and margins (edges, n) of edges."""
+    """Return the marker in the robot frame (n, 2), and inward normals (edges, n, 2) and margins (edges, n)."""
     camera, mount = view.camera, view.camera.mount
     point = camera.points_seen(poses, view.marker)
     c, s = np.cos(mount.yaw), np.sin(mount.yaw)

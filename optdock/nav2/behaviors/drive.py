@@ -70,8 +70,8 @@ class _Motion:
 class _StraightBehavior(Behavior, ABC):
     """Base class of both behaviors.
 
-    Nav2 checks the edges of the footprint on a grid at single poses; here the whole footprint is swept
-    continuously in the collision check.
+    Nav2 checks the edges of the footprint on a grid at single poses. This class checks the area swept by the whole
+    footprint during the continuous motion.
     """
 
     Parameters = DriveParameters
@@ -84,7 +84,7 @@ class _StraightBehavior(Behavior, ABC):
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """The local costmap is used."""
+        """Resources of the behavior: the local costmap."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod

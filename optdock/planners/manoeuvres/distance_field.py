@@ -1,4 +1,4 @@
-"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc on it."""
+"""Distances to the nearest obstacle on a grid, computed in tiles on demand, and shortest routes of a disc."""
 
 from __future__ import annotations
 

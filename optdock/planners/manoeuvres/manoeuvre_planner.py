@@ -75,8 +75,8 @@ class ManoeuvrePlannerParameters(PluginParameters):
 class ManoeuvrePlanner(GlobalPlanner):
     """Plan manoeuvres with cusps among obstacles: Reeds-Shepp words between trees of arcs around start and goal.
 
-    Every path keeps the clearance that the problem requires and the turning radius of the robot; its curvature jumps
-    between arcs, so it must be smoothed. The planner needs a problem in its context.
+    Every path satisfies the required clearance of the problem and the turning radius of the robot. Its curvature jumps
+    between arcs, so the path must be smoothed. The planner needs a problem in its context.
 
     Args:
         **parameters: See `ManoeuvrePlannerParameters`.
@@ -114,7 +114,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,
     ) -> Iterator[Guess | None]:
-        """Yield collision-free manoeuvres, stage by stage, within a stage in ascending order of price.
+        """Yield collision-free manoeuvres stage by stage, in ascending order of price within each stage.
 
         Raises:
             LifecycleError: If the planner is not configured.
@@ -149,7 +149,7 @@ class ManoeuvrePlanner(GlobalPlanner):
 
 
 def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
-    """Return the message of a search without result, which tells whether the dock can be entered straight."""
+    """Return the message of a search without a result, including whether the dock can be entered on a straight line."""
     dock = problem.dock
     wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
     if all(runs[gear] < dock.final_straight for gear in wanted):
@@ -167,7 +167,11 @@ def _reason(problem: DockingProblem, runs: Mapping[str, float]) -> str:
 
 
 class Stages:
-    """One search in stages; `slack`: radius of the first words, in smallest turning radii; `poll` raises to end it."""
+    """One search in stages.
+
+    `slack`: radius of the first words, as a multiple of the smallest turning radius. `poll`: raises an exception to end
+    the search.
+    """
 
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
@@ -234,7 +238,7 @@ class Stages:
 
     @functools.cached_property
     def _cheapest_word(self) -> float:
-        """The least price of a word to the final straight without obstacles [s]."""
+        """The least price of a word to the final straight, without regard to obstacles [s]."""
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
@@ -264,7 +268,7 @@ class Stages:
         return self.trees.staging(self._efforts[0])
 
     def _words(self, effort: Effort) -> Iterator[Guess]:
-        """Yield words from the start to the staging poses that keep the margin of `effort`."""
+        """Yield words from the start to the staging poses that satisfy the margin of `effort`."""
         staging = self._staging
         if staging.rows.size == 0:
             return
@@ -294,7 +298,7 @@ class Stages:
         return self.space.wavefront(self.problem.start.as_array()[:2])
 
     def _along_routes(self) -> Iterator[Guess]:
-        """Yield words from pose to pose along the shortest route of a disc around the obstacles."""
+        """Yield sequences of words between poses along the shortest route of a disc around the obstacles."""
         start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
         radius += self.problem.path_clearance.required
         wave = self.space.wavefront(start[:2], radius)

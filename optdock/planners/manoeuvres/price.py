@@ -49,7 +49,7 @@ def price_of(path: Path, duration: float, robot: Robot) -> float:
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
-    """Return a lower bound of the price of motions along `path`, from speed, acceleration, jerk and speed zone [s].
+    """Return a lower bound of the price [s] of motions along `path`, given speed, acceleration, jerk and speed zone.
 
     Curvature and clearance can only raise the price. A smoother may still find a shorter path nearby.
     """
@@ -112,7 +112,7 @@ def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
 
 
 def stops(path: Path) -> int:
-    """Return the number of stops on the way for changing gear, turning in place, or both at once."""
+    """Return the number of intermediate stops for changing gear, turning in place, or both at once."""
     driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
     return max(driven - 1, 0)
 
@@ -124,7 +124,7 @@ def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:
 
 
 def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return the prices of driving signed lengths, negative in reverse, at full speed. Any shape [s]."""
+    """Return the prices [s] of driving signed lengths, negative in reverse, at full speed, of any shape."""
     limits = robot.limits
     times: FloatArray = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
     return times + _reversing(lengths, robot)
@@ -186,7 +186,7 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time that the start, the speed zone and the stop add to the time at full speed [s].
+    """Return a lower bound of the time that start, speed zone and stop add to the time at full speed [s].
 
     The bound is exact if the jerk is not limited, the gears are known, and the path is long enough for full speed.
     """

@@ -1,12 +1,12 @@
 """Linearization: selection of active pairs, and their clearance as linear rows that are exact to first order.
 
-Separating planes: a row moves the point of the hull that lies over the obstacle at a tangent coordinate. This point is
-a combination of two hull vertices, possibly at different nodes. Rows that keep whole vertices above a fixed plane would
-also be safe, but would not allow a side to roll around a corner.
+Separating planes: each row constrains the point of the hull above the obstacle at a given tangent coordinate. This
+point is a combination of two hull vertices, possibly at different nodes. Rows that keep whole vertices above a fixed
+plane would also be safe, but would prevent a side of the body from pivoting around the corner of an obstacle.
 
 Covering discs: if the body overlaps an obstacle deeply, the axes of least overlap of neighbouring intervals may point
-to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so neighbouring discs
-along the centre line are pushed to the same side; they have an exact signed distance to the obstacle.
+to opposite sides. The centre line of the body crosses an obstacle only if the overlap is much deeper, so neighbouring
+discs along the centre line are pushed to the same side. The signed distance of a disc to the obstacle is exact.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 
 class ActivePairs(NamedTuple):
-    """Ascending indices of the pairs with planes, Shape (n,), and of deeply penetrating ones with discs, Shape (m,)."""
+    """Ascending indices of the pairs with planes, Shape (n,), and of deep overlaps with discs, Shape (m,)."""
 
     separated: IntArray
     penetrating: IntArray
@@ -98,7 +98,7 @@ class ClearanceRows(NamedTuple):
     node: IntArray
 
     def subset(self, keep: IntArray | BoolArray) -> ClearanceRows:
-        """Return the rows at `keep`."""
+        """Return the rows selected by `keep`."""
         return ClearanceRows(self.gradient[keep], self.gap[keep], self.node[keep])
 
     def lowest(self, most: int) -> ClearanceRows:

@@ -90,8 +90,8 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     """Return the requirement of every hull vertex, which covers all points of the chord between the two nodes.
 
     Every part of the rule is convex in the distance, and the part with the smallest value applies. If the part changes
-    within an interval, the larger value of both ends is safe. Next to the start only the right end is raised, because
-    the left pose is given.
+    within an interval, the larger of the values at both ends is safe. Next to the start only the right end is raised,
+    because the left pose is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
@@ -189,7 +189,7 @@ def _blocks(size: int, count: int) -> Iterator[slice]:
 
 
 def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Points, Points]:
-    """Return the direction between the closest vertices, and a normal of the chord of the closest one. Shape (1, p)."""
+    """Return the direction between the closest vertices, and a normal of the closest vertex's chord. Shape (1, p)."""
     vertex, corner = _closest(hull, outline)
     here, there, count = hull.at(vertex), outline.at(corner), hull.x.shape[0]
     other = hull.at((vertex + count // 2) % count)
