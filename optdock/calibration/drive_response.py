@@ -208,7 +208,7 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
 
 
 def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
-    """Return the dead band of each wheel: the best fit of the speed below which the wheel does not move [m/s].
+    """Return the dead band [m/s] of each wheel, which is the best fit of the speed below which the wheel does not move.
 
     The interval contains all speeds whose misfit, summed by clusters, is not significantly worse than the best misfit.
 

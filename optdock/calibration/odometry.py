@@ -79,7 +79,7 @@ def _missing(name: str, way: float, turned: float, track_width: float) -> str:
 
 
 def odometry_age(recordings: Sequence[Recording]) -> Quantity:
-    """Return the mean age of the newest pose of the odometry in a control cycle [s]."""
+    """Return the mean age [s] of the newest odometry pose in a control cycle."""
     name, unit = "age of the odometry", "s"
     ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
     if not ages:
@@ -92,7 +92,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
 
 
 def twist_window(recordings: Sequence[Recording]) -> Quantity:
-    """Return the time over which the twist is averaged from increments of the odometry [s]."""
+    """Return the time [s] over which increments of the odometry are averaged to obtain the twist."""
     name, unit = "twist window", "s"
     used = [one for one in recordings if len(one.odometry) > 20]
     if not used:

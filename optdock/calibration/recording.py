@@ -71,7 +71,7 @@ class OdometryPath(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """One drive, with stamps on the clock of the measurements [s] and poses as rows of x, y [m], yaw [rad].
+    """One drive, with stamps [s] on the clock of the measurements, and poses as rows of x [m], y [m], yaw [rad].
 
     Attributes:
         source: File name.
@@ -337,7 +337,7 @@ def _topic(bag: BagRecording, names: tuple[str, ...], kinds: tuple[str, ...], wh
 
 
 def _values(bag: BagRecording, topic: str, convert: Callable[[Message], _Value]) -> Iterator[tuple[float, _Value]]:
-    """Yield times of reception [s] and values of the messages of a topic; errors contain file and topic."""
+    """Yield the times of reception [s] and the values of a topic's messages; errors contain file and topic."""
     for time, message in bag.messages(topic, 0.0, math.inf):
         try:
             value = convert(message)

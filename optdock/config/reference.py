@@ -105,7 +105,7 @@ def scenario_schema() -> Schema:
 
 
 def _parameter_models(section: str) -> dict[str, type[BaseModel]]:
-    """Return the parameter models of the installed plugins of a section; skip plugins that cannot be imported."""
+    """Return the parameter models of a section's installed plugins, except plugins that cannot be imported."""
     kind = plural(section)
     found: dict[str, type[BaseModel]] = {}
     for plugin in available_plugins():

@@ -1,8 +1,8 @@
 """Models of a scenario file, `optdock-scenario/1`: keys, types, defaults and values.
 
-The rules are checked by the constructors of the values; the models call them key by key, so that every fault is
-reported. The scenario reference and the JSON schema in `optdock.config.reference` are generated from the descriptions
-of the keys (`_key`), which end with the unit in brackets.
+The rules are checked by the constructors of the values. The models call these constructors key by key, so that every
+fault is reported. The scenario reference and the JSON schema in `optdock.config.reference` are generated from the
+descriptions of the keys (`_key`), which end with the unit in brackets.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Limits on commands: the reachable command nearest to the desired command, within all limits up to the jerk.
 
 The speed passes through a second-order limiter. The limiter does not change a reachable command, so a feed-forward
-within the limits is not delayed. Otherwise the acceleration changes by no more than the jerk limit, and decreases early
-enough that the speed reaches the desired speed without overshoot: at a difference d, the acceleration relative to the
-feed-forward is at most sqrt(2 jerk d).
+within the limits is not delayed. Otherwise, the change of the acceleration is within the jerk limit. The acceleration
+decreases early enough for the speed to reach the desired speed without overshoot: at a speed difference d, the
+acceleration relative to the feed-forward is at most sqrt(2 jerk d).
 
 A limit that depends on both speed and turn (wheel speeds, lateral acceleration, yaw rate of steered wheels) is checked
-over the time in which a positive acceleration decreases to zero at the largest jerk, while the turn decreases. A
-command is accepted only if speed and turn satisfy the limit during this time, which ensures that a next command exists.
-Otherwise the speed is reduced first, then the turn.
+over the time in which a positive acceleration decreases to zero at the largest jerk; the turn also decreases during
+this time. A command is accepted only if speed and turn satisfy the limit during this time, which ensures that a next
+command exists. Otherwise the speed is reduced first, then the turn.
 
 The lateral jerk is limited only by the rate of change of the turn, and the limits above have priority. Braking in a
 bend also has priority, because its lateral jerk could only be compensated by leaving the bend.
@@ -139,7 +139,7 @@ class CommandLimiter:
         return command
 
     def _between(self, period: float) -> float:
-        """Return the time between the middles of the last and the present period [s]."""
+        """Return the time [s] between the middles of the last and the present period."""
         return 0.5 * (period + (self._period or period))
 
     def _slope(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
@@ -317,7 +317,7 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
-    """Return the full braking distance from a speed and an acceleration along the direction of travel [m]."""
+    """Return the full braking distance [m] from a speed and an acceleration along the direction of travel."""
     if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
         return 0.0
     state = 0.0, v, a

@@ -205,7 +205,7 @@ class TrajectoryReference:
         return trajectory, time
 
     def peak_yaw_acceleration(self) -> float:
-        """Return the largest yaw acceleration, at rate 1, of the commands now and in the next 0.3 s [rad/s^2]."""
+        """Return the largest yaw acceleration [rad/s^2], at rate 1, of the commands now and in the next 0.3 s."""
         shown, time, _ = self._at(self._preview)
         ahead = np.clip(time + _LOOK_AHEAD, 0.0, shown.duration)
         return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
@@ -240,7 +240,7 @@ class TrajectoryReference:
 
     @staticmethod
     def _place(trajectory: Trajectory, time: float) -> float:
-        """Return the distance along a trajectory at a time on its clock [m]."""
+        """Return the distance [m] along a trajectory at a time on its clock."""
         return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:

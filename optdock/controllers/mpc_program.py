@@ -169,7 +169,7 @@ class MpcCycle(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Commands, Shape (n, 2), largest excess over the tube [m], and excess of the next jerk over its limit [m/s^3]."""
+    """Commands, Shape (n, 2), largest excess [m] over the tube, and excess [m/s^3] of the next jerk over its limit."""
 
     commands: FloatArray
     outside: float

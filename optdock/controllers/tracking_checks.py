@@ -89,7 +89,7 @@ def accepted_errors(goal_checker: GoalChecker | None, context: PluginContext) ->
 
 
 class _StallTimer:
-    """Timer for a quantity that should decrease: measures the time without progress."""
+    """Timer that measures the time for which a quantity that should decrease has made no progress."""
 
     def __init__(self) -> None:
         self._least, self._idle = math.inf, 0.0

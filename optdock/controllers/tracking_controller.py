@@ -157,7 +157,7 @@ class TrackingController(Controller):
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it, beginning with the next call.
 
-        A path is timed from the speed of the last command, so that the robot need not stop for a new path.
+        A path is timed from the speed of the last command, so the robot does not have to stop for a new path.
 
         Args:
             path: Path or trajectory to follow.

@@ -1,4 +1,4 @@
-"""Validation of inputs: invalid measurements are dropped, invalid values of a dock type raise an error."""
+"""Validation of inputs: invalid measurements are dropped, and invalid values of a dock type raise an error."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Actions at the dock: detection at rest, confirmation, pressing, backing out, and correction of small errors.
 
-The motions in this module are short, straight or in place, and not planned. Backing out and small corrections are
-checked against the obstacles by time of impact; pressing on towards contact is not checked.
+The motions in this module are short and not planned; they are straight lines or turns in place. Backing out and small
+corrections are checked against the obstacles by time of impact; pressing on towards contact is not checked.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def perceive(cycles: ControlCycles) -> Cycles:
 
 
 def wait_for_detection(cycles: ControlCycles) -> Cycles:
-    """Wait at rest for detections if the last one is too old.
+    """Wait at rest for detections if the last detection is too old.
 
     Raises:
         AttemptFailed: If the dock is not detected within the timeout.

@@ -46,7 +46,7 @@ LAST_LOOK = 0.2  # [m] in front of the dock within which an uncertain robot cont
 
 
 def reachable_offset(distance: float, limits: MotionLimits) -> float:
-    """Return the largest lateral offset of a forward path that begins and ends in the same direction [m].
+    """Return the largest lateral offset [m] of a forward path that begins and ends in the same direction.
 
     Four equal pieces with the curvature rising and falling at its largest rate c give an offset of c d^3 / 32. Two arcs
     of the largest curvature k, one to the left and one to the right, give k d^2 / 4. No path within the limits exceeds
@@ -99,7 +99,7 @@ def left_at_dock(offset: float, turn: float, distance: float, gear: float, decay
 
 
 def staging_distance(problem: DockingProblem) -> float:
-    """Return the distance from the docked pose at which an approach can still correct an error of the stored dock [m].
+    """Return the distance [m] from the docked pose at which an approach can still correct an error of the stored dock.
 
     The distance allows a lateral correction of 15 cm before the final straight, and is at least Nav2's 0.7 m.
     """
@@ -151,7 +151,7 @@ class DockEstimate:
 
     @property
     def reach_of_contact(self) -> float:
-        """Distance from the estimated dock within which contact is possible, including the uncertainty [m]."""
+        """Distance [m] from the estimated dock within which contact is possible, including the uncertainty."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
 
     @property

@@ -100,7 +100,7 @@ class Perception:
 
     @property
     def costmap_age(self) -> float:
-        """Time since the last costmap, even if unchanged, or since the first measurements without a costmap [s]."""
+        """Time [s] since the last costmap, even if unchanged, or since the first measurements without a costmap."""
         return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
@@ -115,7 +115,7 @@ class Perception:
 
     @property
     def unseen_turn(self) -> float:
-        """Rotation of the localization relative to the odometry since the last detection [rad].
+        """Rotation [rad] of the localization relative to the odometry since the last detection.
 
         A rotation by wheel slip changes the localization, but not the odometry.
         """

@@ -140,7 +140,7 @@ class PlanResult(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Result of a clearance check of the rest of a motion; true if the clearance is sufficient.
+    """Result of checking the clearance of the rest of a motion; true if the clearance is sufficient.
 
     Attributes:
         holds: Whether the rest of the motion has the required clearance.

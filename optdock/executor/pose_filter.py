@@ -41,7 +41,7 @@ _IDLE = 0.05, 0.1  # [m], [rad] by the twists at a constant pose: beyond, the dr
 class DeadReckoning:
     """Pose of the robot by odometry, relative to its first pose.
 
-    Increments of the odometry's poses are accumulated, so that a restart of its frame has no effect. Twists are
+    Increments of the odometry's poses are accumulated, so a restart of the odometry's frame has no effect. Twists are
     integrated from the newest pose to the present, or over the whole time if there are no poses.
 
     Args:
@@ -140,7 +140,7 @@ def _arc(step: Pose2) -> Twist2:
 
 
 class OdometryErrors(NamedTuple):
-    """Standard deviations of the errors of dead reckoning and of the stamps of measurements.
+    """Standard deviations of errors in dead reckoning and in the stamps of measurements.
 
     Attributes:
         along: Random error of the distance after one metre [m/m^0.5].

@@ -64,7 +64,7 @@ class Procedure:
 
     Attributes:
         cycles: Situation, state and cancellation of the task.
-        num_retries: Number of approaches after the first one.
+        num_retries: Number of approaches after the first approach.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - the parts of an executor
@@ -164,7 +164,7 @@ class Procedure:
             yield from self._travel.drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _approach(self) -> Generator[Target, None, EndingKind]:
-        """Plan from rest and drive; plan again after interruptions; raise AttemptFailed after too many of them."""
+        """Plan from rest and drive; plan again after interruptions, and raise AttemptFailed after too many."""
         cycles, patience = self.cycles, self._situation.settings.obstacle_patience
         blocks, blocked_since = 0, cycles.now
         self._situation.dock_type.reset()

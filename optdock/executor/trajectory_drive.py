@@ -139,7 +139,7 @@ class TrajectoryDrive:
 
     @property
     def _allowance(self) -> float:
-        """Time by which the drive may exceed the duration of its plan [s]."""
+        """Time [s] by which the drive may exceed the duration of its plan."""
         settings, state = self._situation.settings, self._state
         if state is State.STAGING:
             return settings.max_staging_time
@@ -213,7 +213,7 @@ class TrajectoryDrive:
             raise Interrupted("detection missing", reason)
 
     def _share_while_hidden(self) -> float:
-        """Return the share of the planned speed that keeps corrections possible during the wait for a hidden dock."""
+        """Return the share of the planned speed at which corrections stay possible while the dock is hidden."""
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = self._place.time_at(trajectory.path.length - NO_ROOM)
         left = max(until - self._reference[0], 0.0)

@@ -118,17 +118,17 @@ class Footprint(FrozenArrays):
 
     @property
     def circumscribed_radius(self) -> float:
-        """Largest distance of a point of the outline from the origin [m]."""
+        """Largest distance [m] of a point of the outline from the origin."""
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
 
     def displacement(self, pose: Pose2, reference: Pose2) -> float:
-        """Return an upper bound of the distance that a point of the outline moves from `reference` to `pose` [m]."""
+        """Return an upper bound of the distance [m] that a point of the outline moves from `reference` to `pose`."""
         turn = normalize_angle(pose.yaw - reference.yaw)
         return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
     @property
     def inscribed_radius(self) -> float:
-        """Smallest distance of a point of the outline from the origin [m]."""
+        """Smallest distance [m] of a point of the outline from the origin."""
         start, edge = self.vertices, np.roll(self.vertices, -1, axis=0) - self.vertices
         along = np.clip(-np.sum(start * edge, axis=1) / np.sum(edge**2, axis=1), 0.0, 1.0)
         nearest = start + along[:, None] * edge

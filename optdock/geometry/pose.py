@@ -238,7 +238,7 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
 
 
 def displacement(off: Number, turn: Number, radius: float) -> Number:
-    """Return an upper bound of the distance that any point within `radius` of the origin moves [m].
+    """Return an upper bound of the distance [m] that any point within `radius` of the origin moves.
 
     A rotation moves a point along a chord of at most 2 R |sin(turn / 2)|, so the bound is `off` + 2 R |sin(turn / 2)|.
 

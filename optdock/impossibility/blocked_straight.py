@@ -4,7 +4,7 @@
 problem, because a certificate requires that the last `final_straight` metres lead straight into the dock, in a gear
 that the dock allows (`path_rules`). A certified path therefore passes every pose on one of these straights, up to the
 tolerance of the certificate. For each straight the proof names a pose that violates the certificate: the footprint
-overlaps an obstacle, or its clearance is below the least clearance that any certificate requires there
+overlaps an obstacle, or its clearance is below the least clearance that any certificate requires at that pose
 (`least_required`), by more than the tolerance.
 
 The checker measures the clearances of these poses again, with shapely.

@@ -45,7 +45,7 @@ class DiscCover(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _bodies(footprint: Footprint) -> list[DiscCover]:  # noqa: ARG001 - the key
-    """Return the cached list that holds the discs of a footprint; it is empty until they are computed."""
+    """Return the cached list of the discs of a footprint, which is empty until the discs are computed."""
     return []
 
 

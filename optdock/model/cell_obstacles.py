@@ -148,7 +148,7 @@ def cell_rectangles(occupied: BoolArray) -> IntArray:
 
 
 def _merged_runs(occupied: BoolArray) -> IntArray:
-    """Return rectangles of true cells: runs in rows; equal runs in consecutive rows are merged. Shape (m, 4)."""
+    """Return rectangles of true cells: runs in rows, merged if runs in consecutive rows are equal. Shape (m, 4)."""
     padded = np.zeros((occupied.shape[0], occupied.shape[1] + 2), dtype=np.bool_)
     padded[:, 1:-1] = occupied
     # The number of changes per row is even, so the flat list alternates between starts and stops of runs.

@@ -54,7 +54,7 @@ class ClearanceRule:
 
     @classmethod
     def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
-        """Return a rule unchanged, or the rule that requires one number [m] everywhere, including at the dock.
+        """Return a rule unchanged; a number [m] gives the rule that requires it everywhere, including at the dock.
 
         Raises:
             InvalidValue: If the value is neither a rule nor a finite number >= 0.

@@ -235,7 +235,7 @@ class MotionLimits:
     def steering_angle(self, curvature: FloatArray) -> FloatArray:
         """Return the steering angle on a path of this curvature, negated if driven in reverse. Shape (n,) [rad].
 
-        Bicycle model [DeLuca2001]: the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
+        In the bicycle model [DeLuca2001], the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
         """
         angle: FloatArray = np.arctan(self.wheelbase * curvature)
         return angle
@@ -259,12 +259,12 @@ class MotionLimits:
         return turned / self.max_steering_rate
 
     def start_wait(self, path: Path) -> float:
-        """Return the longest time to steer wheels from an unknown angle to the angle at the start of `path` [s]."""
+        """Return the longest time [s] to steer the wheels from an unknown angle to the angle at the start of `path`."""
         first = path.segments[0]
         return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
 
     def steering_time_to(self, curvature: float) -> float:
-        """Return the longest time to steer from an unknown angle to the angle for a curvature [1/m], in [s].
+        """Return the longest time [s] to steer from an unknown angle to the angle for a curvature [1/m].
 
         The farthest initial angle is `max_steering_angle`. If that is unlimited, it is the angle for `max_curvature`,
         and a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.

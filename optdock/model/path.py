@@ -141,7 +141,7 @@ class Path(FrozenArrays):
 
     @property
     def length(self) -> float:
-        """Arc length over all gears and turns in place, which is the largest `s` [m]."""
+        """Arc length [m] over all gears and turns in place, which is the largest `s`."""
         return float(self.segment_starts[-1])
 
     @property
@@ -179,7 +179,7 @@ class Path(FrozenArrays):
 
     @property
     def cusps(self) -> tuple[float, ...]:
-        """Arc lengths at which the robot rests: gear changes, and the two ends of turns in place [m]."""
+        """Arc lengths [m] at which the robot rests: gear changes, and the two ends of turns in place."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
     @functools.cached_property

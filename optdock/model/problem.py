@@ -259,7 +259,7 @@ class DockingProblem(FrozenArrays):
         return abs(self.start_speed), sign * self.start_acceleration
 
     def start_wait(self, path: Path) -> float:
-        """Return the time for which the robot waits at the start of `path` until its wheels are steered [s].
+        """Return the time [s] for which the robot waits at the start of `path` until its wheels are steered.
 
         The time is 0 if `start_curvature` is given; see `MotionLimits.start_wait`.
         """
@@ -267,7 +267,7 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def path_clearance(self) -> ClearanceRule:
-        """Clearance rule of the path, which ensures that every pose in the robot's tracking tube keeps `clearance`."""
+        """Clearance rule of the path; it ensures that every pose in the robot's tracking tube has the `clearance`."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
         return dataclasses.replace(self.clearance, required=wider)
 
@@ -385,7 +385,7 @@ class DockingProblem(FrozenArrays):
 
 
 def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
-    """Return a signed start state without the rounding errors of rest or of the end of braking.
+    """Return a signed start state without the rounding errors that occur at rest or at the end of braking.
 
     From a state with such errors, the motion would reverse by an unmeasurably small distance. The state is replaced by
     rest, or its speed is replaced by the lowest speed from which the braking can end without reversing.

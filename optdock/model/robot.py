@@ -56,7 +56,7 @@ class TrackingTube:
                 raise InvalidValue(f"robot.tracking.{name}: must be finite and >= 0{up_to} {unit}, got {value}")
 
     def width(self, footprint: Footprint) -> float:
-        """Return the largest displacement of a point of the footprint within the tube [m]."""
+        """Return the largest displacement [m] of a footprint point within the tube."""
         return float(displacement(self.cross, self.yaw, footprint.circumscribed_radius))
 
 

@@ -173,9 +173,9 @@ class PolylineSegment(FrozenArrays):
     def step_swing(self) -> FloatArray:
         """Variation of the curvature per metre of every step, Shape (n - 1,) [1/m^2].
 
-        It is half the sum of the absolute changes of curvature at both ends of the step, divided by the length of the
-        step. For monotonic curvature it equals the slope of `curvature_at`. It also detects an oscillation from step to
-        step, which is not visible in the mean curvatures at the poses.
+        The variation is half the sum of the absolute curvature changes at both ends of the step, divided by the length
+        of the step. For monotonic curvature, the variation equals the slope of `curvature_at`. It also detects an
+        oscillation from step to step, which the mean curvatures at the poses do not show.
         """
         swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
         changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))
@@ -246,7 +246,7 @@ class TurnSegment(FrozenArrays):
 
     @property
     def length(self) -> float:
-        """Length of the interval of s [m]."""
+        """Length [m] of the interval of s."""
         return float(self.knots[-1])
 
     @property

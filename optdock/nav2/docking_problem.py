@@ -63,10 +63,10 @@ def nav2_scenario(
 ) -> Nav2Scenario:
     """Return the problem of driving into a dock that is described in Nav2's files.
 
-    The footprint is the padded footprint of the global costmap; the speeds and accelerations come from the velocity
-    smoother; the approach speed and the gear come from the docking server and the dock type. Nav2 has no curvature
-    limit, no outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The costmap is
-    the global costmap of the file, built over the map by `file_costmap`.
+    The footprint is the padded footprint of the global costmap. The speeds and accelerations are taken from the
+    velocity smoother, and the approach speed and the gear from the docking server and the dock type. Nav2 has no
+    curvature limit, no outline of the dock and no clearance in metres; the clearance is `ClearanceRule`'s default. The
+    costmap is the global costmap of the file, built over the map by `file_costmap`.
 
     Args:
         params_source: Parameter file.
@@ -175,7 +175,7 @@ def _given_limits(params: Nav2Params) -> dict[str, float]:
 
 
 def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:
-    """Return the magnitude of one component of a vector of three or six numbers, or None if there is no such vector."""
+    """Return the magnitude of a component of a vector with three or six numbers, or None if there is no such vector."""
     vector = values.get(name)
     if vector is None:
         return None

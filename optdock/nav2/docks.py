@@ -35,7 +35,7 @@ _DEFAULT_FRAME = "map"
 def docked_pose(dock: Pose2, direction: DockDirection) -> Pose2:
     """Return the pose of the docked robot; the x axis of Nav2's dock poses points into the dock for both directions.
 
-    The function is its own inverse: for the pose of the docked robot, it returns the dock's pose.
+    The function also converts in the other direction: for the pose of the docked robot, it returns the dock's pose.
     """
     return dock @ Pose2(0.0, 0.0, math.pi) if direction is DockDirection.BACKWARD else dock
 

@@ -62,8 +62,8 @@ class DockPlanner(GlobalPlanner):
         checked by `plan_dock`.
 
         Raises:
-            LifecycleError: If the planner is not configured. This is not a PlannerException, because no other goal or
-                retry can help.
+            LifecycleError: If the planner is not configured. This error is not a PlannerException, because neither
+                another goal nor a retry can resolve it.
             PlannerException: If `check_free_space` is set and there is no costmap.
             StartOutsideMapBounds: If `check_free_space` is set and the start is outside the map.
             StartOccupied: If `check_free_space` is set and the start is not free.

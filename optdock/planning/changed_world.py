@@ -204,7 +204,7 @@ def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:
 
 
 def _time_at(trajectory: Trajectory, s: float) -> float:
-    """Return the time at which a trajectory first reaches an arc length of its path [s]."""
+    """Return the time [s] at which a trajectory first reaches an arc length of its path."""
     law = trajectory.time_law
     phase = int(np.clip(np.searchsorted(law.states[:, 0], s) - 1, 0, law.durations.size - 1))
     low, high = 0.0, float(law.durations[phase])

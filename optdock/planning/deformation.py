@@ -115,7 +115,7 @@ class Push(NamedTuple):
 
 
 class _Contact(NamedTuple):
-    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,) and lack of clearance [m]."""
+    """Nearest point of the robot (2,) [m], unit normal away from the obstacle (2,), and missing clearance [m]."""
 
     place: FloatArray
     normal: FloatArray
@@ -189,7 +189,7 @@ def _gears(path: Path, final_straight: float) -> list[_GearPiece] | None:
 
 
 def _refined(knots: FloatArray, length: float) -> FloatArray:
-    """Return the knots before `length`, `length` itself, and additional knots between distant ones."""
+    """Return the knots before `length`, `length` itself, and additional knots between distant knots."""
     kept = knots[(knots > 0.0) & (knots < length)]
     apart = 0.1 * _SHORTEST_PIECE  # closer knots add a rate constraint without a degree of freedom
     kept = kept[(kept > apart) & (kept < length - apart)]
@@ -326,7 +326,7 @@ class _Program:
         return np.split(change, self.starts[1:-1])
 
     def _price(self, gear: _GearPiece) -> FloatArray:
-        """Return the matrix of the quadratic cost of a change of a gear's variables."""
+        """Return the matrix of the quadratic cost for changing the variables of a gear."""
         if gear.sign == 0:
             return np.array([[1.0]])
         steps, n = np.diff(gear.knots), gear.curvature.size

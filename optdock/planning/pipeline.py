@@ -284,7 +284,7 @@ _MARGIN_SHARE, _MARGIN_MOST = 0.3, 0.006  # of the budget; [s]: longer suspensio
 
 
 def _margin(budget: float) -> float:
-    """Return how long before the end of the budget a call stops: the second longest suspension so far [s]."""
+    """Return the time [s] by which a call stops before the end of the budget: the second longest suspension so far."""
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
@@ -370,7 +370,7 @@ class _Portfolio:
             self._try(Guess(path, "fewer cusps"), is_last=True)
 
     def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
-        """Yield every guess, and whether it is known to be the last one; then search for a proof."""
+        """Yield every guess, and whether it is known to be the last guess; then search for a proof."""
         for path in self.given:
             yield Guess(path, "given"), False
         last = self.planners[-1]

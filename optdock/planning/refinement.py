@@ -117,7 +117,7 @@ class Cancellation:
 
 
 def straight_along_contact(path: Path, problem: DockingProblem) -> float:
-    """Return the length of the straight line on which a robot that starts in contact leaves the obstacle [m].
+    """Return the length [m] of the straight line on which a robot that starts in contact leaves the obstacle.
 
     A robot alongside a wall in contact can only drive straight. Smoothers do not reproduce this line exactly, so the
     line of the guess is kept. The length is 0 if the robot touches no obstacle, is in motion or has its wheels turned,

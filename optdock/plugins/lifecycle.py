@@ -45,7 +45,7 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """Data that a plugin works on: costmaps, footprint and problem. Missing parts are derived from the others.
+    """Data for a plugin: costmaps, footprint and problem. Missing parts are derived from the others.
 
     `footprint` and `costmap` default to those of the problem, and the obstacles of the problem include the cells of
     `costmap`.
@@ -57,8 +57,8 @@ class PluginContext:
         problem: Docking problem, or None.
         clock: Function that returns a monotonic time [s].
         logger: Logger of the plugin.
-        local_costmap: Costmap around the robot, read in every call and not part of the problem, or None. If there is
-            neither a problem nor a global costmap, this costmap also replaces the global costmap.
+        local_costmap: Costmap around the robot, which is read in every call and is not part of the problem; or None. If
+            there is neither a problem nor a global costmap, this costmap also replaces the global costmap.
 
     Raises:
         InvalidValue: If `footprint` is not the outline of the problem's robot, or a part has a wrong type.
@@ -109,7 +109,7 @@ class PluginContext:
         return dataclasses.replace(found, obstacles=found.obstacles + local)
 
     def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
-        """Return the costmaps that `needs` names; the global costmap replaces a missing local costmap."""
+        """Return the costmaps named by `needs`; the global costmap replaces a missing local costmap."""
         local = self.costmap if self.local_costmap is None else self.local_costmap
         asked = {
             CostmapInfoType.NONE: (),
@@ -122,12 +122,13 @@ class PluginContext:
     def obstacles_near(
         self, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
     ) -> ObstacleSet:
-        """Return the obstacles in a box: obstacles of the problem, and cells of the costmaps that `needs` names.
+        """Return the obstacles in a box: obstacles of the problem, and cells of the costmaps named by `needs`.
 
         Args:
             lower: Lower corner, Shape (2,) [m].
             upper: Upper corner, Shape (2,) [m].
-            needs: Costmaps to include in addition to the problem, which contains the cells of the global costmap.
+            needs: Costmaps whose cells are added to the obstacles of the problem; these already include the cells of
+                the global costmap.
         """
         problem = self.problem
         found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)

@@ -73,7 +73,7 @@ _BLOCK = 512  # poses whose clearance is computed together; bounds the memory
 
 
 class FieldTopics(NamedTuple):
-    """Topics to read: the first existing one of each kind; a single topic must exist. The defaults are Nav2's."""
+    """Topics to read, of each kind the first that exists; a single topic must exist. The defaults are Nav2's."""
 
     path: tuple[str, ...] = ("/docking_trajectory", "/plan_smoothed", "/plan")
     costmap: tuple[str, ...] = (
@@ -308,7 +308,7 @@ class _RecordingReader:
             return found.planar()
 
     def _evenly_spaced(self, topic: str) -> list[Message]:
-        """Return the messages of a topic; of many messages, `_OUTLINES` to 2 * `_OUTLINES` at even intervals."""
+        """Return the messages of a topic, reduced at even intervals to at most 2 * `_OUTLINES` messages."""
         found: list[Message] = []
         every = 1
         for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):
@@ -321,7 +321,7 @@ class _RecordingReader:
         return found
 
     def _footprint(self) -> Footprint:
-        """Return the median outline in the robot's frame, because each pose is only accurate to a control cycle."""
+        """Return the median of the outlines in the robot's frame; single poses are only accurate to a control cycle."""
         names, option = self._topics.footprint, "--footprint-topic"
         topic = self._find(names, _POLYGON, option)
         if not topic:

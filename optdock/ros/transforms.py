@@ -242,7 +242,7 @@ class TransformTree:
         return Transform(target, source, at, found.translation, found.rotation)
 
     def _along(self, tracks: Mapping[str, _Track], chain: list[str], frame: str, at: float) -> Transform:
-        """Return the pose of `frame` in the last frame of the chain of its parents."""
+        """Return the pose of `frame` in the last frame of its chain of parents."""
         found = Transform(frame, frame, at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
         for name in chain:
             place, turn = self._at(name, tracks[name], at)
@@ -250,7 +250,7 @@ class TransformTree:
         return found
 
     def _at(self, name: str, track: _Track, at: float) -> _Sample:
-        """Return the pose of a frame in its parent; at later times, which the caller checks, the last pose."""
+        """Return the pose of a frame in its parent; at later times the last pose, whose age the caller checks."""
         times, count = track.times, len(track.times)
         if track.is_static or at >= times[count - 1]:
             return track.sample(count - 1)

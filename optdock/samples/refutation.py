@@ -131,7 +131,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
 
 
 def _place_errors(motion: SampledMotion, limits: MotionLimits, rest: float) -> FloatArray:
-    """Return bounds of the error of distances integrated from speeds by trapezoids, Shape (n - 1,) [m].
+    """Return error bounds of distances integrated from speeds by the trapezoidal rule, Shape (n - 1,) [m].
 
     At speeds up to `rest` the gear may change within the step, and only the acceleration limits bound the error.
     """
@@ -205,7 +205,7 @@ class _Bends(NamedTuple):
 
 
 def _polyline_curvatures(segment: PolylineSegment) -> tuple[FloatArray, FloatArray]:
-    """Return the least and largest possible curvature of the sampled curve on each step, Shape (steps,) each [1/m].
+    """Return the least and the largest possible curvature [1/m] of the sampled curve on each step, Shape (steps,) each.
 
     The turn of a step gives only the mean curvature, so the range includes the neighbouring steps, widened by their
     difference and by the rounding of the poses.
@@ -441,7 +441,7 @@ class _Rules:
             self._add("rest", message, s, missing)
 
     def _stop(self, run: Run, i: int) -> float:
-        """Return the least time between sample `i` and a rest [s]."""
+        """Return the least time [s] between sample `i` and a rest."""
         limits, names = self._limits, ("speed", "acceleration")
         steepest, jerk = max(limits.max_acceleration, limits.max_deceleration), limits.max_jerk
         if run.is_turn:

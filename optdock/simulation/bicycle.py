@@ -197,7 +197,7 @@ class Bicycle:
         return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
 
     def _aim(self, angle: float, wanted: float) -> float:
-        """Return the final angle, which is the nearer end of the play around the commanded angle."""
+        """Return the final angle: the present angle, limited to the range of the play around the commanded angle."""
         return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
 
     def _turned(self, angle: float, wanted: float, span: float) -> float:

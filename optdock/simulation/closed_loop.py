@@ -274,9 +274,9 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 class RemainingPath:
     """A sampled path with the monotonic progress of the robot along the path, up to the last two poses.
 
-    The position of the robot is the nearest of the next samples of the present gear segment, without turns in place;
-    the next segment begins at the sample of the cusp. Overlapping segments at a cusp are thus distinguished, and the
-    path-length rule of the checkers applies only to the last segment.
+    Among the next samples of the present gear segment, without turns in place, the nearest one is the position of the
+    robot; the next segment begins at the sample of the cusp. Overlapping segments at a cusp are thus distinguished, and
+    the path-length rule of the checkers applies only to the last segment.
 
     Args:
         path: The whole path.

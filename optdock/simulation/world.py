@@ -209,7 +209,7 @@ class SimulatedRobot:
         return self.state.pose.in_frame_of(self.dock_pose)
 
     def clearance(self) -> float:
-        """Return the smallest signed distance between the recorded true footprints and any obstacle [m]."""
+        """Return the smallest signed distance [m] between the recorded true footprints and any obstacle."""
         poses = np.array([row[1:4] for row in self._rows])
         footprint = self.plant.robot.footprint
         return min((executed_clearance(footprint, poses[i:], those) for i, those in self._obstacles), default=math.inf)
@@ -271,7 +271,7 @@ class SimulatedRobot:
 
 
 def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:
-    """Return the smallest signed distance between the footprint at any of the poses and any obstacle [m].
+    """Return the smallest signed distance [m] between the footprint at any of the poses and any obstacle.
 
     The motion between the poses is not checked.
 

@@ -1,6 +1,6 @@
 """Path limits: bounds on the motion along one segment of a path, from the curvature and the limits of the drive.
 
-Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
+A segment has the curvature k(s) = dtheta/ds over arc length s, with the rate k'(s). With the speed v and its rate a,
 
     v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           the cap of steered wheels,

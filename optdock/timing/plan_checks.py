@@ -146,7 +146,7 @@ class SegmentPlan(NamedTuple):
 
 
 def end_slack(limits: PathLimits) -> float:
-    """Return the largest distance from the end of the segment at which a motion may end [m]."""
+    """Return the largest distance [m] from the end of the segment at which a motion may end."""
     return min(_REACHED, _REACHED_SHARE * limits.length)
 
 

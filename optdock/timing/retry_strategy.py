@@ -95,7 +95,7 @@ class Deadlines(NamedTuple):
 NO_DEADLINES = Deadlines()
 
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, MotionState, Deadlines], Iterator[SegmentPlan]]"
-"""A method that plans one segment from a state from which full braking keeps the speed caps.
+"""A method that plans one segment from a state from which full braking satisfies the speed caps.
 
 It yields plans of status OK, best first, each made only if the previous plan was rejected; the last plan may have
 status FAIL, with the reason.
@@ -103,7 +103,7 @@ status FAIL, with the reason.
 
 
 class TimingStart(NamedTuple):
-    """Start of a motion: speed [m/s], acceleration [m/s^2], and the wait at rest before it for steering [s]."""
+    """Start of a motion: speed [m/s], acceleration [m/s^2], and the time at rest before the motion for steering [s]."""
 
     speed: float
     acceleration: float

@@ -73,7 +73,7 @@ class Braking:
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
     def tight_length(self, slack: float, turning_share: float) -> float:
-        """Return the distance from the start over which braking permits no margins [m].
+        """Return the distance [m] from the start within which braking leaves no room for margins.
 
         Args:
             slack: Relative distance from the limits at which margins are possible.
@@ -89,7 +89,7 @@ class StartVerdict(NamedTuple):
     """Result of full braking for a moving start; true if there is no refusal.
 
     Args:
-        refusal: Reason why no motion keeps every limit, or None if a motion may keep them.
+        refusal: Reason why no motion satisfies every limit, or None if such a motion may exist.
         ways_on: Phases after which a plan may continue, and the state after them, best first.
     """
 

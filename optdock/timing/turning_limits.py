@@ -4,8 +4,8 @@ With the acceleration a and the curvature's rate r per metre
 
     d/dt (v^n k) = v^(n - 1) (n a k + v^2 r),
 
-which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. Over x = v^2 the
-second factor is linear in (x, x'), because a = x' / 2. Stretching time by c divides the quantity by c^(n + 1). The
+which is the yaw acceleration for n = 1, the *order* of the limit, and the lateral jerk for n = 2. With x = v^2, the
+second factor is linear in x and x', because a = x' / 2. Stretching time by c divides the quantity by c^(n + 1). The
 ratio of a quantity to its limit is therefore raised to the power 2 / (n + 1), so that a stretch by c divides all ratios
 by c^2.
 """

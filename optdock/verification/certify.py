@@ -184,9 +184,9 @@ def certify_motion(
 ) -> TrajectoryCertificate:
     """Prove that a trajectory satisfies the motion limits of `problem` and begins in the state of the robot.
 
-    Without `start_curvature` the angle of steered wheels at the start is unknown: the motion must rest until the wheels
-    have been steered from the farthest angle (`DockingProblem.start_wait`); otherwise the motion violates the rule
-    `rest`.
+    If `start_curvature` is None, the angle of steered wheels at the start is unknown. The robot must then be at rest
+    until the wheels have been steered from the farthest angle (`DockingProblem.start_wait`); otherwise the motion
+    violates the rule `rest`.
 
     Args:
         trajectory: The motion to certify.

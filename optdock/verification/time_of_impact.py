@@ -132,7 +132,7 @@ def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) 
 
 
 def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2, required: FloatArray) -> FloatArray:
-    """Return for every obstacle the longest step that provably keeps the required distance, Shape (m,) [s]."""
+    """Return for every obstacle the longest step for which the required distance is proven. Shape (m,) [s]."""
     poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
     found = separation(body, poses, scene.pieces(np.arange(len(scene))))
     points = transform_points(poses[:1], body.vertices)[0]  # (k, 2)

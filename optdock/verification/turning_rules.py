@@ -12,8 +12,8 @@ its first instant. A change of curvature over a time shorter than the resolution
 checked too, with its curvature rate.
 
 A polyline is evaluated three times: with the interpolated curvature between its poses, with the curvature of its steps,
-and with the rate at which the curvature oscillates from step to step, which is not visible in the mean curvatures at
-the poses.
+and with the rate at which the curvature oscillates from step to step. The mean curvatures at the poses do not show this
+oscillation.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _segment_pieces(segment: Segment, start: float) -> Pieces:
 class Cells(NamedTuple):
     """Motion at the first instant of each cell, Shape (n,) each; r, j, and the bounds of k are constant within a cell.
 
-    `t`: time since the start of the motion, for messages [s]; `low`, `high`: range of the curvature of the piece of the
+    `t`: time since the start of the motion, for messages [s]; `low`, `high`: range of the curvature on the piece of the
     path.
     """
 

@@ -88,7 +88,7 @@ class CostModel:
 
     @property
     def factors(self) -> tuple[float, float]:
-        """Weights of the integrals of curvature^2 and of curvature rate^2."""
+        """Weights of the integrals of squared curvature and squared curvature rate."""
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
 
     def _lateral(self, rollout: Rollout) -> FloatArray:

@@ -192,7 +192,7 @@ def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: flo
 
 
 def _chained(basis: Basis, variables: Variables, ends: Ends, final_straight: float) -> list[ClothoidSpline]:
-    """Return one spline per gear, each from the end of the previous one; the last one includes the straight."""
+    """Return one spline per gear, each from the end of the previous spline; the last spline includes the straight."""
     pose = Pose2.from_sequence(ends.start)
     splines = []
     for m, (first, last) in enumerate(zip(basis.first_knots, basis.last_knots, strict=True)):

@@ -57,7 +57,7 @@ class InitialGuesses:
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """Tracked guess if the input can be tracked; None if this guess is the first guess or close to it."""
+        """Guess that tracks the input; None if the input cannot be tracked or the first guess is equal or close."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -243,7 +243,7 @@ def pure_pursuit(
 
 
 def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
-    """Return the points at the spacing of a step, with a straight tail, so that the pursuit ends aligned with it."""
+    """Return the points at the spacing of a step, extended by a straight line that aligns the end of the pursuit."""
     away = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     s = np.arange(0.0, away[-1], limits.step)
     dense = [np.interp(s, away, points[:, i]) for i in (0, 1)]

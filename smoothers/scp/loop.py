@@ -67,7 +67,7 @@ class Iterate(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Sum of the shortfalls of all zones and of the goal error [m, rad]."""
+        """Sum of the goal error and the shortfalls in all zones [m, rad]."""
         return float(self.zones.sum() + np.abs(self.end_error).sum())
 
     def merit(self, penalties: Penalties) -> float:
@@ -220,7 +220,7 @@ class _State:
     found: bool = False
 
     def overshoot(self, current: Iterate) -> float:
-        """Clearance added to the buffer before the first feasible iterate [m].
+        """Clearance [m] added to the buffer before the first feasible iterate.
 
         While a side of the body pivots around the corner of an obstacle, the shortfall hardly changes from step to
         step.

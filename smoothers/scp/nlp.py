@@ -244,14 +244,14 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """Return the cost of steering from 0 to `curvature` at rest: the distance driven at full speed in that time [m]."""
+    """Return the cost [m] of steering from 0 to `curvature` at rest: the distance driven at full speed in that time."""
     if limits.wheelbase <= 0.0:
         return 0.0
     return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed
 
 
 def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArray | None:
-    """Return the weight of a steered robot's curvature rate in each span: squared speed over squared full speed.
+    """Return the weight of a steered robot's curvature rate in each span: the squared ratio of speed to full speed.
 
     The speed is taken from the fastest motion along gears of these lengths under the acceleration limits.
     """
@@ -271,7 +271,7 @@ def _scaled(weights: Weights, curvature: float) -> Weights:
 
 
 def _braking_distance(problem: DockingProblem) -> float:
-    """Return the distance of full braking from the start state [m]."""
+    """Return the distance [m] of full braking from the start state."""
     (speed, acceleration), limits = problem.start_state(1), problem.robot.limits
     if speed == 0.0:
         return 0.0

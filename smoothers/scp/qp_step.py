@@ -48,7 +48,7 @@ __all__ = [
 
 
 class Penalties(NamedTuple):
-    """Weights of the shortfalls of clearance and of the goal error [1/m]."""
+    """Weights [1/m] of the clearance shortfalls and the goal error."""
 
     clearance: float
     goal: float

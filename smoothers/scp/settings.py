@@ -27,7 +27,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ResolutionSettings:
-    """Numbers of spans of linear curvature and of collision intervals within them."""
+    """Numbers of spans, in which the curvature is linear, and of collision intervals per span."""
 
     longest_span: float = 1.2  # of the smallest turning radius: longer spans cost up to 1 % on long paths
     most_spans: int = 80  # the programs grow with the square of it

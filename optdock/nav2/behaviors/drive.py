@@ -84,7 +84,7 @@ class _StraightBehavior(Behavior, ABC):
 
     @property
     def resource_info(self) -> CostmapInfoType:
-        """Resources of the behavior: the local costmap."""
+        """Costmap that the collision check uses: the local costmap."""
         return CostmapInfoType.LOCAL
 
     @abstractmethod
@@ -142,7 +142,7 @@ class _StraightBehavior(Behavior, ABC):
         return BehaviorResult(BehaviorStatus.RUNNING), twist
 
     def _next_speed(self, motion: _Motion, remaining: float) -> float:
-        """Return the next speed towards the commanded speed that allows a stop within the remaining distance [m/s]."""
+        """Return the next speed [m/s] towards the commanded speed that allows a stop within the remaining distance."""
         p, highest = self.parameters, abs(motion.command.speed)
         faster = motion.speed + p.acceleration_limit / p.cycle_frequency
         braking = math.sqrt(2.0 * -p.deceleration_limit * remaining)

@@ -179,7 +179,7 @@ class EndTrees:
 
 
 def turning_radius(problem: DockingProblem) -> float:
-    """Return the smallest turning radius that the search uses [m].
+    """Return the smallest turning radius [m] that the search uses.
 
     Turns gain little if they are sharper than the curvature rate allows within one radian, or if their centre is within
     the robot.

@@ -95,7 +95,7 @@ class FreeSpace:
         self._levels = [[_discs(body, across) for body in self.footprint.bodies] for across in (1, _FINE_DISCS)]
 
     def spacing(self, effort: Effort) -> float:
-        """Return the spacing of the poses of a collision check [m]."""
+        """Return the spacing [m] between the poses of a collision check."""
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
     def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:

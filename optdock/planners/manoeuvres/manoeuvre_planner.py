@@ -233,12 +233,12 @@ class Stages:
         return EndTrees(self.problem, self.space)
 
     def straight_runs(self) -> dict[str, float]:
-        """Return the free straight length in front of the dock for entering the dock in each gear [m]."""
+        """Return the free straight length [m] in front of the dock for entering the dock in each gear."""
         return self.trees.straight_runs(self._efforts[-1])
 
     @functools.cached_property
     def _cheapest_word(self) -> float:
-        """The least price of a word to the final straight, without regard to obstacles [s]."""
+        """The least price [s] of a word to the final straight, without regard to obstacles."""
         straights = -self.problem.dock.final_straight * np.array(gears_into(self.problem.dock))
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
@@ -283,7 +283,7 @@ class Stages:
         yield from self._offered("Reeds-Shepp", ways_in)
 
     def _is_worth_a_search(self) -> bool:
-        """Whether there is no plan, or its price is much higher than that of the shortest route around obstacles."""
+        """Whether there is no plan, or the plan costs much more than the shortest route around the obstacles."""
         best = self._better_than()
         if math.isinf(best):
             return True

@@ -118,7 +118,7 @@ def stops(path: Path) -> int:
 
 
 def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:
-    """Return the price of reversing for signed lengths, negative in reverse, of any shape [s]."""
+    """Return the price [s] of reversing for signed lengths, negative in reverse, of any shape."""
     prices: FloatArray = robot.reverse_price * np.maximum(-lengths, 0.0)
     return prices
 
@@ -180,13 +180,13 @@ def _ramp(
 
 
 def stopping_cost(limits: MotionLimits) -> float:
-    """Return the cost of a change of gear beyond the time at full speed, including the price of the cusp [s]."""
+    """Return the cost [s] of a change of gear beyond the time at full speed, including the price of the cusp."""
     mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """Return a lower bound of the time that start, speed zone and stop add to the time at full speed [s].
+    """Return a lower bound of the time [s] that the start, the speed zone and the stop add to the time at full speed.
 
     The bound is exact if the jerk is not limited, the gears are known, and the path is long enough for full speed.
     """

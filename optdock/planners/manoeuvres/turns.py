@@ -294,7 +294,7 @@ def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, F
 
 
 def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
-    """Return the price at full speed with the cost of stops, comparable with the price of words [s]."""
+    """Return the price [s] at full speed plus the cost of stops, which is comparable with the price of words."""
     limits, lengths, rounds = space.problem.robot.limits, whole.lengths, whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)

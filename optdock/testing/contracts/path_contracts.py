@@ -80,7 +80,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
     is_equivariant: ClassVar[bool] = True
 
     def queries(self) -> tuple[tuple[Pose2, Pose2], ...]:
-        """Return starts and goals for which the planner must find a path."""
+        """Return pairs of start and goal for which the planner must find a path."""
         return ((ORIGIN, GOAL), (Pose2(0.2, -0.8, 0.3), GOAL), (Pose2(-0.5, 1.2, -0.2), Pose2(2.8, 0.0, 0.1)))
 
     def exercise(self, plugin: GlobalPlanner) -> object:
@@ -240,7 +240,7 @@ class SmootherContract(PluginContract[Smoother]):
 
 
 class TimeParameterizerContract(PluginContract[TimeParameterizer]):
-    """Rules of `optdock.plugins.interfaces.TimeParameterizer`; infeasible motions give a status, not an exception."""
+    """Rules of `optdock.plugins.interfaces.TimeParameterizer`; infeasible motions are statuses, not exceptions."""
 
     interface: ClassVar[type[TimeParameterizer]] = TimeParameterizer
 

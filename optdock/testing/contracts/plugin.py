@@ -35,7 +35,7 @@ _SAME = 1e-6  # [m], [rad]
 
 
 class ContractBroken(AssertionError):
-    """A plugin breaks a rule of its interface; the message names the rule and the values."""
+    """A plugin violates a rule of its interface; the message names the rule and the values."""
 
 
 def require(holds: object, rule: str) -> None:
@@ -89,7 +89,7 @@ class _PollCounter:
 
 
 def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type[Exception]) -> None:
-    """Require that `run(cancel_checker)` polls, and raises `error` after the first, second or hundredth poll."""
+    """Require that `run(cancel_checker)` polls, and raises `error` after a first, second or hundredth poll."""
     patient = _PollCounter()
     run(patient)
     require(patient.polls >= 1, "the cancel checker is polled at least once")

@@ -23,7 +23,7 @@ __all__ = ["LEAVING", "Body", "BodyAtNodes", "Points", "Requirement", "Scene", "
 
 
 class Points(NamedTuple):
-    """Points or directions, one column per pair: x and y, Shape (k, p) each."""
+    """Points or directions as x and y, Shape (k, p) each, with one column per pair."""
 
     x: FloatArray
     y: FloatArray

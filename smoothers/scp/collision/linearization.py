@@ -65,7 +65,7 @@ def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) 
 
 
 def _deeply_penetrating(margin: FloatArray, worst: float, width: float, settings: CollisionSettings) -> BoolArray:
-    """Return a mask of the pairs that overlap too deeply to tell on which side of the obstacle the body should be.
+    """Return a mask of the pairs whose overlap is so deep that the correct side of the obstacle is ambiguous.
 
     The mask has Shape (p,). If any overlap is very deep, pairs with a small positive margin are also included.
     """

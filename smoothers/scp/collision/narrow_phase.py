@@ -41,7 +41,7 @@ _CACHED = 100_000  # numbers, 0.8 MB: blocks of this size stay in the processor'
 
 
 class Clearance(NamedTuple):
-    """Near pairs of robot part and obstacle, and their margins above the required clearance; one column per pair."""
+    """Pairs of a robot part and a nearby obstacle, with margins above the required clearance; one pair per column."""
 
     pairs: Pairs  # interval, part and obstacle
     hull: Points  # swept vertices, those of the left node first, Shape (2v, p) [m]
