@@ -225,7 +225,7 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
 
 def _variances(x: FloatArray, ranges: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Return variances of correct x, y and yaw, Shape (n, 3); smooth for slightly negative slopes and jitter."""
+    """Return the variances of correct x, y and yaw, Shape (n, 3), extended smoothly to negative slopes and jitter."""
     position, yaw = (np.maximum(x[k] + x[k + 1] * ranges, _LEAST_SIGMA) for k in (0, 2))
     found: FloatArray = np.column_stack((position, position, yaw)) ** 2 + x[4] * velocity**2
     return np.maximum(found, _LEAST_SIGMA**2)

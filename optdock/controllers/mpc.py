@@ -354,7 +354,7 @@ class MpcController(TrackingController):
         return CommandBounds(limits, speed, acceleration, lateral, about, curvature, gear)
 
     def _reachable_curvature(self, times: FloatArray) -> FloatArray:
-        """Return the least and the largest curvature that the wheels can reach by `times`, Shape (2, n)."""
+        """Return the least and the largest curvature that the wheels can reach at `times`, Shape (2, n)."""
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
             return _both_ways(limits.max_curvature, times.size)

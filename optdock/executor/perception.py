@@ -148,7 +148,8 @@ class Perception:
     def sigma_after(self, way: float) -> tuple[float, float, float]:
         """Return the standard deviations after a straight motion by `way` [m], negative in reverse.
 
-        The values are along [m], across [m] and in yaw [rad] in the frame of the dock, if no further detection is made.
+        The values apply along [m], across [m] and in yaw [rad] in the frame of the dock, under the assumption that no
+        further detection is made.
         """
         found = (self._dock if self._settings.use_detections else self._robot).after(way)
         if not self._settings.use_detections:  # independent of the orientation of the dock in the map

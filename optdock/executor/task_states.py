@@ -66,7 +66,8 @@ class State(str, Enum):
 class EndingKind(str, Enum):
     """Kind of ending of a task; true if the task succeeded.
 
-    Nav2's error codes 901 and 902 (dock unknown or invalid) occur before a task exists: `DockNotInDB`, `DockNotValid`.
+    Errors with Nav2's codes 901 and 902 (dock unknown or invalid), `DockNotInDB` and `DockNotValid`, are raised before
+    a task exists.
     """
 
     DOCKED_BY_DISTANCE = "docked by distance"

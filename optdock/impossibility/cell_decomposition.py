@@ -237,7 +237,7 @@ class _Search:
         self.graph.add([Tile(-self.grid.above, 0, 0)])
 
     def _grid(self) -> CellGrid:
-        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to matter."""
+        """Return a grid of tiles that covers start, goal and the obstacles that are near enough to be relevant."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
@@ -359,7 +359,7 @@ class _Search:
                 yield bottleneck
 
     def _at_place(self, graph: ConnectivityGraph, node: int) -> Bottleneck | None:
-        """Return the bottleneck at a position of the disc, with the best heading of the body; None in an obstacle."""
+        """Return the bottleneck at a position of the disc, with the body's best heading; None inside an obstacle."""
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))

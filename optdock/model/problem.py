@@ -267,7 +267,7 @@ class DockingProblem(FrozenArrays):
 
     @functools.cached_property
     def path_clearance(self) -> ClearanceRule:
-        """Clearance rule of the path; it ensures that every pose in the robot's tracking tube has the `clearance`."""
+        """Clearance rule of the path, which ensures `clearance` for every pose in the robot's tracking tube."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
         return dataclasses.replace(self.clearance, required=wider)
 

@@ -339,7 +339,7 @@ class CurveSampler:
         Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The original method uses
         the mean of |dC/du| instead, so its spacing is up to twice as large in fast parts of the curve. As in the
         original method, the last pose has the yaw of the previous pose. Samples that are not finite are skipped.
-        `control_points`: Shape (n, 2) [m], n > degree, of unit weight.
+        `control_points`: Shape (n, 2) [m], n > degree, with unit weights.
 
         Raises:
             NoValidPathCouldBeFound: If a sample is blocked, too few are finite, or more than MAX_SAMPLES are needed.

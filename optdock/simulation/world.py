@@ -48,7 +48,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Station:
-    """Stop and contact switch of a dock, without forces.
+    """Mechanical stop and contact switch of a dock, modelled without forces.
 
     The stop is a plane across the axis of the dock, and acts only on a robot that comes from the front. A robot that
     comes from the side or from behind passes through the plane. It collides with the outline of the station if the

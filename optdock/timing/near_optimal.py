@@ -1,6 +1,7 @@
 """The near-optimal method: within about 1 % of the jerk-limited optimum, in a few milliseconds.
 
-Plans of one segment (`near_optimal_plans`), each made only if the previous plan was rejected:
+For each segment the method yields the following plans (`near_optimal_plans`), each only if the previous plan was
+rejected:
 
 1. One ruckig move over the whole segment, if it satisfies the limits; on a tiny segment, also slower moves.
 2. A reference and the moves along it.

@@ -380,7 +380,8 @@ def initial_guess(
     """Return the initial guess of the interior point method: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
 
     The guess is the acceleration-limited profile, averaged over the time in which the jerk changes the acceleration
-    from one limit to the other, and limited by launch and stop. This guess halves the number of iterations to about 10.
+    from one limit to the other, and limited by the launch and stop arcs. This guess halves the number of iterations to
+    about 10.
     """
     drive, time = bounds.limits.drive, grid.time
     total = float(profile.time[-1])

@@ -224,8 +224,9 @@ class _Wait(NamedTuple):
 def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> list[_Wait]:
     """Return the rests at the start and at cusps for which steering takes longer than the tolerance.
 
-    A phase between two borders at rest is entirely at rest, because its linear acceleration is zero at both ends. Cusps
-    that share a border share the phases at rest there, so their required durations are added.
+    A phase between two borders at rest is entirely at rest, because its linear acceleration is zero at both ends. If
+    several cusps share a border, they also share the phases at rest at this border, so their required durations are
+    added.
     """
     law, path = trajectory.time_law, trajectory.path
     cusps = path.cusps if limits.max_steering_rate < np.inf else ()

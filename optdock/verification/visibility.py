@@ -93,7 +93,7 @@ def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] 
 
 
 def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
-    """Return cells of the motion that cover exactly a stretch of the path."""
+    """Return cells of the motion that exactly cover a stretch of the path."""
     path, (begin, end) = motion.path, stretch
     cells = motion.cells(max(_MAX_STEP, path.length / _MOST_FIRST))
     first, last = cells.first.copy(), cells.last.copy()

@@ -57,7 +57,7 @@ class InitialGuesses:
 
     @property
     def on_the_input(self) -> SearchGuess | None:
-        """Guess that tracks the input; None if the input cannot be tracked or the first guess is equal or close."""
+        """Guess that tracks the input; None if the input cannot be tracked or the first guess is nearly the same."""
         if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
@@ -160,7 +160,7 @@ class InitialGuesses:
 
 
 class EarlierResult(NamedTuple):
-    """The rest of an earlier result ahead of the robot."""
+    """The part of an earlier result that is ahead of the robot."""
 
     path: Path  # earlier result
     first: int  # index of the first gear that is left

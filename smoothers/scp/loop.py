@@ -1,9 +1,9 @@
 """Sequential convex programming with an L1 merit function and a trust region.
 
-A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
-and linearized goal and clearance constraints with L1 penalties. Every iterate is rolled out exactly and projected onto
-the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T * goal error`
-([Fletcher1985], [Nocedal2006] ch. 18).
+A step minimizes a convex quadratic model of the cost within the trust region, subject to linear bounds on curvature and
+curvature rate. L1 penalties represent the linearized goal and clearance constraints. Every iterate is rolled out
+exactly and projected onto the goal if possible. A step is accepted if it lowers the merit `J + rho * shortfalls + rho_T
+* goal error` ([Fletcher1985], [Nocedal2006] ch. 18).
 """
 
 from __future__ import annotations
