@@ -1,4 +1,4 @@
-"""Smoother of recorded motions, which corrects the odometry until all detections agree on one pose of the dock.
+"""Smoother of recorded motions, which corrects the odometry by the detections of a dock whose pose is constant.
 
 The increments of the odometry are corrected by
 

@@ -385,5 +385,5 @@ def rate_for_turning(reference: TrajectoryReference, reserve: float, limits: Mot
 
 
 def waiting_rate(lag: float, slow_down_lag: float, stop_lag: float) -> float:
-    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear between."""
+    """Return the rate for a robot that lags: 1 up to `slow_down_lag`, 0 above `stop_lag` [m], linear in between."""
     return min(1.0, max(0.0, (stop_lag - lag) / max(1e-9, stop_lag - slow_down_lag)))

@@ -149,7 +149,7 @@ class FeedbackGains:
         self._before: tuple[Pose2, Twist2] | None = None
 
     def learn_noise(self, pose: Pose2, velocity: Twist2, clock: ControlClock) -> None:
-        """Update the variances from measured minus odometric motion, a difference with twice the variance of a pose."""
+        """Update the variances from measured minus odometric motion, whose variance is twice the variance of a pose."""
         period, before = clock.elapsed, self._before
         self._before = (pose, velocity)
         if before is None or clock.silent:

@@ -115,7 +115,7 @@ class Situation:
 
     @property
     def is_located(self) -> bool:
-        """Whether the pose is known: by localization, or near a detected dock for a short distance by odometry."""
+        """Whether the pose is known by localization or, for a short distance near a detected dock, by odometry."""
         perception, patience = self.perception, self.settings.pose_patience
         if not perception.started or perception.twist_age > patience:
             return False

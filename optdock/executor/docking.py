@@ -220,7 +220,7 @@ class DockingExecutor:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
     def _tick(self, stamp: float) -> tuple[float, float]:
-        """Return the time since the last cycle on the monotonic clock, and the time for changes of commands [s]."""
+        """Return the time since the last cycle on the monotonic clock, and the time for changes of the command [s]."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.cycles.situation.interruption = ("", "")
         self._cycle_count += 1

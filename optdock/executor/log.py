@@ -1,4 +1,4 @@
-"""Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back bit for bit.
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written during the task and read back exactly.
 
 The first line contains the task: the problem as a scenario, its costmap, settings and plugins. The next lines contain,
 for every cycle, the results of planning, the measurements, the command and the events. A crash truncates at most the

@@ -85,7 +85,7 @@ class Perception:
 
     @property
     def pose_age(self) -> float:
-        """Time since a measured pose was accepted [s]; infinite before the first."""
+        """Time [s] since a measured pose was accepted; infinite before the first accepted pose."""
         return self.stamp - self._robot.measured_at
 
     @property
@@ -95,7 +95,7 @@ class Perception:
 
     @property
     def twist_age(self) -> float:
-        """Time since the last new odometry with a body velocity [s]; 0 before the first."""
+        """Time [s] since the last new odometry with a body velocity; 0 before the first such odometry."""
         return max(self.stamp - self._twist_at, 0.0)
 
     @property
@@ -110,7 +110,7 @@ class Perception:
 
     @property
     def detection_age(self) -> float:
-        """Time since the last accepted detection was taken [s]; infinite before the first."""
+        """Time [s] since the last accepted detection was taken; infinite before the first accepted detection."""
         return self.stamp - self._dock.measured_at
 
     @property

@@ -192,8 +192,8 @@ class Procedure:
     def _planned_from_rest(self, since: float) -> Generator[Target, None, PlanResult]:
         """Plan into the dock.
 
-        If no path is found, wait for the obstacle to move; raise NoWay if no path has been found since `since` [s] for
-        too long.
+        If no path is found, wait for the obstacle to move; raise NoWay if `obstacle_patience` has passed since `since`
+        [s] without a path.
         """
         yield from self.cycles.locate()
         result = yield from self._travel.planned(self._situation.scene.to_dock())
@@ -204,7 +204,7 @@ class Procedure:
         return result
 
     def _attempt(self, motion: DrivenMotion) -> Generator[Target, None, EndingKind]:
-        """Drive into the dock; raise Interrupted if the robot is not docked, or AttemptFailed if it may be docked."""
+        """Drive into the dock; raise Interrupted if the robot is not docked, or AttemptFailed if this is uncertain."""
         situation = self._situation
         docked = yield from self._travel.drive(motion, State.APPROACHING)
         if docked is None and situation.dock_type.is_pressed_on:

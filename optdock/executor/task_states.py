@@ -194,7 +194,7 @@ class AttemptFailed(TaskFailed):
 
 
 class NoWay(AttemptFailed):
-    """No path into the dock was found within the time that the executor waits for obstacles to move away."""
+    """No path into the dock was found within the time for which the executor waits for obstacles to move."""
 
 
 class Interrupted(Exception):

@@ -445,7 +445,7 @@ class TubeMonitor:
         self._is_outside = False
 
     def time_at(self, s: float) -> float:
-        """Return the time at which the plan passes an arc length [m] of the path [s]."""
+        """Return the time [s] at which the plan passes an arc length [m] of the path."""
         return float(np.interp(s, *self._times_of_places))
 
     def update(self, robot: Pose2, time: float) -> bool:

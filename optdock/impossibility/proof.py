@@ -16,9 +16,10 @@ or the start. Every cell outside the set is blocked if it shares a face with a c
 end, and no cell of the set contains the other end. Suppose that a motion has the required clearance. No cell that
 contains a pose of this motion is blocked, so one end of the motion is in the set and the other is outside. At the
 border of the set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that
-pose are joined by faces, so one of these cells that is in the set shares a face with another that is not. The cell
-outside the set is blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the plane hold
-16 x 16 cells for every heading, and the cells of each level are half as large as the cells of the previous level.
+pose are joined by faces, so one of these cells inside the set shares a face with one of these cells outside the set.
+The cell outside the set is blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the
+plane hold 16 x 16 cells for every heading, and the cells of each level are half as large as the cells of the previous
+level.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only if the inequality holds with a margin of ten micrometres

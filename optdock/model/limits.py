@@ -266,8 +266,8 @@ class MotionLimits:
     def steering_time_to(self, curvature: float) -> float:
         """Return the longest time [s] to steer from an unknown angle to the angle for a curvature [1/m].
 
-        The farthest initial angle is `max_steering_angle`. If that is unlimited, it is the angle for `max_curvature`,
-        and a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.
+        The farthest initial angle is `max_steering_angle`. If this angle is unlimited, the farthest angle is the angle
+        for `max_curvature`, or a quarter turn if both are unlimited. The time is 0 if `max_steering_rate` is unlimited.
         """
         if not math.isfinite(self.max_steering_rate):
             return 0.0

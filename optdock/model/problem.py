@@ -276,8 +276,8 @@ class DockingProblem(FrozenArrays):
     ) -> FloatArray:
         """Return the largest displacements of the footprint from poses of a path that satisfy `clearance`.
 
-        They are the differences between `path_clearance` and `clearance`, which are zero at the dock, where the robot
-        comes to rest in contact, and near a start without additional clearance.
+        The displacements are the differences between `path_clearance` and `clearance`, which are zero at the dock,
+        where the robot comes to rest in contact, and near a start without additional clearance.
 
         Args:
             poses: Poses of the path, Shape (n, 3).

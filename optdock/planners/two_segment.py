@@ -1,7 +1,7 @@
 """Two-segment docking path: from the start to the approach axis, then along the axis into the dock.
 
-Both segments are NURBS curves through three control points. The path is a raw path: its first tangent ignores the yaw
-of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
+Both segments are NURBS curves through three control points. The path is a raw path: its first tangent does not depend
+on the yaw of the start, its curvature is unbounded and jumps at the joint, and the outline of the robot is not checked.
 
 F ------ mid ------ C ------ G      the axis runs from the goal G away from the dock
          D

@@ -451,7 +451,7 @@ def plain(path: Path, plugin: Plugin, frame: str) -> Path:
 
 
 def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Yield guesses with one stop fewer: first with two segments of one gear joined, then with one gear left out.
+    """Yield guesses with one fewer stop: first with two segments of one gear joined, then with one gear left out.
 
     Searches over arcs often return short gears that can be left out. Every stop takes time, while the smoother can
     remove a jump of the curvature. Shorter gears are left out first. A gear between two gears in the other direction is

@@ -322,7 +322,7 @@ class _Replanning:
     def _in_the_same_gears(
         self, joint: BranchPoint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
-        """Deform the rest of the running path, or smooth it; None if neither is certified."""
+        """Deform the rest of the running path, or smooth it; None if neither result is certified."""
         guess, pushes, longest = rest, list[Push](), 0.0
         for _ in range(_PUSHES + 1):
             if work.deadline.left < longest:  # another smoothing would not end in time

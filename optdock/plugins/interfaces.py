@@ -76,7 +76,7 @@ class GlobalPlanner(Plugin):
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """Return a path from `start` to `goal`, never empty, in the costmap's frame.
+        """Return a non-empty path from `start` to `goal` in the costmap's frame.
 
         `cancel_checker` is polled at least every 5 ms.
 

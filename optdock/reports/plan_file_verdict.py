@@ -189,7 +189,7 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
 class _MotionVerdict(NamedTuple):
     """Result for a motion: verdict, row, faults, and the proof or None.
 
-    `is_sampled`: whether the motion is known only by samples, which do not refute it.
+    `is_sampled`: whether the motion is known only from samples, which do not refute it.
     """
 
     verdict: str

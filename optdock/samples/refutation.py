@@ -334,7 +334,7 @@ class _Rules:
         self._limited({"max_jerk": (np.abs(motion.jerk), self._rounding.jerk)})
 
     def check_curvature(self) -> None:
-        """Check the limits of quantities that depend on curvature, and the yaw columns against the curvature."""
+        """Check the limits of quantities that depend on curvature, and compare the yaw columns with the curvature."""
         motion, limits, rounding, v = self._motion, self._limits, self._rounding, self._v
         bends = _Bends.of(self._path, self._places.s, self._slack + _ARITHMETIC)
         yaw_rate = np.abs(motion.yaw_rate)

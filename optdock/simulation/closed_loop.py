@@ -306,7 +306,7 @@ class RemainingPath:
 def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
     """Return a description of how driven poses left the certified tube or clearance; empty if all poses are inside.
 
-    A pose is outside if its displacement exceeds the width of the tracking tube, `Robot.tracking`, if a tube is given,
+    A pose is outside if a tracking tube (`Robot.tracking`) is given and the displacement exceeds the width of the tube,
     or if the footprint is closer to an obstacle than the problem's clearance requires. Without a tube only the
     clearance is checked. Near the dock the certificate reserves less than the width of the tube, so a pose within the
     tube can still violate the clearance. Within the dock's tolerances the robot may penetrate its station by the travel

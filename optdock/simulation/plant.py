@@ -219,7 +219,7 @@ class Slip:
     def after(
         self, noise: tuple[float, float, float], drawn: int, duration: float
     ) -> tuple[tuple[float, float, float], int]:
-        """Return the three standardized noises after `duration` [s], and the number of random numbers drawn."""
+        """Return the three standardized noise values after `duration` [s], and the number of random numbers drawn."""
         if not self._noisy:
             return noise, drawn
         keep = math.exp(-duration / _SLIP_CORRELATION)

@@ -1,4 +1,4 @@
-"""Path limits: bounds on the motion along one segment of a path, from the curvature and the limits of the drive.
+"""Path limits: bounds on the motion along one segment, derived from its curvature and the limits of the drive.
 
 A segment has the curvature k(s) = dtheta/ds over arc length s, with the rate k'(s). With the speed v and its rate a,
 
@@ -407,7 +407,7 @@ class ReferenceBounds:
         return values
 
     def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the stretch of time that satisfies the checked limits at `s`; > 1 means too fast. Shape (n,)."""
+        """Return the time stretch factor that satisfies the checked limits at `s`; > 1 means too fast. Shape (n,)."""
         curvature, rate, slowness = self.curve_at(s)
         turning = turning_ratio(self.limits.turning, curvature, rate, v, a)
         return self._checked(s, np.maximum(v * slowness, np.sqrt(turning)))

@@ -1,9 +1,9 @@
 """The reference program: a quadratic C1 spline of x = v^2 over arc length, convex except for jerk.
 
-With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time integral
-of 1 / sqrt(x) is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not linear. A turning limit of order 2 has the
-same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a jerk-limited move exists
-between the states at any two of its knots.
+With x = v^2, the acceleration is x' / 2 and the yaw acceleration is k x' / 2 + k' x. Both are linear in x and x', and
+the duration, the integral of 1 / sqrt(x), is convex [Verscheure2009]. The jerk x'' sqrt(x) / 2 is not linear. A turning
+limit of order 2 has the same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a
+jerk-limited move exists between the states at any two of its knots.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a penalty on jerk steps between cells, which prevents chattering) subject to
     x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
@@ -101,7 +101,7 @@ def stop_arc(bounds: ReferenceBounds) -> Arc:
 
 
 def launch_arc(bounds: ReferenceBounds, start: MotionState) -> Arc:
-    """Return the arc of constant +J from rest or a low speed; an arc without phases for a faster start."""
+    """Return the arc of constant +J from rest or a low speed; for a faster start, the arc has no phases."""
     jerk = bounds.jerk
     a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
     if start.v * start.v >= _SLOW**2 * float(bounds.cap_squared[0]):
@@ -329,7 +329,7 @@ class LimitRows(NamedTuple):
 
 
 def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
-    """Return the constraints of speed, acceleration, deceleration and turning limits at knots and centres.
+    """Return the constraints on speed, acceleration, deceleration and turning at knots and centres.
 
     At a knot the rows of turning limits use the largest and the least rate of both sides, which suffices because x >=
     0. The rows of the last knot, whose state is given, are zero.

@@ -346,7 +346,7 @@ def segment_plans(
 
 
 def turn_plans(turn: TurnSegment, drive: MotionLimits, start: MotionState, begin: float) -> Iterator[SegmentPlan]:
-    """Yield the plan of a turn in place, which is the fastest move from rest to rest under the limits of turning.
+    """Yield the plan of a turn in place, which is the fastest move from rest to rest within the limits of turning.
 
     Args:
         turn: The segment.

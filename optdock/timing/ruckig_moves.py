@@ -1,4 +1,4 @@
-"""Moves between two states, computed by ruckig [Berscheid2021], and division of a reference into few moves.
+"""Moves between two states, computed by ruckig [Berscheid2021], and the division of a reference into a few moves.
 
 ruckig's community edition runs offline. Its moves may go backwards, and it accepts start states beyond the limits; both
 cases are checked here. Intermediate positions are never passed to ruckig, because it would then call a cloud service.

@@ -1,8 +1,8 @@
-"""Start states: a closed-form test by full braking whether a start (v0, a0) is feasible.
+"""Start states: a closed-form test, based on full braking, of whether a start (v0, a0) is feasible.
 
 Viability: among all controls from a start state, full braking (jerk -J to -D, hold, +J to rest) gives the least speed
-at every distance, because da/ds = j / v. Therefore the speed caps can be kept if and only if the full-braking curve
-stays below them; otherwise no other motion violates them less.
+at every distance, because da/ds = j / v. Therefore the speed caps can be satisfied if and only if the full-braking
+curve stays below them; otherwise, no other motion violates them less.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 If no clearance is required, two convex pieces may overlap by the tolerance t of a certificate, because their
 intersection then lies within t of the outline of either piece. But a footprint that is not convex, and obstacles that
 touch each other, are unions of adjacent pieces. A needle between two touching boxes may overlap each box by only t, but
-their union to any depth.
+penetrate their union to any depth.
 
 Therefore the *core* of a union must not overlap the other shape at all (equation C9 of docs/theory/certificate.md). The
 core consists of the points that are at least d = 2 micrometres inside the union, where gaps between obstacles below 0.2

@@ -55,7 +55,7 @@ def free_motion(  # noqa: PLR0913, PLR0917 - robot, scene, motion and tolerances
     clearance: float = 0.0,
     overlap: float = _SHALLOW,
 ) -> Sweep:
-    """Return the duration for which the footprint has the clearance from every obstacle along the continuous motion.
+    """Return the duration for which the footprint has the required clearance along the continuous motion.
 
     If an obstacle is closer than `clearance` at the start, or overlaps by up to `overlap`, the motion is only required
     not to come closer, so that a robot can leave its dock. With a deeper overlap the duration is 0.

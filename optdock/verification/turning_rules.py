@@ -1,8 +1,8 @@
 """The limits that depend on curvature, proven over the whole motion by subdivision.
 
 Within a cell (no phase border, no knot of the path inside) jerk and curvature rate are constant, so every limited
-quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table there lists f and the bounds of f''.
-Cells in which the bound does not prove the limit are bisected.
+quantity f(t) is bounded by equation C12 of docs/theory/certificate.md; the table on that page lists f and the bounds of
+f''. Cells in which the bound does not prove the limit are bisected.
 
 Time within a cell is measured from the start of its phase, and arc length from the knot before it, so that a long wait
 or a long path does not reduce the precision. The cells of a phase extend from event to event: the start of the phase,

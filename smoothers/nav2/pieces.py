@@ -204,7 +204,7 @@ class PieceSmoother(Smoother):
 
     @abstractmethod
     def smooth_piece(self, poses: FloatArray, run: PieceRun) -> tuple[FloatArray, PieceEnd] | None:
-        """Return the smoothed poses of a piece, Shape (n, 3), and the reason for the end; None if left unchanged."""
+        """Return the smoothed poses of a piece, Shape (n, 3), and the reason for the end, or None if left unchanged."""
 
     @abstractmethod
     def report(self, run: PieceRun) -> SmoothingReport:

@@ -72,7 +72,7 @@ class SimpleSmoother(PieceSmoother):
     """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
 
     Each sweep moves the inner points, in order, by `w_data (original - current) + w_smooth (next + previous - 2
-    current)` and the sweeps end when the sum of the changes in one sweep is less than `tolerance`. A sweep that moves a
+    current)`. The sweeps end when the sum of the changes in one sweep is less than `tolerance`. A sweep that moves a
     point into an occupied cell is undone, and no further sweep follows; without a costmap, this is not checked. Each
     piece between cusps is smoothed separately, with fixed end points. The time limit is checked before every sweep. See
     `PieceSmoother` for yaws and collisions.

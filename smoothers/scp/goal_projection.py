@@ -186,7 +186,7 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
 
 
 def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: float = 0.0) -> Path:
-    """Return the path of clothoid splines and a straight [m], without closing it onto the goal."""
+    """Return the path of clothoid splines and a straight of a given length [m], without moving its end to the goal."""
     splines = _chained(nlp.basis, variables, nlp.ends, final_straight)
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 

@@ -105,7 +105,7 @@ class InitialGuesses:
 
     @cached_property
     def trust_region(self) -> float:
-        """First bound of the heading changes [rad]; its square times half the length estimates the position errors."""
+        """Initial bound on heading changes [rad]; its square times half the length estimates the position errors."""
         settings, nlp = self.nlp.settings.guess, self.nlp
         longest = settings.bold_length * nlp.radius
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
@@ -311,7 +311,7 @@ def largest_deviation(nlp: NonlinearProgram, rollout: Rollout) -> float:
 def track(
     nlp: NonlinearProgram, pool: ProgramPool, variables: Variables, trust_region: float, is_late: Callable[[], bool]
 ) -> Variables:
-    """Return the variables after Gauss-Newton steps towards the input's positions (S22), without obstacles.
+    """Return the variables after Gauss-Newton steps towards the input's positions (S22), without regard to obstacles.
 
         minimize  w integral of (across^2 + a along^2) ds + w a' sum over cusps of |p - p_ref|^2
                   + smoothness + goal error

@@ -309,7 +309,7 @@ class Solver:
         return True
 
     def _try(self, row: Search) -> bool:
-        """Search if the row applies; return whether the strategy ends, with a certified path or at the time limit."""
+        """Search if the row of `STRATEGY` applies; return whether the strategy ends, certified or at the time limit."""
         if not self._prepare_for(row):
             return False
         failed = self.outcome.last
@@ -328,7 +328,7 @@ class Solver:
         return False
 
     def _prepare_for(self, row: Search) -> bool:
-        """Set the program of a row; return False if the same program was searched before."""
+        """Set the program of a row of `STRATEGY`; return False if the same program was searched before."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False

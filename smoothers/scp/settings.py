@@ -1,7 +1,7 @@
 """Tuned constants of the method, with the reasons for their values.
 
-Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30`, by the rate of
-certificates, the times to the end and to the first certified path, and the cost. The costs were compared with the
+Unless noted, values were chosen with `python -m experiments.benchmarks smoothing --seeds 30`, by the share of certified
+results, the time until the end and until the first certified path, and the cost. The costs were compared with the
 optimum by `python -m experiments.benchmarks optimality`. User parameters are in `CasadiSmootherParameters`.
 """
 

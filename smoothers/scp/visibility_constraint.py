@@ -3,9 +3,9 @@
 A margin is the distance [m] by which the marker would have to move in the camera's frame to leave the view. Margins
 have the unit of clearances, so the shortfalls and rows of both can be combined. Every edge of the view gives one row
 per node. The edges are the two half-planes of a cone of at most half a turn, or the nearest half-plane of a wider cone,
-and the two circles of the ranges. Between two nodes a margin falls below its chord by an eighth of its second
-difference, to leading order; the margins at the nodes are reduced by that amount. The two ends of the stretch lie
-between nodes, and their poses are extrapolated from the previous node.
+and the circles of the smallest and the largest range. Between two nodes a margin falls below its chord by an eighth of
+its second difference, to leading order; the margins at the nodes are reduced by that amount. The two ends of the
+stretch lie between nodes, and their poses are extrapolated from the previous node.
 """
 
 from __future__ import annotations

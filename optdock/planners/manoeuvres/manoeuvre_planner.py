@@ -383,7 +383,7 @@ class Stages:
         return self._better_than() - ends_cost(self.problem)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
-        """Whether a manoeuvre differs from all those yielded before by more than half the width of the robot."""
+        """Whether a manoeuvre differs from all manoeuvres yielded before by more than half the width of the robot."""
         places = arcs.poses_at_shares(np.linspace(0.0, 1.0, 17))[0, :, :2]
         near = 0.5 * self.problem.robot.footprint.width
         if any(np.abs(places - other).max() < near for other in self._known):

@@ -30,7 +30,7 @@ class Pairs(NamedTuple):
 
 
 def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
-    """Return the pairs whose boxes are at most `reach` [m] apart; of too many pairs, the nearest of each interval."""
+    """Return the pairs whose boxes are at most `reach` [m] apart; if too many, the nearest pairs of each interval."""
     row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
     apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
     near = np.flatnonzero(apart < reach)
