@@ -40,7 +40,7 @@ class ControlClock:
         elapsed: Time between the last two calls [s], at most half a second.
         period: Filtered period, the estimate of the next period [s].
         learnt: Whether the last call was the first call with a measured period.
-        silent: Whether the last call was the first, or came after more than half a second.
+        silent: Whether the last call was the first call, or came more than half a second after the previous call.
     """
 
     def __init__(self) -> None:

@@ -70,8 +70,8 @@ class LookAhead:
             context: Footprint and obstacles; without a footprint nothing is checked.
             way: Poses along the motion, Shape (n, 3).
             contacts: Poses at which the robot may touch obstacles, Shape (k, 3).
-            tolerance: Largest depth that is allowed for an intended contact, for noise and a compliant bumper [m].
-            noise: Largest apparent depth in any obstacle that noise of the poses can cause [m].
+            tolerance: Largest depth [m] allowed for an intended contact, to cover noise and a compliant bumper.
+            noise: Largest apparent depth [m] in an obstacle that can result from noise of the poses.
         """
         footprint = context.footprint
         if footprint is None:

@@ -189,7 +189,8 @@ class TrackingController(Controller):
 
         Args:
             pose: Measured pose.
-            velocity: Measured body velocity: start of the first command, and response to the last command.
+            velocity: Measured body velocity, from which the first command starts and which shows the response to the
+                last command.
             goal_checker: Goal checker whose position tolerance may widen `finish_tolerance`.
             stamp: Time of the measured pose [s], on any monotonic clock; None: the present time on the context's clock.
 

@@ -133,7 +133,10 @@ class Perception:
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of the dock relative to the robot: the larger of along and across [m], and yaw [rad]."""
+        """Standard deviations of the dock relative to the robot.
+
+        The values are the larger of along and across [m], and yaw [rad].
+        """
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))

@@ -184,7 +184,7 @@ class PoseFilter:
 
     Args:
         errors: Errors of the odometry.
-        confirmations: Number of agreeing rejected measurements that move the estimate.
+        confirmations: Number of rejected measurements that must agree with each other to move the estimate.
         fewer_when_close: Reduction of `confirmations` if the measurements agree within the 75 % bound of their noise.
 
     Attributes:
@@ -196,7 +196,7 @@ class PoseFilter:
             rejected measurements; None otherwise.
         rejected: Number of consecutive rejected measurements.
         doubts: Number of increases of the covariance by innovations with a persistent sign.
-        measured_at: Stamp of the newest accepted measurement [s]; -inf before the first.
+        measured_at: Stamp of the newest accepted measurement [s]; -inf before the first accepted measurement.
 
     Raises:
         InvalidValue: If a standard deviation is negative or not finite.

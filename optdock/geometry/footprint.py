@@ -38,10 +38,10 @@ class Footprint(FrozenArrays):
         vertices: Shape (n, 2) [m], either orientation, n >= 3.
 
     Attributes:
-        bodies: Convex pieces that cover exactly the polygon; one piece if it is convex.
+        bodies: Convex pieces that exactly cover the polygon; a single piece if the polygon is convex.
         core: Convex pieces that cover all points at least `CORE_DEPTH` inside a non-convex polygon; empty for a convex
-            one (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by chords
-            that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
+            polygon (see `optdock.verification.contact_tolerance`). Rounded corners of the core are approximated by
+            chords that lie outside it, so the pieces contain the exact core, with an error of at most one hundredth of
             `CORE_DEPTH`.
 
     Raises:

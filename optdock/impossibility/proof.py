@@ -84,8 +84,8 @@ class Bottleneck:
         x: Position of the robot's origin [m].
         y: Position of the robot's origin [m].
         yaw: Heading [rad].
-        missing_width: Width by which the gap is too narrow for the robot with the required clearance on both sides [m].
-        missing_without_clearance: Width by which the gap is too narrow for the robot without clearance [m]; at most 0
+        missing_width: Width [m] by which the gap is too narrow for the robot with the required clearance on both sides.
+        missing_without_clearance: Width [m] by which the gap is too narrow for the robot without clearance; at most 0
             if the robot fits.
         accuracy: Largest error of the two widths [m].
         between: Names of the nearest obstacles on both sides, one or two.

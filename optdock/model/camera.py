@@ -35,7 +35,7 @@ class Camera:
         mount: Pose of the camera in the robot frame; the optical axis is the x axis of this pose.
         field_of_view: Full angle of the cone, > 0 and <= 2 pi [rad].
         min_range: Smallest distance at which the marker is detected, >= 0 [m].
-        max_range: Largest distance at which the marker is detected, > min_range; may be infinite [m].
+        max_range: Largest distance [m] at which the marker is detected, > min_range; may be infinite.
 
     Raises:
         InvalidValue: If a value is out of range or the mount is not a `Pose2`.

@@ -132,7 +132,7 @@ def is_same_grid(first: Costmap, second: Costmap) -> bool:
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
-    """Return disjoint rectangles that cover exactly the true cells, from merged runs of rows or columns.
+    """Return disjoint rectangles that exactly cover the true cells, from merged runs of rows or columns.
 
     The direction of the runs that gives fewer rectangles is used.
 

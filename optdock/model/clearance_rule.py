@@ -39,8 +39,8 @@ class ClearanceRule:
             next to an obstacle needs such a distance, because a robot alongside a wall cannot turn away unless its tail
             or nose approaches the wall.
         at_start: Clearance at a start that violates `required`, such as a start in a dock [m]; the required clearance
-            grows with distance as from `at_dock`. If None, a robot at such a start may approach the obstacle by at most
-            `START_SLACK`.
+            grows with the distance in the same way as from `at_dock`. If None, a robot at such a start may approach the
+            obstacle by at most `START_SLACK`.
 
     Raises:
         InvalidValue: If a value is negative or not finite, or at_dock or at_start exceeds required.
@@ -82,8 +82,8 @@ class ClearanceRule:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose [m].
-            start_relief: 0 for the strict rule; otherwise the distance from the start within which the weaker rule
-                requires at most the clearance of the start, e.g. for a robot alongside a wall [m].
+            start_relief: 0 for the strict rule; otherwise the distance [m] from the start within which the weaker rule
+                requires at most the clearance of the start, e.g. for a robot alongside a wall.
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
 

@@ -68,7 +68,7 @@ class Dock:
         direction: Gear of the last motion, a `DockDirection` or its value; with AUTO the planner chooses the gear
             according to the side on which the start lies.
         final_straight: Length of the straight line at the end of the path [m].
-        approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
+        approach_speed: Largest speed [m/s] over the last `approach_distance` of the path, in either gear.
         approach_distance: Length of the speed zone at the end of the path [m]; 0 for no zone.
         tolerances: Tolerances of the docked pose.
         marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The

@@ -400,7 +400,7 @@ def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[f
 
 
 def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
-    """Check that the station is close to the docked robot; a distant station is given in the wrong frame."""
+    """Check that the station is close to the docked robot; a distant station is probably in the wrong frame."""
     outline = robot.footprint.vertices
     length = float(_corner_distances(outline, outline).max())
     allowed = max(STATION_DISTANCE, length)

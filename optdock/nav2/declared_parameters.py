@@ -58,7 +58,8 @@ class DeclaredParameter(NamedTuple):
         block: Place in a file.
         name: Name within the block.
         use: Use in optdock.
-        words: Setting to which it is mapped, reason why it has no effect on the motion, or the setting to use instead.
+        words: Setting to which the parameter is mapped, the reason why the parameter has no effect on the motion, or
+            the setting to use instead.
         distributions: Distributions whose servers declare it; empty for names in development versions and in other
             nodes.
     """

@@ -107,8 +107,8 @@ class Replanned:
 
     Args:
         outcome: The decision.
-        trajectory: Trajectory to be driven from its time 0 when the clock of the running trajectory shows `starts_at`.
-        starts_at: Time on the clock of the running trajectory at which `trajectory` takes over [s]; 0 for KEPT.
+        trajectory: Trajectory that starts, at its time 0, when the clock of the running trajectory reaches `starts_at`.
+        starts_at: Time [s] on the clock of the running trajectory at which `trajectory` takes over; 0 for KEPT.
         plan: The plan of that trajectory; None for STOP.
         reason: Reason for the absence of a new plan; empty for NEW.
         way: Proof of clearance in the new world, from the current pose of the robot to the takeover (NEW) or to the end

@@ -101,8 +101,8 @@ class GlobalPlanner(Plugin):
             start: As in `create_plan`.
             goal: As in `create_plan`.
             cancel_checker: As in `create_plan`.
-            better_than: Function that returns the price of the best plan [s], duration and cost of cusps; inf without a
-                plan.
+            better_than: Function that returns the price [s] of the best plan, which is its duration plus its additional
+                costs; inf without a plan.
 
         Raises:
             PlannerException: If no path is found.
@@ -241,7 +241,7 @@ class Controller(Plugin):
         """Limit the speed; 0 removes the limit.
 
         Args:
-            limit: Percent of the maximum (values above 100 are reduced to 100), or m/s.
+            limit: Limit in percent of the maximum (values above 100 are reduced to 100) or in m/s.
             percentage: Whether `limit` is in percent.
 
         Raises:
@@ -393,7 +393,7 @@ class DockType(Plugin):
 
     @property
     def back_out_distance(self) -> float:
-        """Largest straight distance out of contact before a path is planned [m]; for undocking, the final straight."""
+        """Largest straight distance [m] out of contact before a path is planned; for undocking, the final straight."""
         return 0.1  # twice the 5 cm within which contact is accepted
 
     def reset(self) -> None:

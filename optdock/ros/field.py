@@ -134,8 +134,8 @@ class FieldOptions(NamedTuple):
         outline: Outline of the robot; None for the outline in the recording.
         base_frame: Frame of the robot; empty for the child frame of the odometry, or `base_link`.
         rule: Conversion of occupancies to costs; None for the defaults.
-        since: Time since the beginning of the recording before which messages are ignored [s].
-        until: Time since the beginning of the recording after which messages are ignored [s].
+        since: Time [s] since the beginning of the recording; earlier messages are ignored.
+        until: Time [s] since the beginning of the recording; later messages are ignored.
     """
 
     outline: Footprint | None = None
@@ -407,8 +407,8 @@ def judged_poses(
     Args:
         found: The docking.
         rule: Required clearance of the path and the drive.
-        contact: Tolerance for contact with the dock at the end of the path: occupied cells within this distance of the
-            edge of the outline, inside and outside, are treated as free [m]. None for the diagonal of a cell.
+        contact: Tolerance [m] for contact with the dock at the end of the path: occupied cells within this distance of
+            the edge of the outline, inside and outside, are treated as free. None for the diagonal of a cell.
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)

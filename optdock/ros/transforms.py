@@ -125,8 +125,8 @@ class TransformTree:
 
     Args:
         history: Duration for which transforms are kept [s].
-        reach: Duration before the first and after the last message of a frame for which the frame is assumed not to
-            move [s].
+        reach: Duration [s] before the first and after the last message of a frame for which the frame is assumed not to
+            move.
     """
 
     def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:

@@ -59,7 +59,7 @@ class SimulationSettings:
         seed: Seed of the noise.
         start: True pose at the beginning; None: start of the trajectory. The robot begins at the initial velocity of
             the trajectory.
-        obstacles: Obstacles for the clearance of the driven poses; None: no clearance.
+        obstacles: Obstacles for the clearance of the driven poses; None: the clearance is not computed.
 
     Raises:
         InvalidValue: If the period is not > 0, or a standard deviation or the timeout is negative or not finite.

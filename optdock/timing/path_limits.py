@@ -11,8 +11,7 @@ k' v / (1 + (L k)^2); the cap is discontinuous where k' is.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the minimum of the caps and of the speeds above which no motion
 at constant speed satisfies a turning limit; for a limit al on the yaw acceleration this speed is sqrt(al / |k'|).
-Speeds are stored as their
-reciprocals, `slowness`: the largest reciprocal is the limit, and an infinite limit is zero.
+Speeds are stored as their reciprocals, `slowness`: the largest reciprocal is the limit, and an infinite limit is zero.
 """
 
 from __future__ import annotations
@@ -136,8 +135,8 @@ class PathLimits:
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         turning: Turning limits of the drive.
         length: Length of the segment [m].
-        duration_estimate: Longest of three approximate lower bounds: along the maximum velocity curve, and
-            from rest to rest under only the acceleration or only the jerk limit [s].
+        duration_estimate: Longest of three approximate lower bounds [s]: along the maximum velocity curve, from rest to
+            rest under only the acceleration limit, and from rest to rest under only the jerk limit.
     """
 
     s: FloatArray  # nodes, Shape (n,) [m], n >= 2, from 0, strictly increasing, with every knot and the zone start

@@ -5,8 +5,8 @@ the duration, the integral of 1 / sqrt(x), is convex [Verscheure2009]. The jerk 
 limit of order 2 has the same form, linear in x and x', times the speed. Every quadratic spline of x is a motion, so a
 jerk-limited move exists between the states at any two of its knots.
 
-    minimize   sum h_m / sqrt(c_{m+1})  (+ a penalty on jerk steps between cells, which prevents chattering) subject to
-    x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
+    minimize   sum h_m / sqrt(c_{m+1})  (+ a penalty on jerk steps between cells, which prevents chattering)
+    subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
                |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
 At v = 0 the formulation in x is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and a spline with zero slope

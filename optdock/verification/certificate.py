@@ -114,8 +114,8 @@ class Certificate(_Verdict):
         problem: Digests of the problem; the certificate is valid only for this problem.
         path: Digest of the path.
         start_relief: 0 for the strict clearance rule near the start, which requires a clearance that grows with the
-            distance from the start; otherwise the distance from the start within which the weaker rule allows the start
-            clearance [m]. The weaker rule is used only if the strict rule is violated.
+            distance from the start; otherwise the distance [m] from the start within which the weaker rule permits the
+            start clearance. The weaker rule is used only if the strict rule is violated.
         tube: Largest displacement of a footprint point from its planned position at which the robot has the required
             clearance [m]. It tapers at the dock like the clearance and is included in `required_clearance` (see
             `TrackingTube`).

@@ -159,7 +159,7 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
         zone: Speed zone at the end of the path.
         start_speed: Required initial speed along the travel [m/s]; not checked if None.
         start_acceleration: Required initial acceleration along the travel [m/s^2]; not checked if None.
-        start_wait: Required duration of the rest at the start, in which the wheels are steered [s].
+        start_wait: Required duration [s] of the rest at the start, in which the wheels are steered.
         is_late: Polled every few milliseconds. Once it is True, everything not yet proven is `unproven`.
 
     Returns:

@@ -107,7 +107,7 @@ class _Group(NamedTuple):
 
 
 def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
-    """Return the duration, at most `duration` [s], for which every group has its distances, and the final pose."""
+    """Return how long [s] every group has the required distances, at most `duration` [s], and the final pose."""
     time = 0.0
     for _ in range(_MOST_STEPS):
         step = min(
