@@ -224,7 +224,10 @@ class CasadiSmoother(Smoother):
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
-        """Return the problem from the start to the end of `path`, with the occupied cells within `reach` [m]."""
+        """Return the problem from the start to the end of `path`, with the occupied cells within `reach` [m].
+
+        See `covers`.
+        """
         chosen, context = self.parameters, self.context
         if context.footprint is None:
             raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")

@@ -272,7 +272,7 @@ def _spread(
 
 
 class _Process:
-    """Likelihood of the errors of the localization."""
+    """Likelihood function of the localization errors."""
 
     def __init__(self, series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]) -> None:
         number = np.repeat(np.arange(len(series)), [len(rows) for rows in series])

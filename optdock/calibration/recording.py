@@ -120,7 +120,7 @@ class Recording(NamedTuple):
 
 
 class ReadFile(NamedTuple):
-    """Content of one file.
+    """Content of one recording, log or run file.
 
     Attributes:
         recording: The drive.

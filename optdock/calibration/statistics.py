@@ -74,7 +74,7 @@ def unknown(name: str, unit: str, reason: str, samples: int = 0) -> Quantity:
 
 
 def student(freedom: float) -> float:
-    """Return the half width of the 95 % interval of Student's t [standard deviations]."""
+    """Return the half width of the 95 % interval of Student's t, in standard deviations."""
     from scipy.stats import t
 
     return float(t.ppf(0.5 + 0.5 * _CONFIDENCE, freedom))

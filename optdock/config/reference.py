@@ -39,7 +39,7 @@ _BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "m
 
 
 class KeyReference(NamedTuple):
-    """Description of one key of a file.
+    """Description of one key of a scenario file or of one plugin parameter.
 
     Attributes:
         key: Dotted name.

@@ -133,7 +133,7 @@ class _Grid:
 
 
 class _Around:
-    """Obstacles of a context in a box."""
+    """Obstacles of a context that lie in a box, cached until they change."""
 
     def __init__(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> None:
         self.context, self._lower, self._upper = context, lower, upper

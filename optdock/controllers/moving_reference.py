@@ -35,7 +35,7 @@ _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1
 
 
 class ReferenceProgress(NamedTuple):
-    """Progress of a controller.
+    """Progress of a controller along its trajectory.
 
     `time`: time of the reference on the clock of the last given trajectory [s]; negative until its takeover.
     `rate`: rate of the reference [1].
@@ -142,8 +142,8 @@ class TrajectoryReference:
         """Schedule a takeover by `trajectory` in `lead` seconds, and cancel later takeovers.
 
         The point of the takeover on the trajectory is determined by the present rate. If the rate changes later, the
-        time of the takeover changes, and the reference does not jump. A reference at rest changes at once and waits at
-        the new start.
+        time of the takeover changes, and the reference does not jump. A reference at rest changes immediately and waits
+        at the new start.
         """
         if self.rate == 0.0 or lead <= 0.0:
             self._joints.clear()

@@ -80,7 +80,7 @@ class MpcControllerParameters(TrackingControllerParameters):
 
 
 class CycleOutcome(str, Enum):
-    """Source of the command of a cycle."""
+    """Source of the command in a control cycle."""
 
     SOLVED = "solved"
     JERK_EXCEEDED = "no commands keep the jerk limit: it is exceeded by the smallest possible amount"
@@ -88,7 +88,7 @@ class CycleOutcome(str, Enum):
 
 
 class MpcStatus(NamedTuple):
-    """Result of a cycle."""
+    """Result of one control cycle."""
 
     outcome: CycleOutcome  # source of the command
     outside_tube: float  # largest distance of the prediction outside of the tube [m]; 0 inside, or without a tube

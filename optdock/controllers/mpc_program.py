@@ -155,7 +155,7 @@ class CommandBounds(NamedTuple):
 
 
 class MpcCycle(NamedTuple):
-    """Data of one cycle."""
+    """Data of the program for one control cycle."""
 
     prediction: Prediction  # errors as a function of the commands
     nominal: FloatArray  # commands that follow the reference, first row from the last cycle, Shape (n + 1, 2)

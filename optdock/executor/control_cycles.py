@@ -88,7 +88,7 @@ class Situation:
 
     @property
     def stands(self) -> bool:
-        """Whether the robot is at rest, by command and odometry."""
+        """Whether the robot is at rest according to command and odometry."""
         twist = self.twist
         return self.is_commanded_to_rest and abs(twist.linear) <= _AT_REST[0] and abs(twist.angular) <= _AT_REST[1]
 

@@ -45,7 +45,7 @@ _INSTANT = 1e-9  # [s]: rounding of stamps that are sums of periods
 
 
 class Outcome(str, Enum):
-    """Outcome of a job."""
+    """Outcome of a planning job."""
 
     NEW = "new"  # another motion
     KEPT = "kept"  # the running motion continues
@@ -173,7 +173,7 @@ class Planning(Protocol):
         return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
 
     def close(self) -> None:
-        """Release all resources; by default there are none."""
+        """Release all resources; the default implementation has no resources."""
         return  # optional for subclasses, therefore not abstract
 
 
@@ -237,7 +237,7 @@ class InlinePlanning(Planning):
 
 
 class ThreadPlanning(Planning):
-    """Planning in a thread.
+    """Planning in a background thread.
 
     A running job is not interrupted; its duration is limited by its budget, and the next job begins when it has ended.
 

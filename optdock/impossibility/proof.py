@@ -18,8 +18,8 @@ contains a pose of this motion is blocked, so one end of the motion is in the se
 border of the set the motion has a pose that is both in a cell of the set and in a cell outside. The cells around that
 pose are joined by faces, so one of these cells inside the set shares a face with one of these cells outside the set.
 The cell outside the set is blocked, which is a contradiction. Cells may differ in size. Tiles of a quadtree over the
-plane hold 16 x 16 cells for every heading, and the cells of each level are half as large as the cells of the previous
-level.
+plane contain 16 x 16 cells for every heading, and the cells of each level are half as large as the cells of the
+previous level.
 
 *Certified paths.* A certificate accepts a clearance one micrometre below the required one, and a depth of two
 micrometres at a contact. A cell counts as blocked only if the inequality holds with a margin of ten micrometres
@@ -130,7 +130,7 @@ class ImpossibilityProof(FrozenArrays):
         headings: Number of headings of level 0; multiplied by 2^k for level k.
         centre: The point of the robot whose position the cells describe, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
-        tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
+        tiles: The tiles that contain cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
         inside: For each tile, the mask of its cells that are in the set, Shape (headings, rows, columns).
         whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
         bottleneck: The bottleneck; None if the start or the goal itself is blocked, or the time ran out.

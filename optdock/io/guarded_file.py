@@ -28,7 +28,7 @@ __all__ = ["MostBytes", "check_json_size", "check_regular", "is_regular", "parse
 
 
 class MostBytes(IntEnum):
-    """Size limits by kind of file [bytes]."""
+    """Size limits [bytes] for each kind of file."""
 
     YAML = 4_000_000  # a Nav2 parameter file with comments has 30 kB; `yaml_lines` bounds the expanded size
     JSON = 32_000_000  # a plan of 50,000 samples has 22 MB, see `plan_file.MAX_SAMPLES`

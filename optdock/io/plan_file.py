@@ -62,7 +62,7 @@ Time: TypeAlias = Annotated[float, Field(ge=-1e11, le=1e11)]  # [s]
 
 
 class TrajectoryColumns(SampledMotion):
-    """Samples of a timed motion in a plan file."""
+    """Samples of a timed motion, as columns of a plan file."""
 
     __slots__ = ()
 
@@ -269,7 +269,7 @@ class _TrajectoryDocument(_Model):
 
 
 class _Open(_Model):
-    """Documents whose unknown keys are kept."""
+    """Base model of documents whose unknown keys are kept."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False)
 
@@ -278,7 +278,7 @@ _Positive: TypeAlias = Annotated[float, Field(ge=0.0, le=1e12)]
 
 
 class _VerdictDocument(_Open):
-    """Keys of both certificates."""
+    """Keys that both kinds of certificates have."""
 
     certified: bool | None = None
     path: str | None = None

@@ -21,7 +21,7 @@ _ROUNDING = 1e-9
 
 
 class ControllerSetting(NamedTuple):
-    """Effect of one parameter.
+    """Effect of one parameter of Nav2's docking controller.
 
     Attributes:
         values: Settings that the parameter sets; empty if the value has no effect.

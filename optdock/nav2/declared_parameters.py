@@ -31,7 +31,7 @@ NAV2_DOCKS = ("opennav_docking::SimpleChargingDock", "opennav_docking::SimpleNon
 
 
 class Block(str, Enum):
-    """Place of a parameter in a file."""
+    """Location of a parameter in a parameter file."""
 
     ANY_NODE = "every node"
     DOCKING = "docking_server"
@@ -52,10 +52,10 @@ class Use(str, Enum):
 
 
 class DeclaredParameter(NamedTuple):
-    """One parameter of Nav2.
+    """One parameter of Nav2, and how optdock uses it.
 
     Attributes:
-        block: Place in a file.
+        block: Location in a parameter file.
         name: Name within the block.
         use: Use in optdock.
         words: Setting to which the parameter is mapped, the reason why the parameter has no effect on the motion, or

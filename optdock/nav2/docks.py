@@ -89,7 +89,7 @@ def read_dock_type(name: str, block: ParameterBlock, *, dock_backwards: object =
 
 @dataclass(frozen=True)
 class DockEntry:
-    """One dock.
+    """One dock of a database or parameter file.
 
     Args:
         name: Name of the dock.

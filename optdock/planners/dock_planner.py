@@ -44,7 +44,7 @@ class DockPlanner(GlobalPlanner):
         """Check the context and load SciPy's splines, which takes longer than a hundred plans.
 
         Raises:
-            InvalidValue: If the context holds no robot footprint.
+            InvalidValue: If the context contains no robot footprint.
         """
         import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
 
@@ -75,7 +75,7 @@ class DockPlanner(GlobalPlanner):
         return self.plan(start, goal, cancel_checker).path
 
     def plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> TwoSegmentPlan:
-        """Return the path of `create_plan` together with its construction.
+        """Return the path of `create_plan` together with the data of its construction.
 
         Raises:
             LifecycleError: As `create_plan`.

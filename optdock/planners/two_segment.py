@@ -402,7 +402,7 @@ class JointKind(IntEnum):
 
 
 class Joint(NamedTuple):
-    """Joint of segment 1 with the axis.
+    """Joint at which segment 1 meets the axis.
 
     `middle` is the index on the centreline of its middle control point (-1 for none). `control_points`: Shape (3, 2)
     [m].

@@ -10,7 +10,7 @@ continuity. The following methods are tried in order until a plan is certified:
 
 If nothing is certified in time, the old plan continues if its remaining path is certified in the new world and ends at
 the new dock within the dock's tolerances; otherwise the robot brakes along its path. The motion up to the joint can no
-longer be changed, so it is certified first. If this proof fails, the robot brakes at once.
+longer be changed, so it is certified first. If this proof fails, the robot brakes immediately.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
 
 
 class _Plugins(NamedTuple):
-    """Plugins as specified by the caller."""
+    """Plugins of a call, as specified by the caller."""
 
     planner: PlannerLike | tuple[PlannerLike, ...]
     smoother: SmootherLike
@@ -253,7 +253,7 @@ class _Plugins(NamedTuple):
 
 @dataclass(eq=False)
 class _Replanning:
-    """One call of `replan`."""
+    """State and steps of one call of `replan`."""
 
     drive: RunningDrive
     budget: float
@@ -391,7 +391,7 @@ class _Replanning:
         return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
 
     def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
-        """Prove the clearance of the rest of the path, by the plan's clearance rule, for a robot beside the path."""
+        """Prove the clearance of the rest of the path, by the plan's clearance rule, for a robot off the path."""
         pose, relief = self.drive.state.pose, self.drive.plan.certificate.start_relief
         assert pose is not None
         now = min(self.drive.now.s, max(0.0, path.length - NO_WAY))

@@ -53,7 +53,7 @@ _CLOSE_BY = 1.0  # [m]: parts of obstacles within this distance are included
 
 
 class View(NamedTuple):
-    """Visible rectangle [m]."""
+    """Visible rectangle of a picture [m]."""
 
     left: float
     right: float

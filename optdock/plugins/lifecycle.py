@@ -215,7 +215,7 @@ class Plugin(ABC):
         self._state = LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:
-        """Change several parameters at once.
+        """Change several parameters in one step.
 
         Raises:
             InvalidValue: If a name is unknown or the changed set is invalid; in this case no parameter is changed.

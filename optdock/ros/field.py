@@ -94,7 +94,7 @@ class FieldTopics(NamedTuple):
 
 
 class RecordedDrive(NamedTuple):
-    """Driven poses.
+    """Driven poses of a recording.
 
     Attributes:
         times: Times since the beginning of the recording, Shape (n,) [s].

@@ -39,7 +39,7 @@ class TransformError(OptdockError):
 
 @dataclass(frozen=True)
 class Transform:
-    """The pose of one frame in another.
+    """The pose of one frame in another frame.
 
     Args:
         target: Frame in which the pose is given.

@@ -40,7 +40,7 @@ __all__ = ["Bicycle", "Steering", "SteeringAtRest", "plant_of"]
 
 
 class SteeringAtRest(str, Enum):
-    """Steering at a commanded speed of 0."""
+    """Behaviour of the steering at a commanded speed of 0."""
 
     STRAIGHTEN = "straighten"
     HOLD = "hold"

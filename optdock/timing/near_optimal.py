@@ -75,7 +75,7 @@ class NearOptimalParameters(PluginParameters):
 
 
 class NearOptimal(SegmentTimeParameterizer):
-    """Time laws within about 1 % of the jerk-limited optimum, in a few milliseconds."""
+    """Compute time laws within about 1 % of the jerk-limited optimum, in a few milliseconds."""
 
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters

@@ -132,7 +132,7 @@ def _limit_name(limits: PathLimits, motion: Motion, ratios: _Ratios, k: int) -> 
 
 
 class SegmentPlan(NamedTuple):
-    """Result of a method for one segment."""
+    """Motion planned by a method for one segment, with its status."""
 
     status: TimingStatus  # status of the timing
     phases: Phases = ()  # the motion; empty if there is none

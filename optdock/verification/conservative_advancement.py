@@ -255,7 +255,7 @@ class _Subdivision:
     def _apart(
         self, bodies: tuple[BoundedBody, ...], rocks: ObstacleSet, cells: Cells
     ) -> tuple[FloatArray, FloatArray]:
-        """Prove that bodies and obstacles share no interior in any of the cells."""
+        """Prove that the interiors of bodies and obstacles do not intersect in any of the cells."""
         level, budget = 0, self.poses + _MAX_POSES
         while True:
             ends, nodes = self._ends(cells)

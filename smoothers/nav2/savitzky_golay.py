@@ -59,7 +59,7 @@ def savitzky_golay_weights(window_size: int, degree: int) -> FloatArray:
 
 
 class SavitzkyGolaySmoother(PieceSmoother):
-    """Polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
+    """Smooth a path by polynomial fits in a moving window, as in `nav2_smoother::SavitzkyGolaySmoother`.
 
     Each piece between cusps is filtered separately, with its end poses repeated beyond the ends and its end points
     fixed. The time limit is checked before every piece; filtering a piece takes microseconds. See `PieceSmoother` for

@@ -69,7 +69,7 @@ class _Sweep:
 
 
 class SimpleSmoother(PieceSmoother):
-    """Gauss-Seidel sweeps over the points of a path, as in `nav2_smoother::SimpleSmoother`.
+    """Smooth a path by Gauss-Seidel sweeps over its points, as in `nav2_smoother::SimpleSmoother`.
 
     Each sweep moves the inner points, in order, by `w_data (original - current) + w_smooth (next + previous - 2
     current)`. The sweeps end when the sum of the changes in one sweep is less than `tolerance`. A sweep that moves a

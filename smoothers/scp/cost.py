@@ -54,7 +54,7 @@ class Quadratic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CostModel:
-    """The cost of one problem."""
+    """Cost function of one smoothing problem."""
 
     basis: Basis
     weights: Weights  # weights of the terms

@@ -42,7 +42,7 @@ __all__ = ["EarlierResult", "InitialGuesses", "largest_deviation", "pure_pursuit
 
 @dataclass(frozen=True, eq=False)
 class InitialGuesses:
-    """The guesses for one program."""
+    """Initial guesses for one nonlinear program."""
 
     nlp: NonlinearProgram
     earlier: EarlierResult | None = None  # rest of an earlier result, or None
@@ -352,7 +352,7 @@ def track(
 
 
 class _TrackedPath(NamedTuple):
-    """Variables with their roll-out and merit."""
+    """Variables of a tracked path, with their roll-out and merit."""
 
     variables: Variables
     rollout: Rollout

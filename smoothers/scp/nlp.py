@@ -47,7 +47,7 @@ _TRACKED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Ends and gears of the path."""
+    """Start pose, target pose and gears of the path."""
 
     start: FloatArray  # poses, Shape (3,) [m, m, rad]
     target: FloatArray
@@ -79,7 +79,7 @@ class TracedInput(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """Cost and constraints."""
+    """Cost and constraints of one smoothing problem."""
 
     basis: Basis
     ends: Ends  # start, target before the final straight, gears

@@ -47,7 +47,7 @@ _GOAL_ALONE = 1e-4  # [m]: length of the straight that represents the goal pose
 
 
 class Refusal(NamedTuple):
-    """A violated constraint."""
+    """A violated constraint, with its position and the reason for the error."""
 
     reason: str  # name of the constraint
     s: float  # arc length [m]

@@ -150,7 +150,7 @@ class CollisionSettings:
 
 @dataclass(frozen=True)
 class StepSettings:
-    """The quadratic program of one step."""
+    """Settings of the quadratic program of one step."""
 
     zones: int = 6  # of the path, with one slack each: a single one costs 1 %, twelve take more time
     trust_nodes: int = 12  # least number of headings in the trust region
@@ -243,7 +243,7 @@ class AnytimeSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """All settings."""
+    """All settings of the method."""
 
     resolution: ResolutionSettings = ResolutionSettings()
     bounds: BoundSettings = BoundSettings()

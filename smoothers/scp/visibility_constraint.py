@@ -40,7 +40,7 @@ class ViewBound:
 
 
 class SeenPlaces(NamedTuple):
-    """The view at positions along a path."""
+    """Marker and view margins at positions along a path."""
 
     node: IntArray  # node before each position, Shape (p,)
     ahead: FloatArray  # distance of the position from that node [m], Shape (p,); 0 at nodes

@@ -29,7 +29,7 @@ _SUCCEEDED = BehaviorResult(BehaviorStatus.SUCCEEDED)
 
 
 class Codes(NamedTuple):
-    """Nav2's action error codes of a behavior."""
+    """Nav2's action error codes for a behavior."""
 
     unknown: int
     timeout: int
@@ -49,7 +49,7 @@ class DriveParameters(PluginParameters):
 
 
 class DriveCommand(PluginParameters):
-    """Command of a straight motion."""
+    """Command to drive a straight motion."""
 
     target: float = Field(description="distance along the heading [m]")
     speed: float = Field(description="largest speed [m/s]")
@@ -59,7 +59,7 @@ class DriveCommand(PluginParameters):
 
 @dataclass
 class _Motion:
-    """State of one motion."""
+    """State of one straight motion."""
 
     command: DriveCommand
     deadline: Deadline

@@ -59,7 +59,7 @@ class Exits(NamedTuple):
 
 
 class EndTrees:
-    """The trees at both ends of one problem."""
+    """The trees of arcs at the start and at the dock of one problem."""
 
     def __init__(self, problem: DockingProblem, space: FreeSpace) -> None:
         self.problem, self.space = problem, space

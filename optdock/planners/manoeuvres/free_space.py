@@ -35,7 +35,7 @@ _EXACT_BLOCK = 300  # poses per exact measurement, about 2 ms
 
 
 class Effort(NamedTuple):
-    """Resolution of a search.
+    """Resolution and limits of a search.
 
     `radius`: radius of all arcs [m]. `margin`: additional clearance for the smoother [m]. `fineness`: cells of the pose
     grid per width of the robot. `nodes`: largest number of nodes of hybrid A*. `start_relief`: see

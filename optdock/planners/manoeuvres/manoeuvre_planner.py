@@ -92,7 +92,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         """Check the context.
 
         Raises:
-            InvalidValue: If the context holds no problem.
+            InvalidValue: If the context contains no problem.
         """
         if self.context.problem is None:
             raise InvalidValue(f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)")

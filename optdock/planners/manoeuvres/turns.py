@@ -269,7 +269,7 @@ def _whole(
 ) -> TurnsAndDrives:
     """Return the manoeuvre of a run out of the start, the turns and drives `middle`, and a run into the dock.
 
-    `middle` contains one turn more than drives.
+    `middle` contains one more turn than drives.
     """
     out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
     nothing = np.zeros(1)

@@ -1,6 +1,6 @@
 """Broad phase: search by bounding boxes for body parts close to an obstacle in an interval [Ericson2005].
 
-The search first uses axis-aligned boxes of six neighbouring intervals at once, then boxes of each interval, and then
+The search first uses axis-aligned boxes around six neighbouring intervals, then boxes around each interval, and then
 boxes in the frame of the body, which are much tighter around a rotated body.
 """
 

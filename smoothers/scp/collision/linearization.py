@@ -48,7 +48,7 @@ class ActivePairs(NamedTuple):
 def active_pairs(scene: Scene, found: Clearance, num_intervals: int, most: int) -> ActivePairs:
     """Return all near pairs, or a selection with at most `most` planes.
 
-    While many pairs are in collision, a small obstacle gets planes only in the intervals where the body comes closest.
+    While many pairs are in collision, a small obstacle has planes only in the intervals where the body comes closest.
     The rows of neighbouring intervals are nearly equal and would displace rows of other obstacles.
     """
     settings, worst = scene.settings, float(found.margin.min(initial=np.inf))

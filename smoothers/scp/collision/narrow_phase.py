@@ -11,8 +11,8 @@ the interval it differs from its value at the nearer end by at most (h / 2) * M3
 (1 + |k| r).
 
 The axis n is the best of the candidates of the separating axis theorem ([Ericson2005], 5.2), refined once. The hulls
-over two neighbouring nodes are used as in [Schulman2014]. Arrays hold one pair per column, which makes reductions
-contiguous.
+over two neighbouring nodes are used as in [Schulman2014]. Arrays contain one pair per column, which makes reductions
+contiguous in memory.
 """
 
 from __future__ import annotations
