@@ -246,7 +246,7 @@ class LimitsDocument(_LimitKeys):
         return self
 
     def value(self) -> MotionLimits:
-        """The limits."""
+        """Motion limits that the keys define."""
         return MotionLimits(**self.model_dump())
 
 
@@ -263,7 +263,7 @@ class TrackingDocument(_Part):
         return value
 
     def value(self) -> TrackingTube:
-        """The tube."""
+        """Tracking tube that the keys define."""
         return TrackingTube(self.cross, self.yaw)
 
 
@@ -290,7 +290,7 @@ class CameraDocument(_Part):
         return self
 
     def value(self) -> Camera:
-        """The camera."""
+        """Camera that the keys define."""
         return Camera(**dict(self))
 
 
@@ -343,7 +343,7 @@ class RobotDocument(_Part):
         return self
 
     def value(self) -> Robot:
-        """The robot."""
+        """Robot that the keys define."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
         camera = None if self.camera is None else self.camera.value()
         drive, tracking = self.drive, self.tracking.value()
@@ -411,7 +411,7 @@ class DockDocument(_Part):
         return self
 
     def value(self) -> Dock:
-        """The dock."""
+        """Dock that the keys define."""
         return Dock(**dict(self))
 
 
@@ -472,7 +472,7 @@ class ClearanceDocument(_Part):
         return self
 
     def value(self) -> ClearanceRule:
-        """The clearance rule."""
+        """Clearance rule that the keys define."""
         return ClearanceRule(self.required, self.at_dock, self.taper, self.dock_run, self.at_start)
 
 

@@ -146,7 +146,7 @@ class _Around:
         self._all = self._fixed
 
     def contains(self, lower: FloatArray, upper: FloatArray) -> bool:
-        """Whether a box lies inside."""
+        """Whether a given box lies inside this box."""
         return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
 
     def obstacles(self) -> ObstacleSet:

@@ -60,7 +60,7 @@ _MOST_PUSH = Twist2(0.1, 0.3)  # [m/s], [rad/s]: the widest dead band
 
 
 class Gains(NamedTuple):
-    """Gains of the law.
+    """Gains of the tracking law.
 
     `along` k_x [1/s]; `convergence_distance` L [m]; `damping` zeta; `turn` lower bound of k_theta [1/s], for turning
     the robot while the reference is at rest.

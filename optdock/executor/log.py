@@ -230,24 +230,24 @@ class LoggedPlanning:
         self._planning, self._log, self._frame = planning, log, frame
 
     def submit(self, job: Job) -> None:
-        """`Planning.submit`."""
+        """Submit a job; see `Planning.submit`."""
         self._planning.submit(job)
 
     def poll(self, stamp: float) -> PlanResult | None:
-        """`Planning.poll`."""
+        """Return and log the result of a job; see `Planning.poll`."""
         result = self._planning.poll(stamp)
         if result is not None:
             self._log.planned(result, self._frame)
         return result
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, from_time: float) -> Verdict:
-        """`Planning.still_holds`."""
+        """Return and log the verdict on a motion; see `Planning.still_holds`."""
         verdict = self._planning.still_holds(motion, costmap, from_time)
         self._log.verdict(verdict)
         return verdict
 
     def close(self) -> None:
-        """`Planning.close`."""
+        """Release all resources; see `Planning.close`."""
         self._planning.close()
 
 

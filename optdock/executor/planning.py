@@ -384,5 +384,5 @@ class PlanRequests:
         return result
 
     def still_holds(self, motion: DrivenMotion, costmap: Costmap, time: float) -> Verdict:
-        """`Planning.still_holds`."""
+        """Return the verdict on a motion; see `Planning.still_holds`."""
         return self._planning.still_holds(motion, costmap, time)

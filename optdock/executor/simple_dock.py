@@ -99,7 +99,7 @@ class SimpleDock(DockType):
 
     @property
     def waits_for_charge(self) -> bool:
-        """The parameter `wait_for_charge`."""
+        """Value of the parameter `wait_for_charge`."""
         return self.parameters.wait_for_charge
 
     def is_charging(self, measurements: Measurements) -> bool:
@@ -117,7 +117,7 @@ class SimpleDock(DockType):
 
     @property
     def back_out_distance(self) -> float:
-        """The parameter `back_out_distance` [m]."""
+        """Value of the parameter `back_out_distance` [m]."""
         return self.parameters.back_out_distance
 
     def reset(self) -> None:

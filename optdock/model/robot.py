@@ -100,7 +100,7 @@ class Robot:
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
-        """Digests that tie certificates to the robot."""
+        """Digests by which a certificate identifies the robot."""
         # Unused features are not digested, so certificates stay valid when optdock gains new limits.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}

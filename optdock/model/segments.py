@@ -88,7 +88,7 @@ class ClothoidSegment(FrozenArrays):
 
     @property
     def direction(self) -> Direction:
-        """Gear."""
+        """Gear of the segment."""
         return Direction(self.spline.sign)
 
     @property
@@ -241,7 +241,7 @@ class TurnSegment(FrozenArrays):
 
     @property
     def direction(self) -> Direction:
-        """The value for neither gear, 0."""
+        """Value 0, because a turn in place has no gear."""
         return Direction.IN_PLACE
 
     @property

@@ -186,13 +186,13 @@ class Plugin(ABC):
         self._state = LifecycleState.INACTIVE
 
     def activate(self) -> None:
-        """Inactive -> active."""
+        """Activate the plugin: inactive -> active."""
         self._require("activate", LifecycleState.INACTIVE)
         self.on_activate()
         self._state = LifecycleState.ACTIVE
 
     def deactivate(self) -> None:
-        """Active -> inactive."""
+        """Deactivate the plugin: active -> inactive."""
         self._require("deactivate", LifecycleState.ACTIVE)
         self.on_deactivate()
         self._state = LifecycleState.INACTIVE

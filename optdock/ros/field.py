@@ -308,7 +308,7 @@ class _RecordingReader:
             return found.planar()
 
     def _evenly_spaced(self, topic: str) -> list[Message]:
-        """Return the messages of a topic, reduced at even intervals to at most 2 * `_OUTLINES` messages."""
+        """Return the messages of a topic, evenly thinned to `_OUTLINES` to 2 * `_OUTLINES` if there are more."""
         found: list[Message] = []
         every = 1
         for number, (_, message) in enumerate(self._bag.messages(topic, *self._interval)):

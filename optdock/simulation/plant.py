@@ -425,7 +425,7 @@ class _Normals:
 
 
 def check_duration(value: float, name: str) -> None:
-    """Check a duration.
+    """Check the duration of a step.
 
     Raises:
         InvalidValue: If the duration is not finite and > 0.

@@ -44,7 +44,7 @@ def state_after(state: MotionState, duration: float, jerk: float) -> MotionState
 
 
 def duration_of(phases: Phases) -> float:
-    """Return the total time [s]."""
+    """Return the total duration of phases [s]."""
     return sum(duration for duration, _jerk in phases)
 
 

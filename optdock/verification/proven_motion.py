@@ -156,7 +156,7 @@ class ProvenWay(_Proven[_Way]):
 
     @property
     def path(self) -> Path:
-        """The path."""
+        """The path with proven clearance."""
         return self._content.path
 
     @property

@@ -204,7 +204,7 @@ class _Peak(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Value over limit."""
+        """Ratio of the value to the limit."""
         return self.value / self.limit
 
 

@@ -96,7 +96,7 @@ class CostModel:
         return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
 
     def value(self, variables: Variables, rollout: Rollout) -> float:
-        """Return J."""
+        """Return the cost J of given variables."""
         curvature, lengths = variables
         bend, jerk = self.factors
         per_knot = lengths[self.basis.knot_gear]

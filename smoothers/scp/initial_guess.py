@@ -75,7 +75,7 @@ class InitialGuesses:
 
     @property
     def rest_of_earlier(self) -> SearchGuess | None:
-        """Rest of the earlier result, or None."""
+        """Guess that continues an earlier result, or None."""
         if self.earlier is None:
             return None
         settings = self.nlp.settings.guess

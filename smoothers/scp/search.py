@@ -81,7 +81,7 @@ class Call(NamedTuple):
 
     @property
     def whole(self) -> DockingProblem:
-        """Problem whose clearance rule applies."""
+        """Problem of the whole path, whose clearance rule applies."""
         return self.problem if self.within is None else self.within
 
     def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:

@@ -224,12 +224,12 @@ class Stages:
 
     @functools.cached_property
     def space(self) -> FreeSpace:
-        """The free space."""
+        """Free space for collision checks."""
         return FreeSpace(self.problem, self._poll)
 
     @functools.cached_property
     def trees(self) -> EndTrees:
-        """Straight lines and arcs out of both ends."""
+        """Trees of straight lines and arcs at the start and at the dock."""
         return EndTrees(self.problem, self.space)
 
     def straight_runs(self) -> dict[str, float]:
