@@ -124,7 +124,7 @@ class _Grid:
         self._obstacles = ObstacleSet.empty()
 
     def obstacles(self) -> ObstacleSet:
-        """Return the obstacles of the present cells."""
+        """Return the obstacles that the present cells form."""
         cells = self._grid.data[self._window]
         if self._cells is None or not np.array_equal(cells, self._cells):
             self._cells = cells.copy()

@@ -105,7 +105,7 @@ class _Plan(NamedTuple):
 class MpcController(TrackingController):
     """Controller that follows a trajectory by model predictive control.
 
-    It is a TrackingController with a different control law.
+    The class is a TrackingController with a different control law.
 
     Every cycle minimizes errors and effort over the commands of the next `horizon` seconds, or of the braking time if
     it is longer, subject to all limits of the robot (`mpc_program`), and returns the first command. The cost to go

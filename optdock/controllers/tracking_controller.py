@@ -55,7 +55,7 @@ _PEAK_MARGIN = 1.2  # without a configured robot: ratio of limits to peaks of th
 
 
 class TrackingControllerParameters(PluginParameters):
-    """Gains, time base and finish of the TrackingController."""
+    """Parameters of the TrackingController: gains, time base and behaviour at the end."""
 
     period: float | None = Field(
         default=None, gt=0.0, description="time between two calls [s]; None: measured from their stamps"

@@ -168,7 +168,7 @@ class LogWriter(AbstractContextManager["LogWriter"]):
         )
 
     def cancel(self) -> None:
-        """Write that the task is cancelled before the next cycle."""
+        """Record that the task is cancelled before the next cycle."""
         self._write({"cancel": True})
 
     def planned(self, result: PlanResult, frame: str) -> None:

@@ -74,7 +74,7 @@ class Dock:
         marker: Point that the robot's camera detects, (x, y) in the frame of the docked robot [m], or None. The
             orientation of the marker is not modelled.
         visible_distance: Length of the last part of the path on which the marker must be in the view of `Robot.camera`
-            [m]. For a shorter path this is the whole path; 0 means no requirement.
+            [m]. On a shorter path, the marker must be in view on the whole path; 0 means no requirement.
         blind_distance: Length of the last part of the path on which the marker may be invisible [m].
 
     Raises:

@@ -1,7 +1,8 @@
 """`still_holds` checks in every cycle whether the rest of a running plan has the required clearance in a changed world.
 
 The proof of the plan need not be repeated. While the clearance rule is the same, only new obstacles near the rest of
-the path are examined: cells that have become blocked, and new polygons. The rule of the plan's certificate applies.
+the path are examined: cells that have become blocked, and new polygons. The clearance rule is the rule of the plan's
+    certificate.
 """
 
 from __future__ import annotations

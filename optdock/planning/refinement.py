@@ -211,7 +211,7 @@ class Refinement:
 
     @contextlib.contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of the block to `stage`."""
+        """Add the duration of the block to the time of `stage`."""
         began, worked = self.deadline.elapsed, time.thread_time()
         try:
             yield

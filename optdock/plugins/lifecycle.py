@@ -1,7 +1,7 @@
 """Base class of plugins, with parameters, context and Nav2's lifecycle.
 
-A plugin can be used once it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive -> active
--> finalized.
+A plugin can be used as soon as it is constructed. Servers may also manage its lifecycle: unconfigured -> inactive ->
+active -> finalized.
 """
 
 from __future__ import annotations

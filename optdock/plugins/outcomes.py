@@ -110,7 +110,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """Status of a time parameterization; only OK is true. Infeasible motions have a status and raise no exception."""
+    """Status of a time parameterization; only OK is true. An infeasible motion has a status and raises no exception."""
 
     OK = 0
     START_INFEASIBLE = 1

@@ -102,7 +102,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
     """Check whether samples refute the motion that they describe, by the rules in the module docstring.
 
     Poses may deviate from the path by up to 2e-3 m and 2e-3 rad if the clearance of the path exceeds the required
-    clearance by the resulting displacement. Otherwise poses may deviate by at most 1e-6.
+    clearance by the resulting displacement. Otherwise poses may deviate by at most 1e-6 m and 1e-6 rad.
 
     Args:
         motion: The samples.

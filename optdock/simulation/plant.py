@@ -267,7 +267,7 @@ class PlantState(NamedTuple):
 
 
 class Plant(Protocol):
-    """Motion of a robot in a simulation, in steps of any duration."""
+    """Interface of plant models, which compute the motion of a robot in steps of any duration."""
 
     @property
     def robot(self) -> Robot:

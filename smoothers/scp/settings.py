@@ -74,7 +74,7 @@ class GoalProjectionSettings:
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """First variables of a search, and first bounds of its steps."""
+    """Initial variables of a search, and initial bounds on its steps."""
 
     astray: float = 0.4  # [m]: a fit farther from the input is not used
     turned_away: float = 0.4  # [rad]: a fit with a larger heading error at the goal is not used

@@ -1,4 +1,4 @@
-"""StaticLayer: the map (Nav2: `nav2_costmap_2d::StaticLayer`)."""
+"""StaticLayer: a costmap layer that contains the map (Nav2: `nav2_costmap_2d::StaticLayer`)."""
 
 from __future__ import annotations
 
