@@ -434,7 +434,10 @@ class StartDocument(_Part):
 
     @property
     def known_curvature(self) -> float | None:
-        """Start curvature of the path [1/m]. If it is not given: None (free) at rest, 0 in motion."""
+        """Start curvature of the path [1/m].
+
+        If the key is missing, the value is None (free) at rest and 0 in motion.
+        """
         return 0.0 if self.curvature is None and self.speed != 0.0 else self.curvature
 
 
